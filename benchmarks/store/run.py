@@ -57,7 +57,7 @@ def cells(seeds: int) -> Iterator[CellResult]:
                 yield CellResult(
                     key,
                     CellStatus.NO_ARRIVAL,
-                    "no peak of the receiver continues what the stations recorded: send another frequency",
+                    "no peak of the receiver continues the motion of the stations: change wave.frequency",
                     rank=1,
                 )
                 continue

@@ -1,4 +1,4 @@
-"""What the velocities of a campaign say, from distribution to prediction.
+"""Evaluation of the velocities of a campaign, from distribution to prediction.
 
 Everything here takes records, plain arrays or xarray and gives frozen records or xarray; nothing reads a database or
 simulates, so the same code serves a campaign, a table from a paper and somebody else's data. Import from the modules:

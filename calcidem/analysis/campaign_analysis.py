@@ -1,4 +1,4 @@
-"""Everything the analysis of a stored campaign produces, each product made when it is first asked for."""
+"""Everything the analysis of a stored campaign produces, each product computed at its first use."""
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -38,7 +38,7 @@ from calcidem.storage.store import Selection
 
 
 class UnavailableError(Exception):
-    """A product that the campaign, as it stands, cannot give; the message says what is missing."""
+    """A product that the campaign cannot give at present; the message names what is missing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

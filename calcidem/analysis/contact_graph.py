@@ -1,6 +1,6 @@
 """Grains and contacts as a weighted undirected graph, and the path a shear wave prefers (section 2.4).
 
-All cells of a campaign share one packing, so the graph is made once and every cell only says which of the
+All cells of a campaign share one packing, so the graph is made once and every cell only lists which of the
 contacts are cemented. `ContactGraph.to_networkx` gives the graph for reading and drawing; paths are found on
 a sparse matrix with SciPy, because the scan over weights needs thousands of them.
 """
@@ -61,7 +61,7 @@ class ContactGraph:
             name: np.unique(np.asarray(getattr(self, name), dtype=np.int64)) for name in ("transmitter", "receiver")
         }
         _check(self.grain_count, pairs, lists)
-        # Every contact is stored in both directions, rows and columns ascending; `entry_contacts` says which
+        # Every contact is stored in both directions, rows and columns ascending; `entry_contacts` names the
         # contact an entry belongs to, so that a cell only has to fill in the weights.
         rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
         order = np.lexsort((columns, rows))
@@ -195,7 +195,7 @@ def _refuse_apart(shortest: float) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShortestPaths:
-    """All shortest paths from the transmitter to the receiver: distances, and with them where a path goes on.
+    """All shortest paths from the transmitter to the receiver: distances, and with them the next grains of a path.
 
     Attributes
     ----------
@@ -246,7 +246,7 @@ class ShortestPaths:
         return cls(distance, tuple(starts.tolist()), weights, lengths, kinds, slack)
 
     def first(self) -> PreferentialPath:
-        """Give the one that starts at the lowest-numbered grain and at every step goes on to the lowest-numbered one.
+        """Give the one that starts at the lowest-numbered grain and continues at every step to the lowest-numbered one.
 
         With only two different weights, many paths are equally short. This one depends on nothing but the numbering of
         the grains, which all cells of a campaign share.
@@ -296,7 +296,7 @@ class ShortestPaths:
         return float(np.sum(1.0 - arrived / arrived[-1]))
 
     def _onward(self, grain: int) -> list[tuple[int, bool]]:
-        """Give the grains that a shortest path goes on to, ascending, and whether cement leads there."""
+        """Give the next grains of a shortest path, ascending, and whether cement leads there."""
         entries = slice(self._lengths.indptr[grain], self._lengths.indptr[grain + 1])
         neighbours = self._lengths.indices[entries]
         shortest = self._lengths.data[entries] + self.distance[neighbours] <= self.distance[grain] + self._slack

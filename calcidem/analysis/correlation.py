@@ -36,7 +36,7 @@ class Correlations:
         Over all samples of all contents. A common trend with content inflates it.
     within
         After subtracting from each variable its mean at the same content and dividing by its standard deviation there:
-        what is left without the trend, each content alike. Spearman's coefficient takes ranks within the content.
+        the deviations from the trend, each content alike. Spearman's coefficient takes ranks within the content.
     """
 
     overall: xr.Dataset
@@ -183,7 +183,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     values = values[np.isfinite(values).any(axis=(1, 2))]  # a seed that was not analysed is exchanged with none
     known: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=-1))
     standard = np.zeros(values.shape)
-    for column in np.flatnonzero(known.any(axis=0)).tolist():  # a content without a velocity says nothing
+    for column in np.flatnonzero(known.any(axis=0)).tolist():  # a content without a velocity has no correlation
         standard[known[:, column], column] = np.nan_to_num(_standardised(values[known[:, column], column]))
     scale = np.linalg.norm(standard, axis=(0, 1))
     scaled = standard / np.where(scale > 0, scale, np.nan)

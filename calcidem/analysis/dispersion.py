@@ -1,7 +1,7 @@
 """Phase velocity against frequency, from the space-time sections of many samples of one content.
 
 One sample holds one to three wavelengths, so its spectrum over frequency and wavenumber is broad. The mean of the
-spectra of many samples tells the dispersion of the content and the speed of its long waves.
+spectra of many samples gives the dispersion of the content and the speed of its long waves.
 """
 
 from collections.abc import Sequence
@@ -75,7 +75,7 @@ class ContentDispersion:
     content
         Percent.
     found
-        What the sections say.
+        Result of the sections.
     vs, static
         Medians of Vs and of the static speed of the samples, m/s; NaN where the latter is not known.
     """
@@ -128,7 +128,7 @@ def dispersion(
     total, count = powers.sum(axis=0), len(sections)
     found, left_out = _ridge(total, velocity), np.array([_ridge(total - power, velocity) for power in powers])
     error = _jackknife(left_out)
-    known = np.maximum(error, _RESOLVED * found)  # the grid tells no less
+    known = np.maximum(error, _RESOLVED * found)  # no less than the resolution of the grid
     limits = np.array([_long_wave(wanted, ridge, known) for ridge in left_out])
     return Dispersion(
         frequency=wanted,

@@ -46,7 +46,7 @@ class NormalFit:
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """What a sample of values says about the distribution it comes from.
+    """Estimates of a distribution from a sample of its values.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ def _bias_of_failed(measured: int, failed: int) -> float:
 
 
 def is_in_doubt(measured: int, failed: int) -> bool:
-    """Whether failed cells may bias a mean by more than its standard error: then its interval says too little.
+    """Whether failed cells may bias a mean by more than its standard error: then its interval is too narrow.
 
     That is so from 2 failed of 8, 4 of 48 or 5 of 116 cells.
     """

@@ -76,7 +76,7 @@ class PowerLawFit:
         Notes
         -----
         Scatter of a sample and uncertainty of the curve (delta method) together, with Student's t. It takes
-        scatter as equal for all C_d,n. Where it is not, `leave_one_seed_out` tells how often the interval
+        scatter as equal for all C_d,n. Where it is not, `leave_one_seed_out` gives how often the interval
         really holds.
         """
         x = np.asarray(connectivity, dtype=np.float64)

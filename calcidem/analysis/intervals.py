@@ -46,7 +46,7 @@ _LAST_STEP = 1e-14
 """Relative size of the step with which Newton's method ends: rounding alone."""
 
 _FEWEST_FOR_KURTOSIS = 8
-"""Below this a sample says too little about its kurtosis to correct an interval for it."""
+"""Below this the kurtosis of a sample is too uncertain to correct an interval for it."""
 
 UNDEFINED = Interval(math.nan, math.nan)
 

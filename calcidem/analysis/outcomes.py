@@ -13,7 +13,7 @@ _NOT_COMPUTED = ""
 def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.Dataset:
     """Count the cells of each content by what became of them.
 
-    A cell that is missing because it was not computed yet says nothing about Vs. A cell that failed may well
+    A cell that is missing because it was not computed yet has no information on Vs. A cell that failed may well
     do (the slow samples are the ones whose arrival is hard to see), so the two are never added up.
 
     Parameters

@@ -28,7 +28,7 @@ class SeedPlan:
     Attributes
     ----------
     half_width
-        Half-width asked for, in the unit of the values.
+        Requested half-width, in the unit of the values.
     present, present_half_width
         Seeds with a velocity there are, and the half-width they give.
     unreadable
@@ -90,7 +90,7 @@ def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95, unread
     values
         Values so far, shape (n,); NaN are left out; at least two.
     half_width
-        Half-width asked for, in the same unit, positive.
+        Requested half-width, in the same unit, positive.
     level
         Confidence level of the planned interval, and of the deviation's that gives the range of the plan.
     unreadable
@@ -119,14 +119,14 @@ FEWEST_READ = 0.5
 """Part of the seeds that has to have a velocity: of fewer, more seeds do not make the mean of all known."""
 
 _ADDED_TOGETHER = 8
-"""Seeds are added in multiples of so many, which fill the lanes of a batch."""
+"""Seeds are added in multiples of this number, which fill the lanes of a batch."""
 
 
 def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, sd: float | None = None) -> int:
     """Give the number of seeds that a content should have next, so that its intervals become as narrow as asked.
 
     That is the number there is once they are, or once there are `most`; else what the intervals so far suggest, but at
-    most twice as many as there are. The result depends on the values alone, whoever computed them. Where fewer than
+    most twice as many as there are. The result depends on the values alone. Where fewer than
     half of the seeds have a value, no more are added.
 
     Parameters

@@ -32,7 +32,7 @@ class Prediction:
     vs
         Its median, m/s.
     interval
-        In which it falls with the probability asked for, m/s.
+        In which it falls with the given probability, m/s.
     uses_features
         Whether features had a part in it; otherwise the content alone made it.
     """

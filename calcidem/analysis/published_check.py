@@ -1,7 +1,7 @@
 """Whether the printed numbers of the reproduced study agree with one another.
 
 The printed moments, means and weights go through the same code as a campaign's own, and what comes out is
-compared with what is printed beside them. Nothing is corrected: a disagreement is reported, and both sides
+compared with the numbers printed beside them. Nothing is corrected: a disagreement is reported, and both sides
 stay as they are.
 """
 
@@ -63,7 +63,7 @@ class VerdictCheck:
 
 @dataclass(frozen=True, slots=True)
 class StatementCheck:
-    """One comparison of what is printed with what follows from other printed numbers.
+    """One comparison of a printed number with the one that follows from other printed numbers.
 
     Attributes
     ----------

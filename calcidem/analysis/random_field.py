@@ -27,7 +27,7 @@ def _autocorrelation(fields: NDArray[np.float64], axis: int) -> NDArray[np.float
 
     Notes
     -----
-    The mean is that of all fields together: the mean of each would take away what is longer than a sample.
+    The mean is that of all fields together: the mean of each would remove wavelengths longer than a sample.
     """
     centred = np.moveaxis(fields - np.nanmean(fields), axis, -1)
     known, values = np.isfinite(centred), np.nan_to_num(centred)
@@ -111,7 +111,7 @@ def describe_fields(
 
 
 def _field_numbers(logs: NDArray[np.float64], step_x: float, step_y: float) -> tuple[float, ...]:
-    """What is said of one content, of logarithms (S, Y, X)."""
+    """Statistics of one content, of logarithms (S, Y, X)."""
     if not np.isfinite(logs).any():
         return (*(np.nan,) * 5, 1.0)
     variance, samples = float(np.nanvar(logs)), logs[np.isfinite(logs).any(axis=(1, 2))]

@@ -116,7 +116,7 @@ class VarianceParts:
 
     @property
     def total(self) -> float:
-        """Variance of a value whose causes are both drawn anew."""
+        """Variance of a value with two newly drawn causes."""
         return self.first + self.second + self.rest
 
     @property

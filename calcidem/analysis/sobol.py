@@ -98,7 +98,7 @@ def campaign_outputs(vs: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
 
 
 def _problem(ranges: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
-    """Parameters as SALib wants them."""
+    """Parameters in the form of SALib."""
     return {"num_vars": len(ranges), "names": list(ranges), "bounds": [list(limits) for limits in ranges.values()]}
 
 

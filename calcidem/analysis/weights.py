@@ -10,7 +10,7 @@ from calcidem.analysis.intervals import BOOTSTRAP_SEED, Interval
 from calcidem.analysis.path_envelope import PathEnvelope
 
 _SMALLEST_SAMPLE = 3
-"""Two samples always lie on a line, so a correlation says nothing."""
+"""Two samples always lie on a line, so a correlation has no meaning."""
 
 _CORRELATION_TIE = 1e-6
 """Correlations closer than this are taken for equal."""
@@ -36,7 +36,7 @@ class RatioScan:
     best_correlation
         Its value there.
     best_ratio_interval
-        Where the best ratio of 95 % of the bootstrap replicates lies (or the level asked for).
+        Interval with the best ratio of 95 % of the bootstrap replicates (or of another level).
     n
         Number of samples used.
     left_out
@@ -61,7 +61,7 @@ def scan_ratio(
     level: float = 0.95,
     replicates: int = 2000,
 ) -> RatioScan:
-    """Scan the weight ratio, with the shortest path of every sample found anew for every ratio.
+    """Scan the weight ratio, with a new search for the shortest path of every sample at every ratio.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def scan_ratio(
     generator = np.random.default_rng(BOOTSTRAP_SEED)
     draws = generator.multinomial(seed_count, np.full(seed_count, 1 / seed_count), size=replicates)
     drawn = _correlate_sums(draws.astype(np.float64), sums)
-    # A replicate of one seed drawn over and over may have no correlation at all; it says nothing.
+    # A replicate of one seed drawn repeatedly may have no correlation at all; it is left out.
     usable = drawn[~np.isnan(drawn).all(axis=1)]
     best_ratios = grid[_first_best(usable)]
     low, high = np.quantile(best_ratios, [(1 - level) / 2, (1 + level) / 2])

@@ -48,7 +48,7 @@ def listening_addresses(mpirun: str, variables: Mapping[str, str] = os.environ) 
 
 
 def _hosts_of_launcher(mpirun: str, variables: Mapping[str, str]) -> list[str] | None:
-    """Other hosts on which a launcher may start ranks; None if it may know of some in a way of its own."""
+    """Other hosts on which a launcher may start ranks; None if it may find hosts by other means."""
     if variables.get("MPIRUN"):
         return None  # maybe a script with options of its own
     found: set[str] = set()

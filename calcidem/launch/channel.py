@@ -9,7 +9,7 @@ from functools import cache
 from calcidem.launch.starter import DESCRIPTOR_VARIABLE
 
 _MOST_UNHEARD = 4
-"""Pictures of the progress that may be under way to the command; one that is busy or stopped gets no more."""
+"""Snapshots of the progress that the command has not acknowledged; a busy or stopped command gets no more."""
 
 
 @dataclass(slots=True)
@@ -23,7 +23,7 @@ class _Command:
     buffer
         What has come in of its next line.
     lost
-        Ranks that it has called lost, and that were not asked for yet, with reasons.
+        Ranks that it has reported as lost and that were not read yet, with reasons.
     unheard
         Number of pictures of the progress that it has not taken yet.
     """
@@ -39,7 +39,7 @@ class _Command:
             self.connection.sendall(f"{text}\n".encode())
 
     def listen(self) -> None:
-        """Take in what it says: `lost RANK REASON`, or `heard` for each picture of the progress."""
+        """Handle its messages: `lost RANK REASON`, or `heard` for each snapshot of the progress."""
         with suppress(OSError):  # nothing new, or it is gone
             self.buffer += self.connection.recv(1 << 16, socket.MSG_DONTWAIT)
         *lines, self.buffer = self.buffer.split(b"\n")
@@ -75,7 +75,7 @@ def command_listens() -> bool:
 
 
 def tell_progress(text: str) -> None:
-    """Tell the command how far the run is, unless it has not taken what was told before: nothing waits for a display.
+    """Send the progress to the command, unless it has not received the snapshot before: nothing waits for a display.
 
     Were it not for that, a command that is stopped would fill its socket and be taken for lost.
     """
@@ -88,7 +88,7 @@ def tell_progress(text: str) -> None:
 
 
 def lost_according_to_command() -> dict[int, str]:
-    """Ranks that are lost as the command now knows from their starters, with reasons, each told once; for rank 0."""
+    """Ranks that their starters reported to the command as lost, with reasons, each returned once; for rank 0."""
     if (command := _command()) is None:
         return {}
     command.listen()
@@ -98,6 +98,6 @@ def lost_according_to_command() -> dict[int, str]:
 
 @cache
 def _command() -> _Command | None:
-    """The command at the other end of the starter's connection; None if this process was started in another way."""
+    """The command at the other end of the starter's connection; None if no starter started this process."""
     descriptor = os.environ.get(DESCRIPTOR_VARIABLE)
     return None if descriptor is None else _Command(socket.socket(fileno=int(descriptor)))

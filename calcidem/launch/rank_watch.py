@@ -15,7 +15,7 @@ from typing import Self
 from calcidem.launch.starter import LONGEST_GREETING, seal_words, this_host
 
 _LONGEST_LINE = 4096
-"""Bytes of a line; one who sends more is no rank."""
+"""Largest length of a line in bytes; no rank sends more."""
 
 _TIME_TO_GREET = 10.0
 """Seconds in which one who connects must have shown that it is a rank."""
@@ -30,17 +30,17 @@ _PAUSE_WITHOUT_DESCRIPTORS = 0.05
 """Seconds until the next connection is taken when this process has no file descriptor left."""
 
 _SETTLING = 1.0
-"""Seconds after the first death of a rank in which others, and what rank 0 has to say of it, may follow."""
+"""Seconds after the first death of a rank in which others, and the report of rank 0, may follow."""
 
 _LAST_WORDS = 10.0
 """Seconds that the launcher has for its end after rank 0 has ended."""
 
 _HEARTBEAT_TIMEOUT = 120.0
-"""Seconds without a heartbeat of rank 0 after which the user is told; while it works it beats every half second."""
+"""Seconds without a heartbeat of rank 0 after which the user is informed; a working rank 0 beats every half second."""
 
 _MOST_SIGNALS, _LARGEST_EXIT_CODE = 64, 255
 
-_VANISHED = "is gone without a word: it was killed together with its starter, or its host is down"
+_VANISHED = "ended without a message: it was killed together with its starter, or its host is down"
 
 _SIGNAL_CURES = {  # by name: Windows, which imports this, too, has no SIGKILL
     "SIGKILL": "the system does so when memory runs out: use fewer ranks on each host",
@@ -66,9 +66,9 @@ class _ReportedRank:
         How it has ended, as the end of a sentence, empty while it lives; seconds of the launch until then; whether its
         exit code was 0; whether a signal has ended it.
     worded
-        Whether its starter has said a last word: how it ended, or that the launcher ends it.
+        Whether its starter has reported how it ended, or that the launcher ends it.
     told
-        Whether rank 0 was told of its end.
+        Whether rank 0 was informed of its end.
     """
 
     number: int
@@ -102,7 +102,7 @@ class _Caller:
     place
         Its address and port, for the user.
     challenge
-        What it was asked to seal_words.
+        The text that it has to seal.
     since
         Seconds of the launch at which it connected.
     """
@@ -115,9 +115,9 @@ class _Caller:
 
 
 class RankWatch:
-    """Listens to the ranks of one launch; a context manager that hangs up in the end, which ends ranks that are left.
+    """Listens to the ranks of one launch; a context manager that ends the remaining ranks on exit.
 
-    Anybody who can reach its address can connect. Whatever is sent there costs the sender its connection at worst.
+    Any program that reaches its address can connect. Invalid input closes the connection of its sender.
 
     Parameters
     ----------
@@ -135,9 +135,9 @@ class RankWatch:
     address
         For the ranks' environment, under `COMMAND_VARIABLE`.
     exit_code, exit_reason
-        What rank 0 has said of its end: None if nothing, and the signal that asked for it or another obstacle.
+        Exit code and reason that rank 0 reported: None without a report; the reason is a signal or another obstacle.
     progress
-        What rank 0 has said last of how far the run is; empty if nothing.
+        Last progress that rank 0 reported; empty if none.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ class RankWatch:
         return sum(rank.joined for rank in self._ranks.values()) == self._size
 
     def listen(self, seconds: float) -> bool:
-        """Take in what the ranks say within some seconds, at most; tell whether they said anything."""
+        """Receive messages of the ranks for some seconds at most; return whether there were any."""
         events = self._selector.select(seconds)
         before, self._now = self._now, time.monotonic()
         passed = min(self._now - before, 2.0 * seconds)  # no more, if this process itself was stopped
@@ -206,7 +206,7 @@ class RankWatch:
                 self._accept(key.fileobj)  # type: ignore[arg-type]
         for caller in list(self._callers):
             if self._seconds - caller.since > _TIME_TO_GREET:
-                self._drop(caller, f"did not say within {_TIME_TO_GREET:g} s who it is")
+                self._drop(caller, f"did not identify itself within {_TIME_TO_GREET:g} s")
         self._note_deaths()
         return bool(events)
 
@@ -252,7 +252,7 @@ class RankWatch:
         return left if len(left) < len(hosts) else {}
 
     def describe_silent_master(self) -> str:
-        """What to tell the user when rank 0 has stopped to beat, once each time; empty if there is nothing to tell."""
+        """Message when the heartbeat of rank 0 has stopped, once each time; else empty."""
         silent = self._heartbeat is not None and self._seconds - self._heartbeat > _HEARTBEAT_TIMEOUT
         told, self._told_silent = self._told_silent, silent
         if not silent or told:
@@ -266,7 +266,7 @@ class RankWatch:
         """Why the launcher must be ended, as a sentence or empty if that needs no word; None if it need not.
 
         As long as the ranks gather, prepare and compile, all of them are needed; later, lost workers are rank 0's to
-        judge, who is told of them.
+        judge, which is informed of them.
         """
         patience = self._death is not None and self._seconds - self._death
         if self.exit_code is not None:
@@ -299,13 +299,13 @@ class RankWatch:
         )
 
     def describe_dropped(self) -> str:
-        """What to tell the user of connections that were no rank's, once a minute at most; empty if there were none."""
+        """Message on connections that no rank made, once a minute at most; empty if there were none."""
         if not self._dropped or self._seconds < self._next_word_of_dropped:
             return ""
         self._next_word_of_dropped = self._seconds + _PAUSE_OF_WORDS
         others = f", and on {self._dropped - 1} more" if self._dropped > 1 else ""
         self._dropped = 0
-        return f"Hung up on {self._first_dropped}{others}; the run goes on."
+        return f"Closed the connection of {self._first_dropped}{others}; the run continues."
 
     def _accept(self, listener: socket.socket) -> None:
         """Ask one who connects who it is; without room for it the one that has not answered for longest goes."""
@@ -315,12 +315,12 @@ class RankWatch:
             return
         except OSError:  # no descriptors are left, or it has hung up already
             if self._callers:
-                self._drop(next(iter(self._callers)), "had not said who it is when file descriptors ran out")
+                self._drop(next(iter(self._callers)), "had not identified itself when file descriptors ran out")
             else:
                 time.sleep(_PAUSE_WITHOUT_DESCRIPTORS)
             return
         if len(self._callers) >= _MOST_STRANGERS + self._size:
-            self._drop(next(iter(self._callers)), "had not said who it is when many others connected")
+            self._drop(next(iter(self._callers)), "had not identified itself when many others connected")
         connection.setblocking(False)
         caller = _Caller(connection, "{}:{}".format(*place[:2]), secrets.token_hex(16), self._seconds)
         self._callers[caller] = None
@@ -328,7 +328,7 @@ class RankWatch:
         try:
             connection.send(f"{caller.challenge}\n".encode())
         except OSError:
-            self._drop(caller, "hung up at once")
+            self._drop(caller, "closed the connection at once")
 
     def _drop(self, caller: _Caller, why: str) -> None:
         """Hang up on one who is no rank, and note why."""
@@ -347,7 +347,7 @@ class RankWatch:
     def _read_greeting(self, caller: _Caller) -> None:
         """Take in who a caller is, and let its connection be that of a rank if that is sealed with the key."""
         if caller not in self._callers:
-            return  # dropped since the selector told of it
+            return  # dropped since the selector returned it
         try:
             data = caller.connection.recv(LONGEST_GREETING)
         except BlockingIOError:
@@ -358,7 +358,7 @@ class RankWatch:
         line, newline, rest = caller.buffer.partition(b"\n")
         if not newline:
             if not data or len(line) > LONGEST_GREETING:
-                self._drop(caller, "did not say who it is")
+                self._drop(caller, "did not identify itself")
             return
         words, _, sealed = line.decode(errors="replace").rpartition(" ")
         if not hmac.compare_digest(sealed.encode(), seal_words(self._key, "rank", caller.challenge, words).encode()):
@@ -372,7 +372,7 @@ class RankWatch:
             self._drop(caller, "is no rank, though it knows the key of this run")
             return
         if not 0 <= rank.number < self._size or rank.number in self._ranks:
-            self._drop(caller, f"says that it is rank {rank.number}, which is not expected (any more)")
+            self._drop(caller, f"claims to be rank {rank.number}, which is not expected (any more)")
             return
         del self._callers[caller]
         self._ranks[rank.number] = rank
@@ -380,7 +380,7 @@ class RankWatch:
         self._take_lines(rank)
 
     def _read(self, rank: _ReportedRank) -> None:
-        """Take in what a rank says."""
+        """Receive the messages of a rank."""
         try:
             data = rank.connection.recv(1 << 16)
         except BlockingIOError:
@@ -394,13 +394,13 @@ class RankWatch:
                 rank.ended, rank.killed = _VANISHED, True
 
     def _take_lines(self, rank: _ReportedRank) -> bool:
-        """Take in the whole lines that have come; tell whether all are such as ranks say."""
+        """Handle the complete lines received; return whether all are valid messages."""
         *lines, rank.buffer = rank.buffer.split(b"\n")
         try:
             for line in lines:
                 self._hear(rank, line.decode(errors="replace"))
         except ValueError:
-            self._note_dropped(f"{rank}, which said what no rank says")
+            self._note_dropped(f"{rank}, which sent an invalid message")
             return False
         return True
 
@@ -410,7 +410,7 @@ class RankWatch:
         Raises
         ------
         ValueError
-            If no rank, or not this one, says that.
+            If the message is not one that this rank can send.
         """
         rank.silent = 0.0
         word, _, rest = text.partition(" ")
@@ -433,7 +433,7 @@ class RankWatch:
                 raise ValueError(word)
 
     def _hear_master(self, rank: _ReportedRank, word: str, rest: str) -> None:
-        """Take in what rank 0 alone says."""
+        """Handle a message that only rank 0 sends."""
         match word:
             case "sweeping":
                 self._sweeping = True
@@ -460,15 +460,15 @@ class RankWatch:
         rank.worded = True
         stage = "" if rank.joined else " while it started"
         if not rank.joined and code >= 0:
-            cure = "`calcidem doctor` on that host says what it lacks"
+            cure = "`calcidem doctor` on that host shows what it lacks"
         rank.ended_well, rank.killed = code == 0, code < 0
         rank.ended = how + stage + (f": {last}" if last else "") + (f" ({cure})" if cure else "")
 
     def _note_deaths(self) -> None:
-        """Count the seconds from the first death on, and tell rank 0 of each worker that is lost."""
+        """Count the seconds from the first death on, and inform rank 0 of each lost worker."""
         for rank in self._ranks.values():
             if not rank.ended and rank.silent > self._silence_timeout:
-                rank.ended = f"has not been heard of for {self._silence_timeout:g} s: its host or the network is down"
+                rank.ended = f"has been silent for {self._silence_timeout:g} s: its host or the network is down"
             if not rank.ended or rank.told:
                 continue
             rank.told, rank.ended_after = True, self._seconds

@@ -1,7 +1,7 @@
-"""What the launcher starts in the place of each rank: it starts the rank and tells the command above how that fares.
+"""The program that the launcher starts for each rank: it starts the rank and reports its state to the command above.
 
 A program of its own that needs nothing but Python's library, so that it reports before anything can go wrong. It learns
-what no rank can say of itself: the signal that killed it and the last line that it wrote. When the connection to the
+what no rank can report of itself: the signal that killed it and the last line that it wrote. When the connection to the
 command breaks it ends its rank, so that none is left behind on a host that the network has lost.
 """
 
@@ -23,7 +23,7 @@ DESCRIPTOR_VARIABLE = "CALCIDEM_COMMAND_DESCRIPTOR"
 """Tells a rank which of its file descriptors is the connection that its starter has made."""
 
 LONGEST_GREETING = 512
-"""Bytes of each of the lines by which the command and a rank come to know one another."""
+"""Bytes of each line with which the command and a rank authenticate each other."""
 
 _MEANS_ITSELF = "127."
 """Beginning of addresses by which each host means itself."""
@@ -43,7 +43,7 @@ _TIME_TO_CONNECT = 5.0
 """Seconds for each of the command's addresses."""
 
 _ATTEMPTS = 3
-"""Times that all of them are tried: the command may be busy, or strangers may be in the way."""
+"""Times that all of them are tried: the command may be busy, or other programs may keep it busy."""
 
 _TIME_TO_HANG_UP = 2.0
 """Seconds in which the command acknowledges the last words of a rank."""
@@ -57,9 +57,9 @@ _PR_SET_PDEATHSIG = 1
 def die_with_parent(parent: int | None = None) -> None:
     """Let the kernel kill this process as soon as its parent ends.
 
-    Whoever knows the parent's process number says it: the parent may have ended before this call.
+    The caller gives the parent's process number: the parent may have ended before this call.
 
-    A rank whose mpirun was killed would otherwise go on for ever: it is a descendant of mpirun itself or,
+    A rank whose mpirun was killed would otherwise run for ever: it is a descendant of mpirun itself or,
     on other nodes, of its daemon, which ends when it loses mpirun. To be called before MPI is initialised: if
     the launcher is gone by then, initialisation fails and the rank ends, so no moment is left unguarded.
 
@@ -73,7 +73,7 @@ def die_with_parent(parent: int | None = None) -> None:
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         number = ctypes.get_errno()
         raise OSError(number, f"prctl(PR_SET_PDEATHSIG): {os.strerror(number)}")
-    if os.getppid() != parent:  # it ended before the kernel was asked, so its death will not be signalled
+    if os.getppid() != parent:  # it ended before the request to the kernel, so its death will not be signalled
         os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -84,16 +84,16 @@ def this_host() -> str:
 
 
 def seal_words(key: str, *words: str) -> str:
-    """Return what only those who know the key can say of some words."""
+    """Return the seal of some words, which needs the key."""
     return hmac.new(key.encode(), " ".join(words).encode(), "sha256").hexdigest()
 
 
 def _introduce(connection: socket.socket, key: str, rank: str, host: str) -> bool:
-    """Say to the command which rank this is, as one who knows the key, and tell whether it knows that, too.
+    """Identify this rank to the command with a seal; return whether the command knows the key, too.
 
     Each side seals what the other has drawn for this connection alone; the key itself does not travel, and what was
-    heard cannot be said again. `multiprocessing.connection` does the same but waits for each line, which would let one
-    stranger hold the command up.
+    overheard cannot be used again. `multiprocessing.connection` does the same but waits for each line, so that one
+    stranger could block the command.
     """
     challenge = _read_line(connection)
     own = secrets.token_hex(16)
@@ -108,7 +108,7 @@ def _read_line(connection: socket.socket) -> str:
     while not line.endswith(b"\n"):
         data = connection.recv(1)
         if not data or len(line) > LONGEST_GREETING or time.monotonic() > end:
-            raise ConnectionError("it is not the command that listens there")
+            raise ConnectionError("another program listens there")
         line += data
     return line.decode(errors="replace").rstrip("\n")
 
@@ -147,7 +147,7 @@ class _Starter:
         return code
 
     def _connect(self) -> socket.socket:
-        """Reach the command at one of its addresses, and say which rank this is."""
+        """Connect to the command at one of its addresses, and identify this rank."""
         host = os.uname().nodename
         for address in self._addresses * _ATTEMPTS:
             name, _, port = address.rpartition(":")
@@ -163,9 +163,7 @@ class _Starter:
                 continue
         where = f"at {' or '.join(self._addresses)}: let these hosts connect to one another, firewalls included"
         if not self._addresses:
-            where = (
-                "which listens on its own host alone: nothing that it knows of names other hosts, as a hostfile does"
-            )
+            where = "which listens on its own host alone, since neither a hostfile nor a job names other hosts"
         sys.exit(f"Rank {self._rank} on {host} cannot reach the command that started it, {where}")
 
     def _become(self, command: list[str], standard_error: int) -> None:
@@ -221,7 +219,7 @@ class _Starter:
         return min(before, self._counted_missing) if found else 0
 
     def _pass_on(self, errors: int) -> bool:
-        """Write what the rank has written to its standard error; tell whether there may be more."""
+        """Forward the standard error of the rank; return whether there may be more."""
         try:
             while data := os.read(errors, 1 << 16):
                 self._tail = (self._tail + data)[-(1 << 12) :]
@@ -234,7 +232,7 @@ class _Starter:
         return False
 
     def _hang_up(self) -> None:
-        """Let the command hear the last words: to close with something unread would throw away what is under way."""
+        """Let the command receive the last message: closing with unread input would discard messages in flight."""
         try:
             self._connection.shutdown(socket.SHUT_WR)
             self._connection.settimeout(_TIME_TO_HANG_UP)
@@ -247,7 +245,7 @@ class _Starter:
         try:
             self._connection.sendall(f"{text}\n".encode())
         except OSError:
-            return  # the command is gone, which the poll tells
+            return  # the command has ended, which the poll shows
 
 
 def _start_rank() -> None:

@@ -1,4 +1,4 @@
-"""What is asked of a store and what it tells of itself, without the database."""
+"""Selections and summaries of a store, without the database."""
 
 import os
 import socket
@@ -106,7 +106,7 @@ class LeaseGrant:
     token : str
         Identity of this master.
     taken_over_from : str or None
-        ``host, process N, last heard of at T`` of a dead master whose lease this one took over; to be
+        ``host, process N, last heartbeat at T`` of a dead master whose lease this one took over; to be
         reported.
     lost : str or None
         A sentence on what the dead master stored and is no longer there; to be reported.
@@ -138,7 +138,7 @@ class LeaseHolder:
     heartbeat: datetime
 
     def may_live(self) -> bool:
-        """Whether it may be alive, as far as can be told from this machine: on another one its heartbeat decides."""
+        """Whether it may be alive, as far as this machine shows: on another one its heartbeat decides."""
         if datetime.now(UTC) - self.heartbeat > STALE_AFTER:
             return False
         if self.host != socket.gethostname():

@@ -32,7 +32,7 @@ class Deadline:
     time_limit
         Seconds from now after which a call raises, or None for no limit.
     interrupted
-        Tells whether the sweep has been told to end at once.
+        Whether the sweep has to end at once.
     """
 
     def __init__(self, time_limit: float | None, interrupted: Callable[[], bool]) -> None:
@@ -48,7 +48,7 @@ class Deadline:
         _TimeLimitReached
             If the batch has used up its time.
         SweepInterrupted
-            If the sweep has been told to end at once.
+            If the sweep has to end at once.
         """
         if self._interrupted():
             raise SweepInterrupted
@@ -79,7 +79,7 @@ def attempt(
     Raises
     ------
     SweepInterrupted
-        If the sweep has been told to end at once; the batch is dropped.
+        If the sweep has to end at once; the batch is dropped.
     """
     start = time.monotonic()
     try:

@@ -21,7 +21,7 @@ TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
 """Tells the ranks the columns of the terminal that reads them; not set if none does."""
 
 NO_DEVICE_SEARCH = {"OMPI_MCA_btl": "^ofi"}
-"""Where nothing else is said: Open MPI's search for devices for one-sided messages, of which there are none here, takes
+"""By default: Open MPI's search for devices for one-sided messages, of which there are none here, takes
 a second."""
 
 
@@ -31,7 +31,7 @@ def launcher(variables: Mapping[str, str] = os.environ) -> str | None:
 
 
 def fault_tolerance_enabled(variables: Mapping[str, str] = os.environ) -> bool:
-    """Tell whether MPI goes on when a rank is lost: Open MPI 5 under `mpirun --with-ft ulfm`."""
+    """Return whether MPI continues when a rank is lost: Open MPI 5 under `mpirun --with-ft ulfm`."""
     return variables.get("OMPI_MCA_mpi_ft_enable", "0").lower() in {"1", "true", "yes"}
 
 
@@ -43,7 +43,7 @@ def available_cores() -> int:
 
 
 def refuse_ranks_off_linux(system: str | None = None) -> None:
-    """Refuse several ranks where the kernel offers no help against ranks that die, hang or outlive their launcher.
+    """Refuse several ranks where the kernel offers no support against ranks that die, stop or outlive their launcher.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def refuse_ranks_off_linux(system: str | None = None) -> None:
 
 
 def refuse_singletons(world_size: int, variables: Mapping[str, str] = os.environ) -> None:
-    """Refuse to run alone where several tasks were asked for.
+    """Refuse to run alone where several tasks were requested.
 
     `srun python` starts N programs that know nothing about each other: each would compute the whole campaign.
 

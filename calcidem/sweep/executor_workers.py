@@ -1,7 +1,7 @@
 """The workers of a `concurrent.futures.Executor`, in other processes and on other machines.
 
 An executor tells little: not how many workers it has, who they are, or when one begins with a batch. So each outcome
-names its worker, and more batches are under way than workers were seen: a worker that joins finds one waiting, answers,
+names its worker, and more batches are in flight than workers were seen: a worker that joins finds one waiting, answers,
 and counts from then on.
 
 The computation, with the packing, is pickled once. It goes with the first batches. A process keeps it by its hash; one
@@ -39,7 +39,7 @@ _Identity: TypeAlias = tuple[str, int, int]
 
 @dataclass(slots=True)
 class _Flight(Generic[CellT]):
-    """A batch under way.
+    """A batch in flight.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class _Flight(Generic[CellT]):
     since
         Time of its submission, s on the monotonic clock.
     alone
-        Whether nothing else was under way with it.
+        Whether no other batch was in flight.
     """
 
     batch: Batch[CellT]
@@ -59,8 +59,8 @@ class _Flight(Generic[CellT]):
 class ExecutorWorkers(Generic[CellT]):
     """The workers of an executor, which stays open.
 
-    A batch that has taken a worker down before is under way alone. Many an executor ends with its first lost process
-    (`ProcessPoolExecutor`): all that was under way counts as lost then, and alone the bad cell is told from the others.
+    A batch that has lost a worker before is computed alone. Many an executor ends with its first lost process
+    (`ProcessPoolExecutor`): all batches in flight count as lost then, and computing them alone isolates the bad cell.
     Dask tries a batch on four workers before it gives it up as `KilledWorker`.
 
     Parameters
@@ -92,7 +92,7 @@ class ExecutorWorkers(Generic[CellT]):
         self._longest = 0.0  # seconds of a batch
         self._start = time.monotonic()
         self._stranded = 0  # batches that the executor neither computed nor lost before its end
-        self._blamed = 0  # batches that lost the process with which the executor ended, as far as can be told
+        self._blamed = 0  # batches that may have lost the process with which the executor ended
         self.exhausted = ""
 
     @property
@@ -103,19 +103,19 @@ class ExecutorWorkers(Generic[CellT]):
 
     @property
     def running(self) -> int:
-        """Number of batches under way or held, or left behind by the executor."""
+        """Number of batches in flight or held, or left behind by the executor."""
         return len(self._under_way) + (self._held is not None) + self._stranded
 
     @property
     def wants_batch(self) -> bool:
-        """Whether fewer batches are under way than two for each worker and some for those that may join."""
+        """Whether fewer batches are in flight than two for each worker and some for those that may join."""
         if self.exhausted or self._held is not None or any(flight.batch.losses for flight in self._under_way.values()):
             return False
         enough = _BEFORE_IN_QUEUE * self.count + 2 if self._rank_of else available_cores() + 2
         return len(self._under_way) + len(self._given_up) < enough
 
     def submit(self, batch: Batch[CellT]) -> None:
-        """Have a batch computed; one that is suspect waits until nothing else is under way."""
+        """Have a batch computed; a suspect one waits until no other is in flight."""
         if batch.losses and self._under_way:
             self._held = batch
         else:
@@ -210,7 +210,7 @@ class ExecutorWorkers(Generic[CellT]):
                 self._stranded += 1
                 return []
         elif isinstance(error, CancelledError | OSError):
-            self._end(f"the executor has gone ({reason})")
+            self._end(f"the executor has ended ({reason})")
             self._stranded += 1
             return []
         else:
@@ -242,7 +242,7 @@ class ExecutorWorkers(Generic[CellT]):
             seconds = now - flight.since
             losses.append(Loss(Place(0, "unknown host"), flight.batch, f"no answer within {seconds:.3g} s", seconds))
         if self._given_up and len(self._given_up) >= self.count:
-            self._end("the workers of the executor do not answer any more")
+            self._end("the workers of the executor no longer answer")
         return losses
 
     def _end(self, reason: str) -> None:

@@ -58,7 +58,7 @@ class Forecast:
             self._measured[group] += cells
 
     def seconds_left(self, workers: int) -> float | None:
-        """Return the seconds that the remaining cells need on so many workers, or None if unknown."""
+        """Return the seconds that the remaining cells need on this number of workers, or None if unknown."""
         estimated = sum(self._estimate(group) * cells for group, cells in self._measured.items())
         if self.settled == self.total:
             return 0.0

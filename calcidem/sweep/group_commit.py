@@ -37,7 +37,7 @@ class Sink(Protocol):
         """
 
     def keep_alive(self) -> None:
-        """Take note, on the main thread and twice a second, that the sweep goes on; to return at once."""
+        """Called on the main thread twice a second while the sweep runs; returns at once."""
 
 
 class GroupCommit(Generic[CellT]):
@@ -63,7 +63,7 @@ class GroupCommit(Generic[CellT]):
 
     @property
     def is_full(self) -> bool:
-        """Whether so many outcomes wait that no more should be asked for."""
+        """Whether too many outcomes wait to hand out more batches."""
         return len(self._waiting) > _MOST_WAITING
 
     def add(self, *outcomes: BatchOutcome[CellT, Any]) -> None:
@@ -121,6 +121,6 @@ class GroupCommit(Generic[CellT]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Store what waits; an error that is on its way goes first."""
+        """Store the waiting outcomes; a pending error is raised first."""
         with self._thread, suppress(*(() if error is None else (Exception,))):
             self.flush()

@@ -68,7 +68,7 @@ class MPIWorkers(Generic[CellT]):
     options
         Limits of a batch.
     fault_tolerant
-        Whether the MPI library goes on when a rank is lost (ULFM).
+        Whether the MPI library continues when a rank is lost (ULFM).
     """
 
     def __init__(self, comm: MPI.Comm, options: SweepOptions, fault_tolerant: bool) -> None:
@@ -95,11 +95,11 @@ class MPIWorkers(Generic[CellT]):
 
     @property
     def exhausted(self) -> str:
-        """Whether all are lost, or one is and the MPI library cannot go on without it."""
+        """Whether all are lost, or one is and the MPI library cannot continue without it."""
         if not self._expected:
             return "all workers are lost"
         broken = not self._fault_tolerant and self.count < self._comm.Get_size() - 1
-        return "a worker is lost and MPI cannot go on without it" if broken else ""
+        return "a worker is lost and MPI cannot continue without it" if broken else ""
 
     @property
     def running(self) -> int:
@@ -121,7 +121,7 @@ class MPIWorkers(Generic[CellT]):
 
     def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
         """Return the outcomes that have come and the workers that are lost."""
-        lost = self._find_lost()  # before the outcomes: one that was sent before the death counts
+        lost = self._find_lost()  # before the outcomes: an outcome from before the death counts
         outcomes = self._receive()
         return outcomes, self._remove(lost)
 
@@ -224,7 +224,7 @@ class MPIWorkers(Generic[CellT]):
         return failed_ranks(self._comm) if self._fault_tolerant else frozenset()
 
     def _send(self, value: Any, rank: int, tag: Tag) -> MPI.Request | None:  # noqa: ANN401 - any picklable
-        """Begin to send; return None if the receiver has just died, which `_find_lost` will tell."""
+        """Begin to send; return None if the receiver has just died, which `_find_lost` reports."""
         try:
             return start_send(self._comm, value, rank, tag)
         except MPI.Exception as error:

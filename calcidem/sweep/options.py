@@ -17,7 +17,8 @@ class SweepOptions:
         Seconds that a batch may take, including compilation, or None for no limit but the next.
     silence_factor, silence_floor
         Without a time limit the master gives a worker up that takes this many times as long as the slowest batch so
-        far, in proportion to their costs, and at least so many seconds; before any batch is done, ten times as many.
+        far, in proportion to their costs, and not before this number of seconds; ten times as many before any batch is
+        done.
     hard_limit_factor
         The hard limit as a multiple of the time limit, larger than 1.
     watchdog_margin

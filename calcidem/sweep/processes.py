@@ -1,4 +1,4 @@
-"""Operating-system help against processes that die, hang or outlive their launcher (Linux)."""
+"""Operating-system support against processes that die, stop or outlive their launcher (Linux)."""
 
 import contextlib
 import ctypes
@@ -67,7 +67,7 @@ def end_after(other: ProcessIdentity, grace: float, exit_code: int) -> None:
     try:
         descriptor = os.pidfd_open(other.process)
     except OSError:
-        return  # before Linux 5.3, or it has ended just now and MPI is being told
+        return  # before Linux 5.3, or it has just ended and MPI is being informed
 
     def wait_and_end() -> None:
         select.select([descriptor], [], [])

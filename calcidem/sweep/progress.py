@@ -12,7 +12,7 @@ class Progress:
     """What a sweep tells about itself, on rank 0 only; this one takes it and shows nothing."""
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
-        """Take note of the batches that are about to be handed out to so many workers."""
+        """Receive the batches that are about to be handed out, and the number of workers."""
 
     def on_further(self, batches: Sequence[Batch[Any]]) -> None:
         """Take note of batches that are handed out after those so far."""
@@ -24,7 +24,7 @@ class Progress:
         """Take note that a worker is lost."""
 
     def on_heartbeat(self, workers: int, running: int) -> None:
-        """Take note, twice a second, that rank 0 is at work, with so many workers left, some of them computing."""
+        """Called twice a second while rank 0 works, with the numbers of workers alive and computing."""
 
     def on_end(self, end: SweepEnd) -> None:
         """Take note that the sweep has ended."""

@@ -7,7 +7,7 @@
                                      <- STOP     how the sweep ended
                                      <- END      the program is over
 
-Nothing here blocks: messages are probed for, received and sent by requests that are tested between sleeps, so
+Nothing here blocks: messages are received and sent by requests that are tested between sleeps, so
 that an idle rank costs next to nothing and a dead or silent partner cannot hold up anyone. Sends are
 synchronous: once one has completed, the other side has begun to receive it. The tags are the sweep's own; the
 communicator may carry other traffic before and after a sweep, but not during one.
@@ -75,7 +75,7 @@ def wait_for_release(comm: MPI.Comm) -> None:
 
 @dataclass(slots=True)
 class Incoming:
-    """A message on its way in.
+    """A message being received.
 
     Attributes
     ----------

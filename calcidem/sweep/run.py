@@ -55,7 +55,7 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     Parameters
     ----------
     where
-        Communicator whose ranks take part, executor, or None. Nothing else may be sent over a communicator during the
+        Communicator whose ranks take part, executor, or None. No other messages may use a communicator during the
         sweep. An executor is left open.
     batches
         What to compute, in the order in which to hand it out; used on rank 0 only.
@@ -89,7 +89,7 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     SweepError
         If the workers of an executor cannot load the computation.
     Exception
-        On rank 0, whatever the sink raises, after the workers have been told to stop.
+        On rank 0, whatever the sink raises, after the workers were stopped.
     """
     options = options or SweepOptions()
     comm = None if where is None or isinstance(where, Executor) or where.Get_size() == 1 else where
@@ -159,7 +159,7 @@ class _Master:
         Raises
         ------
         Exception
-            Whatever the sink raises, after the workers have been told to stop.
+            Whatever the sink raises, after the workers were stopped.
         """
         start = time.monotonic()
         options = self._options
@@ -211,7 +211,7 @@ class _Master:
             self._progress.on_heartbeat(workers=workers, running=running)
 
     def _hand_out(self, workers: Workers[CellT]) -> bool:
-        """Submit batches as long as there are some and they are wanted; tell whether there were."""
+        """Submit batches as long as there are some and workers accept them; return whether there were."""
         handed_out = False
         while self._stop_request.level is StopLevel.NONE and workers.wants_batch:
             batch = self._schedule.take()

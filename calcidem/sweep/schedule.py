@@ -9,7 +9,7 @@ from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place, ResultT
 
 _LOSSES_BEFORE_SPLIT = 2
-"""A batch that has lost this many workers goes on as single cells, so that the bad cell stands alone."""
+"""A batch that has lost this many workers is split into single cells, to isolate the bad one."""
 
 _LOSSES_BEFORE_QUARANTINE = 3
 """A cell that has taken down this many workers is not tried again."""

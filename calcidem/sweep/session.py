@@ -25,7 +25,7 @@ _MASTER_GONE_GRACE = 10.0
 """Seconds after the end of rank 0 in which the others on its machine are to end by themselves."""
 
 _RELEASE_LIMIT = 2.0
-"""Seconds in which the others have to hear of the end before rank 0 ends."""
+"""Seconds in which the others have to receive the end before rank 0 ends."""
 
 
 class Session:
@@ -87,7 +87,7 @@ class Session:
         return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
-        """End all ranks if an exception leaves the block on one of many; a program alone just goes on."""
+        """End all ranks if an exception leaves the block on one of many; a single process continues."""
         if self.rank == 0:
             self.stop_request.__exit__()
         # An exit that `end` did not ask for would leave the other ranks waiting, as any exception would.
@@ -98,7 +98,7 @@ class Session:
         from mpi4py import MPI  # noqa: PLC0415 - a serial run must not need an MPI library
 
         if isinstance(error, MasterLostError | MPI.Exception) and fault_tolerance_enabled():
-            # Every rank finds out by itself. Several ranks that abort at once can hang mpirun for ever.
+            # Every rank finds out by itself. Several ranks that abort at once can block mpirun for ever.
             sys.stderr.write(f"rank {self.rank}: another rank is lost ({error}); the same command continues\n")
             self._flush(EXIT_RESUMABLE)
             os._exit(EXIT_RESUMABLE)
@@ -107,7 +107,7 @@ class Session:
                 "no memory is left\n" if isinstance(error, MemoryError) else "".join(traceback.format_exception(error))
             )
             sys.stderr.write(f"rank {self.rank}: {told}")
-        finally:  # whatever can't be told for lack of memory, the others don't wait
+        finally:  # the others do not wait, even if memory for the message is missing
             self.abort(EXIT_ERROR)
 
     def broadcast(self, value: ValueT | None) -> ValueT:
@@ -168,7 +168,7 @@ class Session:
 
     def abort(self, exit_code: int) -> NoReturn:
         """End all ranks at once, wherever they are: for errors that only one rank has met."""
-        with suppress(MemoryError):  # the others don't wait, whatever can't be told
+        with suppress(MemoryError):  # the others do not wait, even without a message
             self._flush(exit_code)
         self._abort_mpi(exit_code)
         os._exit(exit_code)

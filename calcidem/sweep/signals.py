@@ -26,7 +26,7 @@ _HURRY_SIGNALS = find_signals("SIGTERM", "SIGINT", _RELAYED_AS)
 """Store what is done and stop now; the running batches are dropped."""
 
 _REPEAT_IGNORED = 1.0
-"""Seconds within which a repeated signal is the same request: a batch system and mpirun may both send it."""
+"""Seconds within which a repeated signal is the same request: a batch system and mpirun may both relay it."""
 
 
 class StopLevel(IntEnum):
@@ -71,7 +71,7 @@ class StopRequest(SignalHandlers):
     level
         How urgently the sweep is to end.
     reason
-        Name of the signal that asked for it, empty if none did.
+        Name of the signal that requested it, empty if none.
     """
 
     def __init__(self, end_at_once: Callable[[], object] | None = None) -> None:
@@ -83,7 +83,7 @@ class StopRequest(SignalHandlers):
 
     @property
     def explanation(self) -> str:
-        """The reason for the user, who has sent another signal where SIGUSR2 arrives."""
+        """The reason in words for the user, who has sent another signal where SIGUSR2 arrives."""
         relayed = self.reason == _RELAYED_AS
         return f"SIGTERM or Ctrl-C, passed on as {self.reason}" if relayed else self.reason
 

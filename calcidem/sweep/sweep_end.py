@@ -6,7 +6,7 @@ from enum import StrEnum
 from calcidem.sweep.schedule import Tally
 
 EXIT_COMPLETE = 0
-"""Everything asked for is settled."""
+"""Everything requested is settled."""
 
 EXIT_ERROR = 1
 """Something went wrong that the same command would meet again."""
@@ -20,7 +20,7 @@ class SweepError(Exception):
 
 
 class LaunchError(SweepError):
-    """The program was started in a way in which it cannot work as asked."""
+    """The program was started in a manner in which it cannot work as requested."""
 
 
 class MasterLostError(SweepError):
@@ -37,9 +37,9 @@ class SweepState(StrEnum):
     COMPLETE = "complete"
     """Every batch is settled."""
     STOPPED = "stopped"
-    """A signal asked for it."""
+    """A signal requested it."""
     OUT_OF_WORKERS = "out of workers"
-    """All workers are lost, or one is and the MPI library cannot go on without it."""
+    """All workers are lost, or one is and the MPI library cannot continue without it."""
     ERROR = "error"
     """The master met an error, most likely while storing."""
 
@@ -59,7 +59,7 @@ class SweepEnd:
     seconds
         Wall time of the sweep in s.
     unresponsive_ranks
-        Ranks that may still run but did not answer when they were told to stop; known on rank 0 only.
+        Ranks that may still run but did not answer the request to stop; known on rank 0 only.
     """
 
     state: SweepState

@@ -38,7 +38,7 @@ def run_worker(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: SweepO
                 _send_outcome(comm, outcome)
             message = _next_message(comm)
     except MPI.Exception as error:
-        raise MasterLostError(f"rank 0 is gone ({error}); run the same command again to continue") from error
+        raise MasterLostError(f"rank 0 has ended ({error}); run the same command again to continue") from error
     end: SweepEnd = message.value()
     return end
 
@@ -53,7 +53,7 @@ def _next_message(comm: MPI.Comm) -> Incoming:
 
 
 def _send_outcome(comm: MPI.Comm, outcome: BatchOutcome[CellT, ResultT]) -> None:
-    """Send the outcome, unless a STOP comes before the master wants it."""
+    """Send the outcome, unless a STOP comes before the master receives it."""
     start = time.monotonic()
     try:
         request = start_send(comm, outcome, MASTER, Tag.OUTCOME)

@@ -67,7 +67,7 @@ class Workers(Protocol[CellT]):
         """
 
     def stop(self, end: SweepEnd, grace: float, /) -> frozenset[int]:
-        """Drop what still runs within `grace` seconds; return the ranks that may go on all the same."""
+        """Drop what still runs within `grace` seconds; return the ranks that may still run."""
 
 
 class SerialWorkers(Generic[CellT]):

@@ -83,7 +83,7 @@ def prepare(workshop: "Workshop", fault: str, victim: int) -> None:
         pytest.param("import", 0, "ModuleNotFoundError: import of numpy halted", marks=FULL),
         pytest.param("import", 1, "ModuleNotFoundError: import of numpy halted", marks=FULL),
         pytest.param("memory", 1, "while it started", marks=FULL),
-        pytest.param("starter", 1, "is gone without a word", marks=FULL),
+        pytest.param("starter", 1, "ended without a message", marks=FULL),
     ],
 )
 def test_a_rank_that_dies_while_starting_ends_the_run(workshop: "Workshop", fault: str, victim: int, said: str) -> None:
@@ -298,7 +298,7 @@ def test_another_user_can_do_nothing_to_a_run(workshop: "Workshop", expected: "C
         strangers.kill()
         strangers.wait()
     assert ended.code == 0, ended.errors
-    assert "Hung up on 127.0.0.1:" in ended.errors
+    assert "Closed the connection of 127.0.0.1:" in ended.errors
     assert "Traceback" not in ended.errors
     assert workshop.cells() == expected
     assert (workshop.folder / "results").exists()

@@ -85,7 +85,7 @@ def test_the_seeds_do_not_depend_on_order_or_interruption() -> None:
     assert counts[0.0] == 8 < counts[0.66] < counts[5.0] < counts[9.0] == PLAN.most_seeds
     lines = list(SeedDemand(PLAN, expected).lines())
     assert lines[0].startswith(f"Seeds: 8 to 300 a content, {len(expected)} cells, ")
-    assert lines[1:] == ["9 %: known less well than campaign.until asks; campaign.most_seeds is 300."]
+    assert lines[1:] == ["9 %: intervals are wider than campaign.until; campaign.most_seeds is 300."]
 
 
 def test_contents_that_cannot_be_read_are_given_up() -> None:

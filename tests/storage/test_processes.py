@@ -73,7 +73,7 @@ def test_kill_loses_no_acknowledged_row(database: Path, start_writer: StartWrite
         assert process.stdout is not None
         lease = process.stdout.readline()
         assert lease.startswith("lease free" if attempt == 0 else "lease ")
-        assert attempt == 0 or "last heard of" in lease
+        assert attempt == 0 or "last heartbeat" in lease
         lines = [process.stdout.readline() for _ in range(attempt)]  # so that some are, however slow the machine is
         time.sleep(moments.uniform(0.0, 0.15))
         process.send_signal(signal.SIGKILL)

@@ -71,7 +71,7 @@ def test_who_does_not_know_the_key_is_no_rank(watch: RankWatch, said: dict[str, 
     assert rank.welcome
     stranger = SpokenRank(watch, **({"number": 0} | said))
     assert not stranger.connection.recv(100)
-    assert "Hung up on 127.0.0.1:" in watch.describe_dropped()
+    assert "Closed the connection of 127.0.0.1:" in watch.describe_dropped()
     rank.say("loaded", "joined")
     SpokenRank(watch, 2).say("joined")
     assert not watch.begun
@@ -130,7 +130,7 @@ def test_a_lost_worker_is_told_to_rank_0_and_no_reason_to_end(
         for rank in ranks[:2]:
             rank.say("alive 0")
     told = ranks[0].connection.recv(1000).decode()
-    assert told == "lost 2 has not been heard of for 60 s: its host or the network is down\n"
+    assert told == "lost 2 has been silent for 60 s: its host or the network is down\n"
     assert watch.reason_to_end() is None
 
 

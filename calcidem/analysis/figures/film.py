@@ -25,7 +25,7 @@ _SIGNALS_HEIGHT = 2.1
 _PICTURE_SHARE = 0.66
 """Of the width of the figure; the scale of colours has the rest."""
 _SHOWN = 0.6
-"""Heights above and below the middle that are shown, over the width of the box: what is damped beyond shows nothing."""
+"""Heights above and below the middle that are shown, over the width of the box: beyond it the motion is damped."""
 _GIF_PALETTE = 96
 _COLOURED = 0.999
 """Of all velocities; those above, of a few disks that rattle, have the last colour."""
@@ -72,7 +72,7 @@ def movie_writer(file: Path) -> AbstractMovieWriter:
 def write_movie(
     figure: Figure, show: ShowFrame, frames: int, file: Path, writer: AbstractMovieWriter, watch: Callable[[int], None]
 ) -> None:
-    """Write all frames of a figure into a file; `watch` is told how many there are."""
+    """Write all frames of a figure into a file; `watch` receives their number."""
     with mpl.rc_context({"savefig.bbox": None}), writer.saving(figure, str(file), _DOTS):
         for frame in range(frames):
             show(frame)
@@ -118,7 +118,7 @@ def draw_film(
     sizes, places = 2 * np.array(radius, dtype=float) * MM, np.column_stack([x, y]) * MM
     moving = EllipseCollection(sizes, sizes, 0 * sizes, offsets=places, gid="disks", **style)
     largest = float(np.quantile(np.abs(frames[1]), _COLOURED)) or 1.0
-    # Equal steps of colour are equal steps of the root: what arrives is a tenth of what is transmitted.
+    # Equal steps of colour are equal steps of the root: the received amplitude is a tenth of the transmitted one.
     moving.set(cmap=CORRELATION_MAP, norm=FuncNorm((_signed_root, _signed_square), -largest, largest))
     moving.set_array(frames[1][0])
     sample.add_collection(moving)

@@ -282,7 +282,7 @@ CAMPAIGN_FIGURES = (
         "weight_scan",
         "Weight of a cemented contact",
         "Correlation of C_d,n with Vs over the ratio of the two contact weights; the shortest path of every "
-        "sample is found anew for every ratio. The band holds the best ratio of 95 % of bootstrap replicates "
+        "sample is searched for every ratio. The band holds the best ratio of 95 % of bootstrap replicates "
         "over seeds. On a plateau the shortest paths no longer change; its smallest ratio is "
         "taken as the best.",
         _plot_ratio_scan,

@@ -1,4 +1,4 @@
-"""Pictures of what the paths say about Vs: correlations, the weight scan and the laws."""
+"""Figures of the relation between paths and Vs: correlations, the weight scan and the laws."""
 
 from collections.abc import Sequence
 

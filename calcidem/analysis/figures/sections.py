@@ -36,7 +36,7 @@ class SectionPicture:
     Attributes
     ----------
     title, text
-        Which sample, and what is said of it below.
+        Name of the sample, and the line below it.
     times, places
         (T,) s and (X,) m, the last place is the receiver.
     across, clean

@@ -115,7 +115,7 @@ def drawn_in(place: Axes | None) -> Iterator[None]:
 
 
 def new_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
-    """Give an empty figure of a size in inches, which belongs to nobody's window, or a part of the caller's."""
+    """Give an empty figure of a size in inches, outside of any window, or a part of the caller's figure."""
     if (place := _CALLERS_AXES.get()) is None:
         return Figure(figsize=(width, height), layout="constrained")
     if (cell := place.get_subplotspec()) is None:
@@ -147,7 +147,7 @@ def letter_panels(panels: Iterable[Axes], **look: Any) -> None:  # noqa: ANN401 
 
 
 def start_at_zero(axes: Axes) -> None:
-    """Let a vertical axis begin at zero, with some room above what is drawn."""
+    """Let a vertical axis begin at zero, with some room above the data."""
     axes.set_ylim(0, 1.06 * axes.get_ylim()[1])
 
 

@@ -151,7 +151,7 @@ def _draw_range(
             zorder=4,
             label="published mean and standard\ndeviation (set off to the right)",
         )
-    axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))  # no velocity is below, whatever a band says
+    axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))  # no velocity is negative, whatever a band shows
 
 
 def _draw_measured(axes: Axes, measured: Sequence[Target]) -> None:
@@ -277,7 +277,7 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
 
 @apply_style
 def draw_methods(cells: xr.Dataset, measured: Sequence[Target] = ()) -> Figure:
-    """Draw mean Vs by three ways of reading the arrival against content (compare Fig. 6).
+    """Draw mean Vs by three methods of reading the arrival against content (compare Fig. 6).
 
     Parameters
     ----------

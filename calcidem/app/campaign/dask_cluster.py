@@ -10,7 +10,7 @@ _CONNECT_TIMEOUT = 10.0
 """Seconds in which the scheduler has to answer."""
 
 _TIME_TO_CLOSE = 3.0
-"""Seconds in which it takes back what is under way; one that has died does not answer."""
+"""Seconds in which it cancels running batches; one that has died does not answer."""
 
 
 @contextmanager

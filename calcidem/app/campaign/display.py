@@ -1,4 +1,4 @@
-"""Who is told how far a run is: a live picture at the foot of a terminal, lines in a log, a function of the caller."""
+"""Displays of the progress: a live display at the foot of a terminal, lines in a log, a function of the caller."""
 
 import sys
 import time
@@ -94,7 +94,7 @@ class LineDisplay(SilentDisplay):
         if progress.stage is not self._stage:
             self._stage, self._pause = progress.stage, self._shortest
             self._next = time.monotonic() + self._pause
-            if progress.stage is RunStage.COMPILING:  # it says nothing while it does, for up to half a minute
+            if progress.stage is RunStage.COMPILING:  # there is no progress of it for up to half a minute
                 self.note("compiling the kernels, or taking them from the cache")
         elif time.monotonic() >= self._next:
             self._pause = min(1.5 * self._pause, self._longest)
@@ -135,7 +135,7 @@ class LiveDisplay:
     console
         The terminal.
     by_itself
-        Whether a thread draws it again and again; else whoever has it calls `refresh`.
+        Whether a thread redraws it; else the caller calls `refresh`.
     """
 
     def __init__(self, console: Console, *, by_itself: bool = True) -> None:
@@ -222,7 +222,7 @@ def choose_display(progress: Callable[[RunProgress], object] | bool | None) -> P
 
 
 def _described(progress: RunProgress) -> list[str]:
-    """What there is to say of a run, the most important first."""
+    """Lines on a run, the most important first."""
     match progress.stage:
         case RunStage.STARTING:
             return [pluralize(progress.workers + 1, "rank")] if progress.workers else ["calcidem"]

@@ -1,4 +1,4 @@
-"""Time, memory and disk that a campaign will need on this machine, told before any of it is computed."""
+"""Time, memory and disk that a campaign will need on this machine, estimated before the run."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

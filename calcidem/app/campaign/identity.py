@@ -28,7 +28,7 @@ def refuse_other_physics(record: CampaignRecord) -> None:
 
 
 def choose_campaign(store: Store, configuration: Configuration) -> bool:
-    """Choose the configuration's campaign in a store; tell whether the store has it.
+    """Choose the configuration's campaign in a store; return whether the store has it.
 
     Raises
     ------

@@ -32,7 +32,7 @@ _MPIRUN_VARIABLE = "MPIRUN"
 """Names the launcher, if it is not to be the one next to Python or in the search path."""
 
 FIRST_WITH_ULFM = 5
-"""Version of Open MPI that goes on when a rank is lost."""
+"""Version of Open MPI that continues when a rank is lost."""
 
 _NO_LISTENER = 213
 """Exit code of an Open MPI whose own listener did not start, as happens once in some hundred times, before any rank."""
@@ -88,9 +88,9 @@ class Launch:
     ranks
         Number of ranks, of which the first coordinates.
     restarts
-        How often to start again when the run was cut off: when ranks, or a host, died and the others could not go on. A
-        run that a signal has asked to stop is not started again, nor is one whose database is locked or away, or whose
-        ranks fail the same way twice while they start.
+        How often to start again when the run was cut off: when ranks, or a host, died and the others could not
+        continue. A run that was stopped by a signal is not started again, nor is one whose database is locked or
+        missing, or whose ranks fail twice in the same manner while they start.
     start_timeout
         Seconds in which all ranks must have found one another.
     silence_timeout
@@ -168,7 +168,7 @@ class Launch:
                 screen.say(f"The run was cut off ({why}): everything stored is safe, and the same command continues.")
                 return _LaunchEnd(EXIT_RESUMABLE, not relay.asked and enough, hosts=left)
             if relay.asked:
-                screen.say("Ended at a signal before the ranks had begun; the same command begins anew.")
+                screen.say("Ended by a signal before the ranks began; the same command starts again.")
                 return _LaunchEnd(EXIT_RESUMABLE)
             screen.say(f"The run did not begin ({why}); nothing was computed.")
             return _LaunchEnd(EXIT_ERROR, worth_a_restart=killed_at_start, failure_at_start=why)
@@ -220,7 +220,7 @@ class _LaunchEnd:
 
 
 def _attend(process: "subprocess.Popen[bytes]", watch: RankWatch, relay: "_Relay", screen: CommandScreen) -> str:
-    """Wait for the end of the launcher, and bring it about if it must be; return why, empty if it ended by itself."""
+    """Wait for the end of the launcher, or end it; return why, empty if it ended by itself."""
     while process.poll() is None:
         watch.listen(_POLL_INTERVAL)
         screen.update(watch.progress)
@@ -257,7 +257,7 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 
 def _starter_command() -> list[str]:
-    """Beginning of the command line of a rank that tells this command of itself; the starter needs no site packages."""
+    """Beginning of the command line of a rank that reports to this command; the starter needs no site packages."""
     return [sys.executable, "-I", "-S", str(Path(starter.__file__).absolute())]
 
 
@@ -282,7 +282,7 @@ def find_mpirun() -> str:
 
 
 def launcher_options(mpirun: str, ranks: int, forwarded: Sequence[str] = ()) -> list[str]:
-    """Options of the launcher: as many ranks as asked for, free to use any core, alive when one is lost.
+    """Options of the launcher: number of ranks, free choice of cores, survival of lost ranks.
 
     ``forwarded`` names variables of the environment that ranks on other hosts are to have, too.
     """
@@ -326,7 +326,7 @@ class _Relay(SignalHandlers):
         return noted
 
     def wait_for_signal(self, seconds: float) -> bool:
-        """Wait some seconds for a signal; tell whether there was one, now or earlier."""
+        """Wait some seconds for a signal; return whether there was one, now or earlier."""
         end = time.monotonic() + seconds
         while not self.asked and time.monotonic() < end:
             time.sleep(0.05)

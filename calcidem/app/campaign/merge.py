@@ -158,7 +158,7 @@ def _merge_campaigns(sources: Sequence[Store], target: Store, prefer: int | None
     """Write the union of some campaigns of one configuration into an empty store, see `merge_databases`.
 
     A done outcome wins over any other one, that of the preferred source over other done ones, and otherwise that of
-    the source that comes first. Attempts of a cell are put in the order of time and counted anew; runs and attempts
+    the source that comes first. Attempts of a cell are put in the order of time and numbered again; runs and attempts
     that several sources have because one is a copy of the other occur once.
     """
     _refuse_other_campaigns(sources)
@@ -223,7 +223,7 @@ def _join_packings(sources: Sequence[Store]) -> list[PackingRecord]:
         if lacking := set(used.astype(int).tolist()) - set(indices):
             raise CampaignMismatchError(
                 f"Packing {min(lacking)}, on which cells were computed, is missing in {place}.",
-                "So it can't be told whether their packing is that of the other cells; leave this database out.",
+                "Whether it is the packing of the other cells cannot be checked; leave this database out.",
             )
         for index in indices:
             record = source.packing(index)

@@ -87,7 +87,7 @@ class Sample:
     kind
         (C,) what each of ``packing.pairs`` carries, see `calcidem.dem.sample.cement.CementKind`.
     scene
-        The packing between transmitter and receiver, with its bonds, in the state before the wave is sent. Start it
+        The packing between transmitter and receiver, with its bonds, in the state before the pulse. Start it
         with ``calcidem.dem.start(sample.scene, preload=sample.packing.preload)``.
     """
 
@@ -104,7 +104,7 @@ class Sample:
 
 
 def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Campaign":
-    """Open a campaign for reading; a run may go on writing it meanwhile.
+    """Open a campaign for reading; a run may write it meanwhile.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLik
 class Campaign(Closable):
     """A campaign as its readers see it: what is stored of it, and what can be computed from that.
 
-    Nothing is read before it is asked for, and every call sees the cells stored by then. It is a context
+    Data are read when they are used, and every call sees the cells stored by then. It is a context
     manager.
 
     Attributes
@@ -578,7 +578,7 @@ class Campaign(Closable):
         return packed.graph.to_networkx(packed.bonded(cement), packed.weights)
 
     def sample(self, *, seed: int, content: float) -> Sample:
-        """Rebuild a sample as it was before its wave was sent: the same disks, forces and cement, to the last bit.
+        """Rebuild a sample as it was before the pulse: the same disks, forces and cement, to the last bit.
 
         Raises
         ------
@@ -631,7 +631,7 @@ class Campaign(Closable):
         return diagnose(self.store, Selection(seed, content))
 
     def try_remedies(self, diagnoses: Sequence[Diagnosis], count: int = 4) -> tuple[RemedyTrial, ...]:
-        """Compute so many of these cells again with each of their remedies, and rank these; nothing is written.
+        """Compute some of these cells again with each of their remedies, and rank these; nothing is written.
 
         See `calcidem.app.campaign.remedy_trials.try_remedies`.
         """
@@ -659,7 +659,7 @@ class Campaign(Closable):
         return CampaignPlots(self.analyse(), self.cemented)
 
     def analyse(self, most_samples: int | None = None) -> CampaignAnalysis:
-        """Return the analysis of the campaign as it is now, each part of it made when it is first asked for.
+        """Return the analysis of the campaign as it is now, each part of it computed at its first use.
 
         Parameters
         ----------
@@ -679,7 +679,7 @@ class Campaign(Closable):
         cell.refuse_damage()
         if cell.cement is None:
             raise UnknownCellError(
-                f"The cement of seed {seed} and content {content} % is not stored, and can't be drawn again.",
+                f"The cement of seed {seed} and content {content} % is not stored, and cannot be drawn again.",
                 "Only cells that were computed, with this version of the physics, have one.",
             )
         return cell.packing_index, cell.cement

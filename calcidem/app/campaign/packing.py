@@ -90,7 +90,7 @@ def new_packing(
     check: Callable[[], None] = lambda: None,
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
-    """The packing of a configuration made anew, whatever is kept; see `provide_packing`."""
+    """A new packing of a configuration, whatever is kept; see `provide_packing`."""
     draw = configuration.packing_draw
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")

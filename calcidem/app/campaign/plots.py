@@ -103,7 +103,7 @@ class CampaignPlots:
 
     @_with_caption
     def measurement(self, ax: Axes | None = None) -> Figure:
-        """Draw where the wave is sent and received."""
+        """Draw transmitter and receiver."""
         return self._draw("measurement", ax)
 
     @_with_caption
@@ -210,7 +210,7 @@ class CampaignPlots:
         cell = self.analysis.store.cell(seed=seed, content=content)
         experiment, bonded = self._cemented(seed=seed, content=content)
         wave = experiment.wave
-        if cell.retry:  # then its wave was sent with half the step
+        if cell.retry:  # then its wave was computed with half the step
             experiment = replace(experiment, wave=replace(wave, step_fraction=0.5 * wave.step_fraction))
         film = film_wave(
             experiment,

@@ -111,7 +111,7 @@ def _refuse_far_features(
             problem = (
                 f"{name} = {features[name]:g} is far from the {low:g} to {high:g} of the samples at {content:g} %."
             )
-            raise QueryError(problem, "Give what a sample of this content has.")
+            raise QueryError(problem, "Give a value that samples of this content have.")
 
 
 def _known_of(names: Sequence[str], shares: _Shares) -> tuple[str, ...]:
@@ -149,7 +149,7 @@ def pattern_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, f
 
 
 def cement_shares(analysis: CampaignAnalysis, contents: Collection[float], names: Sequence[str]) -> _Shares:
-    """`CEMENT_FEATURES`, if any is wanted, of samples with a velocity and known cement, by seed and content."""
+    """`CEMENT_FEATURES`, if any is needed, of samples with a velocity and known cement, by seed and content."""
     shares: _Shares = {}
     if not set(names) & set(CEMENT_FEATURES):
         return shares

@@ -1,4 +1,4 @@
-"""What a run would do, told without doing any of it."""
+"""What a run would do, without doing any of it."""
 
 import os
 import shutil
@@ -34,7 +34,7 @@ _SHORTEST_WAVE = 6.0
 
 
 def preview_lines(configuration: Configuration) -> Iterator[str]:
-    """Check a configuration against its database and packing, if there are any, and say what a run would compute.
+    """Check a configuration against its database and packing, if there are any, and describe what a run would compute.
 
     Raises
     ------
@@ -81,13 +81,13 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     yield from _cost_lines(configuration, speeds, left, is_packed=packing is not None)
     if packing is None:
         yield (
-            "Packing: not made yet: make it with 'calcidem run CONFIG --packing-only', and check again whether it holds"
-            "\n  these contents, and which of them are hard to read."
+            "Packing: not made yet. Make it with 'calcidem run CONFIG --packing-only', then check again for contents"
+            "\n  that it cannot hold or that are hard to read."
         )
         return
     for warning in packing_warnings(configuration, packing):
         yield f"Warning: {warning}."
-    yield f"Packing: {len(packing.radius)} disks, which hold these contents and this wave."
+    yield f"Packing: {len(packing.radius)} disks; they hold these contents and this wave."
     yield from _hard_to_read(configuration, packing, speeds)
 
 
@@ -127,9 +127,9 @@ def _cost_lines(
         yield "Warning: packing.width: one process needs more memory than there is; make the box smaller."
     elif memory is not None and busy * cost.memory > memory:
         enough = int(memory / cost.memory)
-        yield f"Warning: run.lanes: memory suffices for {enough} of {cores} cores; take fewer, or fewer lanes."
+        yield f"Warning: run.lanes: memory suffices for {enough} of {cores} cores; use fewer ranks or lanes."
     if free is not None and cost.disk > free:
-        yield "Warning: run.output: results need more space than is free; free some, or give another folder."
+        yield "Warning: run.output: results need more space than is free; free some space, or give another folder."
 
 
 def _hard_to_read(configuration: Configuration, packing: Packing, speeds: Mapping[float, float]) -> Iterator[str]:
@@ -163,7 +163,7 @@ def _rough_time(seconds: float) -> str:
 
 
 def _available_memory() -> float | None:
-    """Bytes that programs can have without swapping; None where the system does not tell."""
+    """Bytes that programs can have without swapping; None where the system does not report it."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         return next(1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable"))

@@ -22,7 +22,7 @@ _SHORTEST_INTERVAL = 0.2
 """Seconds between two pictures of the same stage, at least."""
 
 _LONGEST_TEXT = 3500
-"""Bytes of a picture that is sent; a larger one goes without the contents."""
+"""Largest snapshot in bytes; a larger one is sent without the contents."""
 
 
 class RunStage(StrEnum):
@@ -37,7 +37,7 @@ class RunStage(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RunProgress:
-    """How far a run is, as a whole: whoever misses one of these knows as much after the next.
+    """The whole progress of a run: each snapshot replaces the last.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class RunProgress:
 
 
 class ProgressDisplay(Protocol):
-    """Whoever is told how far a run is; as a context manager it puts away in the end what it shows."""
+    """Receives the progress of a run; as a context manager it clears the display on exit."""
 
     def show(self, progress: RunProgress) -> None:
         """Show how far the run is, in the place of what was shown before."""
@@ -123,7 +123,7 @@ class ProgressReporter(Progress):
         self._outcomes: Counter[str] = Counter()
 
     def begin(self, stage: RunStage) -> None:
-        """Tell that a stage begins of which there is no more to tell."""
+        """Report that a stage begins that has no progress of its own."""
         self._tell(RunProgress(stage))
 
     def on_packing(self, packing: PackingStage) -> None:
@@ -164,7 +164,7 @@ class ProgressReporter(Progress):
             self._contents.setdefault(batch.cells[0][1], [0, 0])[1] += len(batch.cells)
 
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """Count, and tell of a failure."""
+        """Count, and report a failure."""
         self._forecast.record(outcome)
         self._contents[outcome.batch.cells[0][1]][0] += len(outcome.batch.cells)
         if outcome.failure is None:

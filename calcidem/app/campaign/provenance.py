@@ -19,7 +19,7 @@ _LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")
 
 
 def describe_run(ranks: int) -> RunRecord:
-    """Provenance of the run that begins now, on rank 0 of so many."""
+    """Provenance of the run that begins now, on rank 0 of this number of ranks."""
     commit, dirty = source_commit()
     return RunRecord(
         versions=library_versions(),
@@ -36,7 +36,7 @@ def describe_run(ranks: int) -> RunRecord:
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of Python, of what the numbers and the files depend on, and of the C library where it tells its own."""
+    """Versions of Python, of what the numbers and the files depend on, and of the C library where it is known."""
     versions = {"python": platform.python_version(), "calcidem": __version__}
     versions |= {name: _version_of(name) for name in _LIBRARIES}
     return versions | ({"libc": " ".join(platform.libc_ver())} if any(platform.libc_ver()) else {})

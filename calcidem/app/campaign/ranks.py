@@ -1,4 +1,4 @@
-"""One campaign on ranks or an executor: rank 0 prepares, hands out, stores and tells, the others compute."""
+"""One campaign on ranks or an executor: rank 0 prepares, hands out, stores and reports, the others compute."""
 
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -24,13 +24,13 @@ from calcidem.sweep.sweep_end import EXIT_RESUMABLE, SweepEnd
 
 
 class RunView(Protocol):
-    """What rank 0 tells about a run."""
+    """Messages and progress of a run on rank 0."""
 
     def say(self, text: str) -> None:
         """Tell a sentence."""
 
     def display(self) -> ProgressDisplay:
-        """Whoever is told how far the run is."""
+        """Receiver of the progress."""
 
     def begin(self, work: CampaignRun) -> None:
         """Tell what is about to be computed."""
@@ -44,7 +44,7 @@ class RunView(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Orders:
-    """What rank 0 tells all ranks before the cells are computed."""
+    """What rank 0 broadcasts before the cells are computed."""
 
     configuration: Configuration
     packing: Packing
@@ -56,7 +56,7 @@ def run_on_ranks(
     open_view: Callable[[], RunView],
     open_executor: Callable[[], AbstractContextManager[Executor | None]] = nullcontext,
 ) -> NoReturn:
-    """Run a campaign, or what is left of it, and end with the exit code that says how it went.
+    """Run a campaign, or its missing cells, and end with the exit code of the result.
 
     To be called on all ranks; the configuration is loaded, and view and executor are opened, on rank 0 only. If there
     is an executor its workers compute, and there are no other ranks.
@@ -90,7 +90,7 @@ def _lead(
         work = CampaignRun(load(), workers, view.say, check, reporter.on_packing)
     except SweepInterrupted:
         request = session.stop_request.explanation
-        view.say(f"{request}: ended before the packing was made; run it again to go on.")
+        view.say(f"{request}: ended before the packing was made; run it again to continue.")
         code = EXIT_RESUMABLE
     except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
         code, session.obstacle = view.refuse(error), type(error).__name__
@@ -145,7 +145,7 @@ def _end_in_haste(stop_request: StopRequest) -> None:
     Raises
     ------
     SweepInterrupted
-        To be taken for the end of a run that goes on with the same command.
+        Errors that end a run which the same command continues.
     """
     if stop_request.hurry():
         raise SweepInterrupted

@@ -81,7 +81,7 @@ class Case:
     experiment, section
         What it was measured with, and what was recorded.
     reading, candidates
-        What the section says.
+        Result of reading the section.
     expected
         Slowest and fastest S wave that is expected, m/s; None if that is not known.
     error

@@ -153,7 +153,7 @@ def try_remedies(
 
 
 def _spread_over_contents(diagnoses: Sequence[Diagnosis], count: int) -> dict[float, list[int]]:
-    """Seeds of so many cells of each content in turn."""
+    """Seeds of this number of cells of each content in turn."""
     waiting: defaultdict[float, list[int]] = defaultdict(list)
     for diagnosis in diagnoses:
         waiting[diagnosis.key.content].append(diagnosis.key.seed)

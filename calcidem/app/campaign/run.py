@@ -67,7 +67,7 @@ def run(
     set
         Values that replace those of the configuration, by section and key: ``{"wave.amplitude": 1e-4}``.
     progress
-        A function that is told how far the run is, a few times a second at most; what it raises ends the run, and the
+        A function that receives the progress, a few times a second at most; what it raises ends the run, and the
         same call goes on later. True shows it, False does not; by default it is shown on a terminal and in a notebook.
     executor
         Whose workers compute: a ``concurrent.futures.ProcessPoolExecutor``, an ``mpi4py.futures.MPIPoolExecutor``,
@@ -170,7 +170,7 @@ class CampaignRun:
     sink
         Takes the outcomes.
     demand
-        How many seeds each content needs, if the configuration does not say.
+        How many seeds each content needs, without `until` in the configuration.
     end
         To be set to the end of the sweep.
     """
@@ -218,9 +218,9 @@ class CampaignRun:
             store.close()
             raise
         if grant.taken_over_from is not None:
-            tell(f"Taken over from {grant.taken_over_from}, which ended without saying so.")
+            tell(f"Taken over from {grant.taken_over_from}, which ended without releasing the campaign.")
         if grant.lost is not None:
-            tell(f"{grant.lost} This run computes them anew.")
+            tell(f"{grant.lost} This run computes them again.")
         return store
 
     def _begin(self, workers: Sequence[WorkerRecord], tell: Tell) -> None:
@@ -267,7 +267,7 @@ class CampaignRun:
 
     def __exit__(self, *exception: object) -> None:
         """Note how it ended and close the database."""
-        with suppress(StoreError), self.store:  # a database that has gone was told of when it was last written
+        with suppress(StoreError), self.store:  # a lost database was reported at the last write
             if self.end is not None:
                 detail = f": {self.end.detail}" if self.end.detail else ""
                 self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC))
@@ -291,7 +291,7 @@ def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> Lease
                 raise
         if first is None:
             tell(
-                f"Process {holder.pid} on {holder.host} was writing this campaign, last heard of at "
+                f"Process {holder.pid} on {holder.host} was writing this campaign, last heartbeat at "
                 f"{holder.heartbeat:%H:%M:%S} UTC: waiting until it is heard of, or counts as dead after five "
                 "minutes of silence."
             )

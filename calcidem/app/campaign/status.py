@@ -28,7 +28,7 @@ UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 """Outcomes without a velocity that the same computation gives again."""
 
 FEWEST_TO_PLAN = 3
-"""Velocities below which a standard deviation says nothing."""
+"""Number of velocities below which a standard deviation has no meaning."""
 
 _URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
 """Place of each status, the most alarming first."""
@@ -85,7 +85,7 @@ class Trouble:
     reason
         First line of why it is what it is; empty for a done or pending cell.
     retry
-        Why its sample was sent again, with half the step; empty if it was not.
+        Why its sample was computed again with half the step; empty if it was not.
     """
 
     key: CellKey
@@ -105,7 +105,7 @@ class CampaignStatus:
     name, hash, seeds
         Of the campaign.
     content_hashes
-        Of its packings, by index; None where it can't be told.
+        Of its packings, by index; None where it is unknown.
     contents
         One for each content, ascending.
     counts
@@ -117,11 +117,11 @@ class CampaignStatus:
     last_run, run_number
         The latest run, if there was any.
     running
-        Whether a process writes the campaign at this moment, as far as can be told.
+        Whether a process writes the campaign at this moment, as far as is known.
     workers
         Ranks that compute in the latest run.
     seconds_left
-        Until all cells are settled on so many workers; NaN if nothing was measured.
+        Until all cells are settled on this number of workers; NaN if nothing was measured.
     """
 
     name: str
@@ -249,7 +249,7 @@ def _expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float6
 
 
 def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Trouble, ...]:
-    """Cells that went wrong, the most alarming first, then those that were tried or sent again."""
+    """Failed cells, the most severe first, then repeated ones."""
     cells = zip(columns["seed"].tolist(), columns["content"].tolist(), strict=True)
     statuses = dict(zip(cells, columns["status"].tolist(), strict=True))
 
@@ -281,7 +281,7 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
 
 
 def _is_being_written(store: Store) -> bool:
-    """Whether a living process holds the lease of a campaign, as far as can be told from this machine.
+    """Whether a living process holds the lease of a campaign, as far as this machine shows.
 
     On another machine a process counts as living until its heartbeat is five minutes old.
     """

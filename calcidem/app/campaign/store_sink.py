@@ -20,7 +20,7 @@ _RENEWAL_INTERVAL = 30.0
 """Seconds between two renewals of the lease; half of what the store asks for."""
 
 _LOCK_PAUSE = 1.0
-"""Seconds until a lock is asked for again; SQLite itself has waited for half a minute by then."""
+"""Seconds until the next attempt to get a lock; SQLite itself has waited for half a minute by then."""
 
 _MOST_PATIENCE = 600.0
 """Seconds for which a lock of another process is waited for."""
@@ -80,7 +80,7 @@ class StoreSink:
             self._counts[result.key] = AttemptCount(result.attempt, losses)
 
     def _note_workers(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> None:
-        """Add to the run what workers are that nobody knew, and tell if bits could depend on it."""
+        """Add new kinds of workers to the run, and warn if bits could depend on them."""
         known = {rank for worker in self._workers for rank in worker.ranks}
         new = {
             outcome.place.rank: replace(outcome.results[0].worker, ranks=(outcome.place.rank,))

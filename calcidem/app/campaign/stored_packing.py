@@ -40,7 +40,7 @@ def readable_packing(store: Store, index: int) -> Packing:
     Raises
     ------
     DamagedStoreError
-        If it is damaged, and nobody else has it.
+        If it is damaged, and there is no copy.
     UnknownCellError
         If there is none of that index.
     """
@@ -147,7 +147,7 @@ def stored_packing(record: PackingRecord) -> Packing:
 
 
 def _check_record(record: PackingRecord, packing: Packing) -> None:
-    """Raise `DamagedPackingError` if a record says something else than the packing in its state."""
+    """Raise `DamagedPackingError` if a record contradicts the packing in its state."""
     for name in ("x", "y", "radius", "width", "height"):
         if not np.array_equal(getattr(packing, name), getattr(record, name)):
             raise DamagedPackingError(f"its {name} is not that of the record")
@@ -161,7 +161,7 @@ def identify_packing(record: PackingRecord) -> PackingRecord:
 
 
 def content_hash_of(record: PackingRecord) -> str | None:
-    """Content hash of a stored packing, also of one that an earlier calcidem stored; None where that can't be told."""
+    """Content hash of a stored packing, also of one that an earlier calcidem stored; None where it is unknown."""
     with suppress(DamagedStoreError):
         record = identify_packing(record)
     return record.content_hash

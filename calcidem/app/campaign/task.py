@@ -139,7 +139,7 @@ def _prepared_computation(configuration: Configuration, packing: Packing, versio
 
 
 def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
-    """Static speed of a sample, m/s; None where its inner part does not tell it."""
+    """Static speed of a sample, m/s; None where its inner part does not determine it."""
     found = static_speed(experiment, bonded)
     return found.speed if found.error <= LARGEST_STATIC_ERROR else None
 
@@ -147,7 +147,7 @@ def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
 def cell_result(
     measurement: Measurement, experiment: Experiment, store_sections: bool, graph: PackingGraph | None = None
 ) -> CellResult:
-    """Measurement of an experiment as the store keeps it; attempt, rank and host are added by whoever stores it.
+    """Measurement of an experiment as the store keeps it; the caller that stores it adds attempt, rank and host.
 
     Path features and graph summary are left out where there is no ``graph`` of the packing.
     """
@@ -196,7 +196,7 @@ def cell_result(
     )
 
 
-@lru_cache(maxsize=4)  # it is asked for by every cell
+@lru_cache(maxsize=4)  # every cell needs it
 def _median_diameter(packing: Packing) -> float:
     return median_diameter_by_mass(packing.radius)
 
@@ -245,9 +245,10 @@ def _graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphS
 def _fewest_uncemented_contacts(
     graph: ContactGraph, bonded: npt.NDArray[np.bool_], piece: npt.NDArray[np.integer]
 ) -> int | None:
-    """Return how many uncemented contacts the best way from transmitter to receiver has; None without any way.
+    """Return the fewest uncemented contacts on a path from transmitter to receiver; None without any path.
 
-    ``piece`` (N,) says which grains cement joins: steps within a piece are free, so the way leads from piece to piece.
+    ``piece`` (N,) numbers the groups of grains that cement joins: steps within a group cost nothing, so the path leads
+    from group to group.
     It begins at a piece of its own, which leads to those of the transmitter alone.
     """
     begin = int(piece.max()) + 1

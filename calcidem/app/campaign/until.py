@@ -1,4 +1,4 @@
-"""How many seeds each content needs until its mean and scatter are known as well as asked (``[campaign] until``)."""
+"""How many seeds each content needs for the requested intervals of mean and scatter (``[campaign] until``)."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -61,7 +61,7 @@ class SeedDemand:
             if read < FEWEST_READ * count:
                 yield f"{content:g} %: no more seeds, since only {read} of {count} have a velocity."
             elif self._next(content, 2 * self._plan.most_seeds):
-                yield f"{content:g} %: known less well than campaign.until asks; campaign.most_seeds is {count}."
+                yield f"{content:g} %: intervals are wider than campaign.until; campaign.most_seeds is {count}."
 
     def _advance(self, content: float) -> None:
         while count := self._next(content, self._plan.most_seeds):

@@ -104,9 +104,9 @@ def _describe_doubt(workers: Sequence[WorkerRecord]) -> str:
     """
     architectures = sorted({worker.architecture for worker in workers})
     if len(architectures) > 1:
-        return f"nobody has compared the bits of {' and '.join(architectures)}"
+        return f"there is no comparison of the bits of {' and '.join(architectures)}"
     if not set(architectures) <= set(PORTABLE_ARCHITECTURES):
-        return f"nobody has compared the bits of different processors of {architectures[0]}"
+        return f"there is no comparison of the bits of different processors of {architectures[0]}"
     ours = [name for name in ("physics", "calcidem") if name in _differing_versions(workers)]
     return f"they have several versions of {' and '.join(ours)}" if ours else ""
 

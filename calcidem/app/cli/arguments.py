@@ -21,7 +21,7 @@ def number_parser(low: float, high: float, refusal: str) -> Callable[[object], f
     low, high
         Finite.
     refusal
-        What is said of anything else, after the text itself.
+        Text of the refusal, after the value itself.
     """
 
     def parse(text: object) -> float:

@@ -76,7 +76,7 @@ def calibrate_command(
     chosen = range(first_seed, first_seed + seeds)
     plan = FitPlan(targets, ranges, chosen, tuple(predict or ()), tolerance)
     kept = out.with_suffix(".trials.jsonl")
-    tell(f"Every trial is kept in {kept}; after a stop the same command goes on.")
+    tell(f"Every trial is kept in {kept}; after a stop the same command continues.")
     fitted = calibrate(loaded, packing, plan, cores or available_cores(), tell, kept)
     typer.echo("\n".join(_calibration_lines(fitted)))
     if not fitted.is_fitted:

@@ -25,7 +25,7 @@ _MOST_SHOWN = 12
 """Cells that are shown one by one if none is chosen."""
 
 _WIDTH = 110
-"""Columns of what is printed."""
+"""Columns of the printed table."""
 
 
 def diagnose_command(

@@ -1,4 +1,4 @@
-"""How an error ends a command: one message without a traceback, and the exit code that says whose it is to cure."""
+"""How an error ends a command: one message without a traceback, and an exit code."""
 
 import errno
 import sys
@@ -23,7 +23,7 @@ _EXIT_BAD_INPUT = 2
 """Bad configuration, arguments or files."""
 
 EXIT_ROUNDING = 3
-"""`calcidem verify`: what is stored is what is computed, but for rounding."""
+"""`calcidem verify`: stored and computed numbers are the same to rounding."""
 
 _BAD_INPUT = (ConfigurationError, LaunchError, PackingFileError, StoreError, OSError)
 
@@ -31,10 +31,10 @@ _CIRCUMSTANCES = (DiskError, InvalidRecordError, LeaseHeldError, LeaseLostError,
 """Errors of the store that no other input would cure."""
 
 _NO_THREAD = "can't start new thread"
-"""What Python says, as a RuntimeError, where there is no memory for the stack of a thread."""
+"""Text of Python's RuntimeError where there is no memory for the stack of a thread."""
 
 _NO_EXCEPTION = "without setting an exception"
-"""What Python says, as a SystemError, where a function had no memory even for its MemoryError."""
+"""Text of Python's SystemError where a function had no memory even for its MemoryError."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -61,16 +61,16 @@ def _exit_code_of(error: BaseException) -> int:
 
 
 def tell_error(error: Exception) -> int:
-    """Write what is wrong and what helps, or, if nobody foresaw it, where its traceback is; return the exit code."""
+    """Write the cause and the remedy, or the place of the traceback of an unexpected error; return the exit code."""
     if isinstance(error, MemoryError) or str(error) == _NO_THREAD or str(error).endswith(_NO_EXCEPTION):
         text = (
-            f"memory, or the number of processes, has come to its limit ({str(error) or type(error).__name__}): use "
+            f"memory, or the number of processes, has reached its limit ({str(error) or type(error).__name__}): use "
             "fewer ranks, or raise the limit (ulimit -v, ulimit -u); what was stored before is safe."
         )
     elif isinstance(error, (*_BAD_INPUT, PackingError, SweepError)):
         text = _sentence(error) if isinstance(error, OSError) else str(error)
     else:
-        text = f"calcidem cannot go on, and does not know why: {type(error).__name__}: {error}"
+        text = f"calcidem stopped at an unexpected error: {type(error).__name__}: {error}"
         try:
             path = log_error(error)
         except MemoryError as lack:
@@ -78,7 +78,7 @@ def tell_error(error: Exception) -> int:
         text += (
             f"\nPlease report it with the log {path}; what was stored before is safe."
             if path
-            else f"\nNo log could be written, so this is it:\n{''.join(traceback.format_exception(error))}"
+            else f"\nNo log could be written:\n{''.join(traceback.format_exception(error))}"
         )
     if IS_VERBOSE.get():
         text += f"\n{''.join(traceback.format_exception(error))}"
@@ -87,7 +87,7 @@ def tell_error(error: Exception) -> int:
 
 
 def _sentence(error: OSError) -> str:
-    """Name of the file, what is wrong with it, and what helps; other words of Python's as they are."""
+    """Name of the file, cause and remedy; other texts of Python are kept."""
     if error.errno is None or error.strerror is None:
         return str(error)
     name = error.filename if error.filename2 is None else error.filename2  # of two, the second is to be replaced

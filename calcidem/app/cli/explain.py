@@ -1,4 +1,4 @@
-"""``calcidem explain``: what the scenes of a campaign need, and what is left out of them."""
+"""``calcidem explain``: which parts of the computation a campaign needs, and which are left out."""
 
 from collections.abc import Iterable
 from pathlib import Path

@@ -30,7 +30,7 @@ def tell_rows(
     Parameters
     ----------
     rows
-        What is told; values that are neither numbers nor texts are in JSON alone.
+        Values to write; those that are neither numbers nor texts are in JSON alone.
     layout
         Any but the table.
     out

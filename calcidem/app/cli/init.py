@@ -54,7 +54,7 @@ def init_command(
     except FileExistsError:
         if not file.is_file():
             raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file") from None
-        problem = f"{file} is there already and stays as it is; run it with 'calcidem run {file}', or "
+        problem = f"{file} exists and was left unchanged; run it with 'calcidem run {file}', or "
         if grain_size is not None:
             raise typer.BadParameter(f"{problem}give another name") from None
         other, chosen = file.with_stem(f"{file.stem}-{preset or _FIRST}"), preset or _FIRST

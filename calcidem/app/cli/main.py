@@ -62,7 +62,7 @@ PANELS = {
         "stability": "Extreme scenes: which are stable, refused or detected.",
     },
 }
-"""What the list of all commands says of each."""
+"""Short help of each command."""
 
 
 _COMMON_OPTIONS: dict[str, Any] = {
@@ -187,7 +187,7 @@ def _with_common_options(name: str, function: Callable[..., None]) -> Callable[.
 def _format_warning(
     message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
 ) -> str:
-    """One line for what is meant for users, and where it comes from for all other warnings."""
+    """One line for warnings to users; all others with their origin."""
     if issubclass(category, FutureWarning):
         return printable(f"Warning: {message}\n")
     return printable(f"{filename}:{lineno}: {category.__name__}: {message}\n" + (f"  {line}\n" if line else ""))

@@ -118,7 +118,7 @@ def run_command(
 
 
 def _preview(configuration: "Configuration") -> None:
-    """Say what would be computed, or nothing but what is wrong."""
+    """Describe what would be computed, or only the errors."""
     from calcidem.app.campaign.preview import preview_lines
 
     typer.echo(printable("\n".join(preview_lines(configuration))))

@@ -50,7 +50,7 @@ class TerminalView:
             self.say(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
 
     def finish(self, work: CampaignRun, *, in_haste: bool) -> None:
-        """Show the velocities, export them and, if asked for, write the report; in haste show them only."""
+        """Show the velocities, export them and write the report if requested; in haste show them only."""
         from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf  # after the cells, not before
 
         configuration, plan = work.configuration, work.configuration.campaign

@@ -51,7 +51,7 @@ def status_command(
 
 
 def _until_finished(read: "Callable[[], CampaignStatus]", interval: float) -> "Iterator[CampaignStatus]":
-    """Status of a campaign every so many seconds, until all its cells have finished."""
+    """Status of a campaign at intervals of some seconds, until all its cells have finished."""
     while True:
         found = read()
         yield found

@@ -16,7 +16,7 @@ from calcidem.app.cli.terminal import printable
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, pluralize
 
-if TYPE_CHECKING:  # loaded when it is asked for
+if TYPE_CHECKING:  # loaded at its first use
     from calcidem.analysis.planning import SeedPlan
 
 _STATUS_CHARACTERS = {
@@ -111,7 +111,7 @@ def _matrix_table(status: CampaignStatus, columns: int) -> Table:
 
 
 def _seeds_per_character(status: CampaignStatus, columns: int) -> int:
-    """Seeds that share a character so that a matrix fits into so many columns."""
+    """Seeds that share a character so that a matrix fits into the columns."""
     return max(1, math.ceil(len(status.seeds) / columns))
 
 
@@ -129,7 +129,7 @@ def _matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: i
 
 
 def _legend(status: CampaignStatus, columns: int) -> Text:
-    """What the characters mean that occur in a matrix of so many columns."""
+    """Legend of the characters in a matrix of this number of columns."""
     text = Text("  ")
     for kind, (symbol, style) in _STATUS_CHARACTERS.items():
         if status.counts.get(kind):
@@ -144,7 +144,7 @@ def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
     if not status.troubles:
         return
     yield ""
-    yield "Cells that went wrong or were tried again:"
+    yield "Failed or repeated cells:"
     for trouble in status.troubles[:_MOST_TROUBLES]:
         yield f"  {_trouble_line(trouble)}"
     if len(status.troubles) > _MOST_TROUBLES:
@@ -152,7 +152,7 @@ def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
     went_wrong = {trouble.status for trouble in status.troubles if trouble.reason}
     if went_wrong & {*UNREAD}:
         kinds = " and ".join(_words(kind) for kind in UNREAD if kind in went_wrong)
-        yield f"Cells with {kinds} give the same again; 'calcidem diagnose DB' says why, and what to try."
+        yield f"Cells with {kinds} give the same again; 'calcidem diagnose DB' explains why and proposes remedies."
     for kind in sorted(went_wrong - {*UNREAD}):
         yield f"'calcidem run CONFIG --retry {kind}' computes cells that are {_words(kind)} again."
 
@@ -163,7 +163,7 @@ def _trouble_line(trouble: Trouble) -> str:
     if trouble.losses:
         history += f", {pluralize(trouble.losses, 'worker')} lost"
     if trouble.retry:
-        history += f", wave sent again with half the time step ({trouble.retry})"
+        history += f", computed again with half the time step ({trouble.retry})"
     reason = f": {trouble.reason}" if trouble.reason else ""
     return f"seed {trouble.key.seed}, {trouble.key.content:g} %: {_words(trouble.status)} after {history}{reason}"
 

@@ -24,7 +24,7 @@ from calcidem.sweep.environment import TERMINAL_VARIABLE, launcher
 from calcidem.sweep.progress import pluralize
 
 PLAIN_WIDTH = 110
-"""Columns where no terminal says how many there are."""
+"""Columns without a terminal."""
 
 
 def make_console() -> Console:
@@ -83,7 +83,7 @@ def vs_table(store: Store, selection: Selection) -> Table:
             f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
         )
     if any(status in UNREAD for status in columns["status"]):
-        remarks.append("'calcidem diagnose DB' says why cells can't be read, and what to try")
+        remarks.append("'calcidem diagnose DB' explains why cells have no velocity and proposes remedies")
     table.caption, table.caption_justify = "\n".join(remarks), "left"
     return table
 
@@ -101,7 +101,7 @@ def departure_remark(departing: int) -> str:
     )
 
 
-MEAN_IN_DOUBT = "mean off by more than its standard error if the cells without velocity are the slowest or the fastest"
+MEAN_IN_DOUBT = "possible selection bias: cells without velocity may shift the mean by more than its standard error"
 
 
 def doubt_mark(counts: Mapping[CellStatus, int]) -> str:

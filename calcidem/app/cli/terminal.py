@@ -1,4 +1,4 @@
-"""What reaches a terminal: text that cannot control it, and a log of what nobody expected. Loads no large library."""
+"""Output on a terminal: text that cannot control it, and a log of unexpected errors. Loads no large library."""
 
 import os
 import platform
@@ -21,14 +21,14 @@ _ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if
 
 
 IS_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
-"""Whether only results and errors are wanted; each command sets it."""
+"""Whether only results and errors are written; each command sets it."""
 
 IS_VERBOSE: ContextVar[bool] = ContextVar("verbose", default=False)
 """Whether tracebacks of errors and the time that a command took are wanted, too."""
 
 
 def tell(text: str) -> None:
-    """Write what is being done, apart from the result."""
+    """Write the progress, apart from the result."""
     if not IS_QUIET.get():
         sys.stderr.write(printable(f"{text}\n"))
         sys.stderr.flush()
@@ -36,7 +36,7 @@ def tell(text: str) -> None:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Give a function that is told how many of how many parts are done, for a bar on a terminal."""
+    """Give a function that receives the numbers of finished and of all parts, for a bar on a terminal."""
     from rich.console import Console
     from rich.progress import Progress
 

@@ -100,7 +100,9 @@ def _verify_integrity(database: str, opened: "Campaign", layout: Format) -> None
     if found.cells:
         typer.echo("'calcidem run CONFIG --retry damaged' computes the damaged cells again.")
     if found.others:
-        typer.echo(f"'calcidem export {database} OUT.nc' saves what is good; 'calcidem import' makes a database of it.")
+        typer.echo(
+            f"'calcidem export {database} OUT.nc' saves undamaged cells; 'calcidem import' makes a database of them."
+        )
     if found.cells or found.others:
         raise typer.Exit(EXIT_ERROR)
 

@@ -1,1 +1,1 @@
-"""What a campaign is: the frozen configuration, how it is read from a TOML file, and what is refused."""
+"""The frozen configuration of a campaign, its reader of TOML files, and its checks."""

@@ -68,7 +68,7 @@ def _put_values(document: dict[str, Any], values: Mapping[str, object]) -> None:
 
 
 def _as_written(value: object) -> object:
-    """A value with lists in the place of arrays, all the way down."""
+    """A value with lists in place of arrays, at all levels."""
     if isinstance(value, Mapping):
         return {key: _as_written(inner) for key, inner in value.items()}
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

@@ -103,7 +103,7 @@ def disks_in_box(configuration: Configuration) -> float:
 
 
 def _check_stress(configuration: Configuration) -> Iterator[Problem]:
-    """The lid does not crush the disks; of those of a file the packing itself tells."""
+    """The lid does not crush the disks; those of a file are judged by the packing."""
     rule = configuration.packing
     if configuration.packing_draw.file is not None:
         return
@@ -222,7 +222,7 @@ def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _check_amplitude(configuration: Configuration) -> Iterator[Problem]:
-    """The regime stands for the pulse, as far as this can be told without a packing."""
+    """The regime stands for the pulse, as far as this is known without a packing."""
     rule, table = configuration.packing, configuration.excitation.table
     if table is None:
         return

@@ -17,7 +17,7 @@ _BY_ERROR_TYPE = {
     "too_long": ("has the wrong number of entries", ""),
     "unexpected_keyword_argument": ("is not known", "leave it out"),
 }
-"""What is wrong, and a remedy where the field names none, for each kind of error that pydantic tells apart."""
+"""Cause, and a remedy where the field names none, for each kind of error that pydantic tells apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Problem:
 
 
 class ConfigurationError(ValueError):
-    """A configuration that cannot be computed; says everything that is wrong with it at once.
+    """A configuration that cannot be computed; lists all its errors at once.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ _MOST_ENTRIES = 20
 
 
 def quote(value: object) -> str:
-    """Value as it would stand in the file; the beginning of what is long."""
+    """Value as written in a file; long values are cut."""
     if isinstance(value, tuple | list):
         shown = ", ".join(quote(item) for item in value[:_MOST_ENTRIES])
         return f"[{shown}]" if len(value) <= _MOST_ENTRIES else f"[{shown}, ... {len(value)} entries]"

@@ -106,7 +106,7 @@ class OwnSand:
         """Expected shear-wave velocity without cement, m/s.
 
         Half of that of the hexagonal lattice of such disks, ``V^2 = 3/8 (k_n + k_s) d^2 / m``, since random packings
-        have fewer contacts and give way. It goes with the power 1/6 of the stress, and does not depend on the size.
+        have fewer contacts and yield. It grows with the power 1/6 of the stress, and does not depend on the size.
         """
         tangent = 1.5 * self.stress * self.grain_size / (0.5 * self.overlap * self.grain_size)
         mass = 0.25 * math.pi * self.sand.density * self.grain_size * self.grain_size
@@ -177,7 +177,7 @@ def _commented(own: OwnSand) -> str:
         "",
         "[campaign]",
         (f'name = "{own.mineral}-{d * 1e3:g}mm-{own.stress / 1e3:g}kPa"', "of the database, too"),
-        ("seeds = 4", "for a first look; raise it for the scatter: what is computed is kept"),
+        ("seeds = 4", "for a first look; raise it for the scatter: computed cells are kept"),
         (f"contents = {sorted(map(float, own.contents))}", ""),
         "",
         "[packing]",
@@ -242,6 +242,6 @@ def _mean_square() -> float:
 
 
 def _short(value: float, digits: int = 4) -> str:
-    """Write a number of a configuration with so many significant digits."""
+    """Write a number of a configuration with this number of significant digits."""
     text = np.format_float_scientific(value, digits - 1, trim="0", exp_digits=1)
     return text if not 1e-4 <= value < 1e6 else repr(float(text))  # noqa: PLR2004 - what is easy to read

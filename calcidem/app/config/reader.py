@@ -64,7 +64,7 @@ _SMALLEST_NUMBER, _LARGEST_NUMBER = 1e-30, 1e30
 """In SI units; the products of several such numbers and their reciprocals are still finite."""
 
 TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
-"""Keys that a file does not have, because another one says the same."""
+"""Keys that a file does not have, because another one has the same meaning."""
 
 
 def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any] | None = None) -> Configuration:
@@ -90,7 +90,7 @@ def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any
 
 
 def parse_file(path: Path) -> dict[str, Any]:
-    """Sections of a TOML file, or a `ConfigurationError` that says why there are none."""
+    """Sections of a TOML file, or a `ConfigurationError` with the reason."""
     try:
         with path.open("rb") as file:
             content = file.read(_LARGEST_FILE + 1)
@@ -117,7 +117,7 @@ def parse_file(path: Path) -> dict[str, Any]:
 
 
 def _is_deeper(value: object, levels: int) -> bool:
-    """Whether tables and lists are nested deeper than so many levels."""
+    """Whether tables and lists are nested deeper than this number of levels."""
     inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
     return any(levels == 0 or _is_deeper(item, levels - 1) for item in inner)
 
@@ -166,7 +166,7 @@ def read_configuration(
 
 
 def _validate(given: dict[str, dict[str, Any]]) -> tuple[Configuration, list[Problem]]:
-    """Make a configuration of the values of its parts, and tell what is wrong with them.
+    """Make a configuration of the values of its parts, and list their errors.
 
     What is wrong is left out, so that it has its default, until nothing is: what a class says of several of its fields,
     it says only once each of them is right.

@@ -60,7 +60,7 @@ def full_text(preset: str) -> str:
     text = preset_text(preset)
     configuration = read_configuration(tomllib.loads(text))
     lines = [line for line in text.partition("\n\n")[0].splitlines() if "left out" not in line]
-    lines.append("# Keys that are commented out are not set; the text above them says what then applies.")
+    lines.append("# Keys that are commented out are not set; the text above them describes the default.")
     for section, parts in SECTIONS.items():
         lines += ["", f"[{section}]"]
         for key in key_references():
@@ -75,7 +75,7 @@ def full_text(preset: str) -> str:
 
 
 def written(value: object) -> str:
-    """Value as a configuration has it: numbers in as few digits as say them exactly."""
+    """Value as a configuration has it: numbers with the fewest digits that are exact."""
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(written, value))}]"
     if isinstance(value, bool):

@@ -46,7 +46,7 @@ _LONGEST_NAME = 200
 """Bytes: file systems take 255, and endings and the names of temporary files need some."""
 
 PHYSICS_VERSION = 4
-"""To be raised by whoever changes what the same configuration gives, or a default; part of the campaign's hash."""
+"""Raise it with each change of the results of a configuration, or of a default; part of the campaign's hash."""
 
 
 def _is_file_name(name: str) -> bool:
@@ -61,7 +61,7 @@ def _are_seeds(seeds: tuple[int, ...]) -> bool:
 
 
 def _are_contents(contents: tuple[float, ...]) -> bool:
-    """Whether a list has contents, and none twice as the store tells them apart."""
+    """Whether a list has contents, all different for the store."""
     return 0 < len(contents) == len({canonical_content(content) for content in contents})
 
 
@@ -260,7 +260,7 @@ class Excitation:
 
     @property
     def table(self) -> FrequencyTable | None:
-        """The frequencies as a table, whatever way they were given; None where they are chosen from the samples."""
+        """The frequencies as a table, however they were given; None where they are chosen from the samples."""
         if self.frequency == "auto":
             return None
         if isinstance(self.frequency, FrequencyTable):

@@ -43,7 +43,7 @@ _MOST_SHOWN_STEPS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForeignDisks:
-    """What a file says, in its own unit and frame.
+    """Content of a file, in its own unit and frame.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class _Rows:
 
 
 def read_foreign_disks(file: Path, columns: Sequence[str] = (), timestep: int | None = None) -> ForeignDisks:
-    """Read the disks of a file, whose format its content tells.
+    """Read the disks of a file; its content shows the format.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def _read_dump(file: Path, lines: list[str], timestep: int | None) -> _Rows:
 
 
 def _refuse_missing(file: Path, line: str, entries: list[tuple[int, list[str]]]) -> None:
-    """Refuse fewer or more atoms than a line says."""
+    """Refuse fewer or more atoms than a line states."""
     if int(line.split(maxsplit=1)[0]) != len(entries):
         raise PackingFileError(f"{file} says '{line.strip()}', but has {len(entries)} atoms; was it cut off?")
 

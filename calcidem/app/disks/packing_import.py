@@ -116,7 +116,7 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
     out
         CSV file with x, y and radius in m, floor and left wall at 0.
     unit
-        Unit of length: m, cm, mm, um or nm. By default what the file says, and m if it says nothing.
+        Unit of length: m, cm, mm, um or nm. By default that of the file, and m if it has none.
     columns
         Names of the columns from the left, in place of the file's: x, y, z, radius or diameter, type, id; what is
         called otherwise is left alone.
@@ -195,8 +195,8 @@ def _metres(found: ForeignDisks, unit: str | None) -> tuple[float, list[str]]:
     if unit is not None:
         return _LENGTH_UNITS[unit], [f"unit {unit}, as given"]
     if found.unit:
-        return _LENGTH_UNITS[found.unit], [f"unit {found.unit}, which the file says"]
-    return 1.0, ["unit m, since the file says none"]
+        return _LENGTH_UNITS[found.unit], [f"unit {found.unit}, as in the file"]
+    return 1.0, ["unit m, since the file has none"]
 
 
 def _axes(plane: str) -> list[int]:
@@ -210,7 +210,7 @@ def _axes(plane: str) -> list[int]:
 def _choose_disks(
     source: Path, found: ForeignDisks, place: Floats, radius: Floats, types: Sequence[str]
 ) -> tuple[Flags, list[str]]:
-    """Disks (N,) of the types wanted that have a size and lie in one plane, and sentences on the others."""
+    """Disks (N,) of the given types that have a size and lie in one plane, and sentences on the others."""
     kept = np.ones(len(radius), dtype=bool)
     left_out = []
     if found.skipped:

@@ -57,7 +57,7 @@ print(json.dumps([MPI.COMM_WORLD.Get_size(), available_cores(), fault_tolerance_
 
 @dataclass(frozen=True, slots=True)
 class _Rank:
-    """What a rank says of itself.
+    """Report of a rank on itself.
 
     Attributes
     ----------
@@ -127,7 +127,7 @@ def _rank_findings(mpirun: str) -> Iterator[Finding]:
 
 
 def _start_ranks(mpirun: str) -> list[_Rank]:
-    """Start two ranks and return what they say; raises `SubprocessError` or `ValueError` if they can't or won't."""
+    """Start two ranks and return their reports; raises `SubprocessError` or `ValueError` if they can't or won't."""
     done = subprocess.run(  # noqa: S603 - our own program
         [mpirun, *launcher_options(mpirun, 2), sys.executable, "-c", _RANK_PROGRAM],
         check=True,
@@ -144,7 +144,7 @@ def _start_ranks(mpirun: str) -> list[_Rank]:
 
 
 def _failure_text(error: Exception) -> str:
-    """Last line that a failed program wrote, or what the error says."""
+    """Last line that a failed program wrote, or the text of the error."""
     written = getattr(error, "stderr", None) or ""
     lines = [line for line in str(written).splitlines() if line.strip(" -")]
     return lines[-1] if lines else str(error)
@@ -154,7 +154,7 @@ def _fault_tolerance_finding(ranks: list[_Rank]) -> Finding:
     """Whether a lost rank leaves the others running."""
     if all(rank.fault_tolerant for rank in ranks):
         return Finding(OK, "lost ranks", "cost only what they were computing (ULFM)")
-    fact = "end the run: only Open MPI 5 and later can go on without them (ULFM)"
+    fact = "end the run: only Open MPI 5 and later can continue without them (ULFM)"
     cure = f"use Open MPI {FIRST_WITH_ULFM} or later; nothing stored is lost, and the same command continues"
     return Finding(WARNING, "lost ranks", fact, cure)
 
@@ -201,7 +201,7 @@ def _processor_finding() -> Finding:
     worker = describe_worker(rank=0)
     if worker.architecture in PORTABLE_ARCHITECTURES:
         return Finding(OK, "processor", f"{worker.kind}; no bit of a result depends on it")
-    fact = f"{worker.kind}; nobody has compared the bits of such processors"
+    fact = f"{worker.kind}; there is no comparison of the bits of such processors"
     return Finding(WARNING, "processor", fact, "compute a campaign on machines of one kind")
 
 
@@ -226,7 +226,7 @@ def _thread_finding(variables: Mapping[str, str]) -> Finding:
 
 
 def _slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
-    """Look at the Slurm job this runs in, or say how to start one."""
+    """Look at the Slurm job this runs in, or describe how to start one."""
     if "SLURM_JOB_ID" not in variables:
         template = "installed, but this is no job; in the script of one, 'calcidem run --ranks 0' uses all tasks"
         yield Finding(OK, "Slurm", template if shutil.which("sbatch") else "not installed here, and not needed")

@@ -30,7 +30,7 @@ def describe_cell(
         If the database can't be read.
     """
     with read_campaign(database, campaign_name) as store:
-        store.cell(seed=seed, content=content)  # says what is wrong if there is none
+        store.cell(seed=seed, content=content)  # raises a clear error if there is none
         values = store.table(list(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,)))
     told = [
         quantity

@@ -31,10 +31,10 @@ from calcidem.storage.sql.store import read_campaign
 from calcidem.sweep.progress import pluralize
 
 _FEW_SAMPLES = 30
-"""Below this a skewness, a kurtosis and the verdict on normality say little."""
+"""Below this a skewness, a kurtosis and the test of normality have little meaning."""
 
 _MOST_SAMPLES = 5000
-"""Paths of so many samples are analysed; it takes a minute."""
+"""Number of samples whose paths are analysed, in a minute."""
 
 _PAGE_BYTES = 3_000_000
 """Of a page: what one waits a second for."""
@@ -118,7 +118,7 @@ def write_report(
     Parameters
     ----------
     database
-        SQLite file or database URL; a run may go on writing it.
+        SQLite file or database URL; a run may write it meanwhile.
     out
         HTML file; replaced only when the new one is complete.
     campaign_name
@@ -179,7 +179,7 @@ def _render_page(
         name=record.name,
         hash=record.hash,
         written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
-        facts=key_facts(analysis),
+        facts=_key_facts(analysis),
         blocks={**cell_data.blocks, **{picture.packed: picture.source for picture in pictures if picture.packed}},
         remarks=cell_data.remarks,
         sections=shown,
@@ -187,8 +187,8 @@ def _render_page(
     )
 
 
-def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
-    """Give the numbers that say at a glance what the campaign is."""
+def _key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
+    """Give the key numbers of the campaign."""
     outcomes, (error, parts) = analysis.outcomes, budget_texts(analysis.budget)
     done, failed = int(outcomes["measured"].sum()), int(outcomes["failed"].sum())
     missing = int(outcomes["missing"].sum())
@@ -244,8 +244,8 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
     if doubtful:
         shares = ", ".join(f"{row.content:g} % ({row.failed} of {row.failed + row.vs.n})" for row in doubtful)
         remarks.append(
-            f"So many cells have no velocity at {shares} that the mean is off by more than its standard error if they "
-            "are the slowest or the fastest. The command calcidem diagnose says why they have none, and what to try."
+            f"Possible selection bias at {shares}: cells without velocity may shift the mean by more than its standard "
+            "error. The command calcidem diagnose explains why they have none and proposes remedies."
         )
     broken = analysis.cells["broken_bonds"].to_numpy()
     if count := int(np.sum(broken > 0)):
@@ -261,7 +261,7 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
 
 
 def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture:
-    """Draw one figure, or say why it can't be drawn."""
+    """Draw one figure, or give the reason why it cannot be drawn."""
     figure, reason = make_or_explain(entry.draw, analysis)
     if figure is None:
         return _Picture(entry.name, entry.title, entry.caption, reason=reason)

@@ -74,7 +74,7 @@ def velocity_table(analysis: CampaignAnalysis) -> Table:
 
 
 def meaning_table(analysis: CampaignAnalysis) -> Table:
-    """What the velocities stand for: modulus, wavelengths, calcite and, where it was asked for, static speed."""
+    """Quantities of the velocities: modulus, wavelengths, calcite and, where computed, static speed."""
     cells, static = analysis.cells, bool(np.isfinite(analysis.cells["static_speed"]).any())
     rows = []
     for row in analysis.distributions:
@@ -209,8 +209,8 @@ def feature_table(analysis: CampaignAnalysis) -> Table:
     return Table(
         "Features of the preferential path and Pearson's correlation with Vs, with 95 % intervals. Over all "
         "contents a common growth with content inflates it. Within one content, less the mean and over the standard "
-        "deviation of each content, it tells how much of the scatter a feature explains. Its p-value is corrected for "
-        "the number of features: seeds are exchanged at random, and the largest coefficient counts.",
+        "deviation of each content, it measures how much of the scatter a feature explains. Its p-value is corrected "
+        "for the number of features: seeds are exchanged at random, and the largest coefficient counts.",
         ("feature", "definition", "with Vs, all contents", "Spearman", "with Vs, within one content", "p, corrected"),
         rows,
     )

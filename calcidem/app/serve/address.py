@@ -1,4 +1,4 @@
-"""Where the live page can be opened: a port that is free, and a token that nobody guesses. It loads nothing large."""
+"""Where the live page can be opened: a free port, and a token that cannot be guessed. It loads nothing large."""
 
 import errno
 import importlib.util

@@ -34,13 +34,13 @@ _CELLS_AT_ONCE = 1000
 """Cells that are compared with their checksums in one query, which takes a tenth of a second."""
 
 _STEPS_TOLD = 10
-"""How often it is told how many of them are compared."""
+"""Seconds between two messages on the number of compared cells."""
 
 _MOST_TOLD = 1000
-"""Cells whose changes are told one by one; of more the browser asks for all."""
+"""Largest number of changed cells sent one by one; beyond it the browser requests all."""
 
 Event = tuple[str, dict[str, Any]]
-"""Name and content of what is told to browsers."""
+"""Name and content of a message to browsers."""
 
 
 class CampaignFeed:
@@ -98,7 +98,7 @@ class CampaignFeed:
         return bool(self._unchecked)
 
     def refresh(self) -> list[Event]:
-        """Read what is new, and give what browsers have to know of it."""
+        """Read the changes, and give the messages to browsers."""
         with self._lock:
             try:
                 return self._refresh()
@@ -112,7 +112,7 @@ class CampaignFeed:
                 return [self._status_event()] if told else []
 
     def status(self) -> dict[str, Any]:
-        """Give how far the campaign was at the last look, in JSON's types; nobody waits for a look that goes on."""
+        """Give how far the campaign was at the last look, in JSON's types; no request waits for a running look."""
         if self._told is None:
             with self._lock:
                 if self._told is None:
@@ -136,7 +136,7 @@ class CampaignFeed:
             }
             if self._store is None or self._columns is None:
                 return told
-            with suppress(StoreError):  # the next refresh tells it
+            with suppress(StoreError):  # the next refresh reports it
                 found = campaign_status(self._store, self._columns.rows(STATUS_QUANTITIES), ())
                 told |= _told_status(found) | {"reasons": self._reasons(self._columns)}
             return told
@@ -176,7 +176,7 @@ class CampaignFeed:
             return packing_block(self._analyse(), graphs[index]) | {"forces": _relative_forces(graphs[index])}
 
     def _open(self) -> Store:
-        """Give the store, opened anew if its file is another one."""
+        """Give the store, opened again if its file was replaced."""
         path = parse_address(self.database).path
         found = path.stat() if path is not None and path.exists() else None
         same = found is not None and self._file is not None and os.path.samestat(found, self._file)
@@ -247,7 +247,7 @@ class CampaignFeed:
             self._check_some(store)
 
     def _check_some(self, store: Store) -> None:
-        """Read the next cells with all that is told of them, compared with their checksums."""
+        """Read the next cells with all their shown quantities, compared with their checksums."""
         assert self._columns is not None  # noqa: S101 - it is there as soon as there are cells to check
         before = len(self._unchecked)
         seeds = self._unchecked.pop(0)

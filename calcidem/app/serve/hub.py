@@ -1,4 +1,4 @@
-"""Whoever looks at the page is told what changes; while nobody does, no database is read."""
+"""Sends changes to all open pages; without an open page no database is read."""
 
 import asyncio
 import json
@@ -33,7 +33,7 @@ _SIGN_OF_LIFE = 15.0
 """Seconds after which a browser hears something, for proxies between."""
 
 _LONGEST_QUEUE = 200
-"""Messages that a slow browser is behind; then it is told to begin anew."""
+"""Messages that a slow browser may be behind; then it has to start again."""
 
 
 @dataclass(eq=False)
@@ -52,7 +52,7 @@ class Hub:
     _ended: bool = False
 
     async def watch(self) -> None:
-        """Read all once, and then what is new for as long as somebody listens; to be cancelled in the end."""
+        """Read all once, and then changes while a page is open; to be cancelled in the end."""
         await self.refresh()
         while not self._ended:
             if not self._listeners:
@@ -65,7 +65,7 @@ class Hub:
             await asyncio.sleep(_BETWEEN_PIECES if busy else min(max(_BETWEEN_LOOKS, spent / _SHARE), _SELDOMEST_LOOK))
 
     async def refresh(self) -> None:
-        """Read all databases once, and tell what is new."""
+        """Read all databases once, and send the changes."""
         for feed in self.feeds:
             for event in await _in_thread(feed.refresh):
                 self._tell(event)
@@ -90,7 +90,7 @@ class Hub:
             self._listeners.discard(queue)
 
     async def end(self) -> None:
-        """Tell for the last time what is new, if that takes no time, and end all that listen."""
+        """Send the last changes, if that takes no time, and end all connections."""
         self._ended = True
         if self._listeners:
             with suppress(TimeoutError):
@@ -108,13 +108,13 @@ class Hub:
     def _tell(self, event: Event) -> None:
         text = _as_event(event)
         for queue in self._listeners:
-            if queue.full():  # whoever missed a change sees a gap in the sequence, and asks for all cells
+            if queue.full():  # a browser that missed a change sees a gap in the sequence, and requests all cells
                 queue.get_nowait()
             queue.put_nowait(text)
 
 
 async def _in_thread(read: Callable[[], T]) -> T:
-    """Read a database; nobody waits for it when the server ends."""
+    """Read a database; the end of the server does not wait for it."""
     return await to_thread.run_sync(read, abandon_on_cancel=True)
 
 

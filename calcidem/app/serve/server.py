@@ -1,6 +1,6 @@
 """The server of the live page: its port, its address with the token, its end.
 
-Who may see the page: whoever has the token that is in the printed address, and nobody through a foreign page.
+Who may see the page: all with the token of the printed address, but no foreign page.
 
 Addresses of the page and what they answer.
 """
@@ -166,7 +166,7 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-"""Of every answer: no script but the page's own, no address told to others, nothing kept by the browser."""
+"""Of every answer: no script but the page's own, no address sent to others, nothing kept by the browser."""
 
 _REFUSAL = "Open this page with the whole address that calcidem has printed; it ends with ?token=... .\n"
 
@@ -253,7 +253,7 @@ _GRACE = 1
 
 
 class _Server(uvicorn.Server):
-    """Leaves signals to whoever starts it: uvicorn would send them to itself again in the end."""
+    """Leaves signals to the caller: uvicorn would send them to itself again in the end."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:

@@ -467,7 +467,7 @@ def _doubts_of_content(row: FittedContent) -> Iterator[str]:
     """What speaks against a content that is to be met."""
     read = f"at {row.content:g} % {row.seeds} of {row.planned} seeds have a velocity in every trial"
     if row.seeds < _FEWEST_SEEDS:
-        yield f"{read}, so that it was left out: begin with values whose waves are read, or send another frequency"
+        yield f"{read}, so that it was left out: begin with values whose waves are read, or change wave.frequency"
     elif row.seeds < _FEW_SEEDS * row.planned:
         yield f"{read}: mean and scatter of the others may be different"
 

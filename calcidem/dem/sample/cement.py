@@ -299,7 +299,7 @@ def content_of_contacts(packing: Packing, rule: CementRule, kind: npt.NDArray[np
     return rule.content(float(area.sum()), float(np.pi * np.sum(radius * radius)))
 
 
-@lru_cache(maxsize=4)  # it is asked for by every cell
+@lru_cache(maxsize=4)  # every cell needs it
 def _contact_areas(packing: Packing, rule: CementRule) -> tuple[Floats, Floats]:
     """Eq. 2 for every contact, as P and as C, each (M,) m^2."""
     first, second = 2.0 * np.asarray(packing.radius, dtype=float)[packing.pairs].T

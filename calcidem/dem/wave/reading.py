@@ -78,8 +78,8 @@ class Verdict(StrEnum):
 
     SILENT = "no motion above 0.1 % of v0 arrived: lower damping or frequency, or record for longer (wave.slowest)"
     TOO_SHORT = "the record ends before the S wave is certain: record for longer (wave.slowest)"
-    NO_LINE = "no peak of the receiver continues what the stations recorded: send another frequency"
-    UNCERTAIN = "the standard error of the reading is above pick.largest_error: send a higher frequency"
+    NO_LINE = "no peak of the receiver continues the motion of the stations: change wave.frequency"
+    UNCERTAIN = "the standard error of the reading is above pick.largest_error: raise wave.frequency"
 
 
 @dataclass(frozen=True, slots=True)

@@ -227,7 +227,7 @@ def _append_packing(file: Group, packing: PackingRecord) -> None:
 
 
 def _append_arrays(file: Group, cells: Sequence[tuple[CellKey, Mapping[str, Any]]], groups: Collection[str]) -> None:
-    """Append the arrays of some cells, records by name, those whose group is wanted."""
+    """Append the arrays of some cells, records by name, those of the requested groups."""
     for name in groups:
         found = [(key, arrays[name]) for key, arrays in cells if name in arrays]
         if found:

@@ -142,7 +142,7 @@ def _open(path: Path) -> Group:
     if former is not None:
         raise OlderSchemaError(
             f"{path} was exported by calcidem 0.1.0 or earlier, whose layout this calcidem does not read.",
-            "Use that version, or compute the campaign anew.",
+            "Use that version, or compute the campaign again.",
         )
     if layout is None:
         raise ForeignDatabaseError(f"{path} was not written by calcidem.", "Give a file made by 'calcidem export'.")

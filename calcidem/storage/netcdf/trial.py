@@ -58,13 +58,13 @@ def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False)
     )
     if ended.returncode != 0:
         raise DamagedStoreError(
-            f"{path} is damaged: the library for NetCDF does not come to an end with it.",
+            f"{path} is damaged: the NetCDF library does not finish reading it.",
             "Export it again from its database; nothing was written.",
         )
 
 
 def _read_file(path: str, seconds: float, amount: str) -> None:
-    """Open the file and read it; a thread of Python's own, which needs no lock, ends the process if that hangs."""
+    """Open the file and read it; a thread that needs no lock ends the process if reading does not return."""
     faulthandler.dump_traceback_later(seconds, exit=True)
     with suppress(*_ERRORS_OF_READING), netCDF4.Dataset(path, "r") as file:
         file.set_auto_mask(False)

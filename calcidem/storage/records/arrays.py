@@ -94,7 +94,7 @@ def normalize_numbers(record: object) -> None:
             raise ValueError(f"{owner}.{name} is {value}; a missing number is None, never NaN or infinity.")
 
 
-@cache  # it is asked for each of a million records
+@cache  # a million records use it
 def _field_names(kind: type) -> tuple[str, ...]:
     return tuple(field.name for field in dataclasses.fields(kind))
 

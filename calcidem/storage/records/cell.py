@@ -147,7 +147,7 @@ class CellResult:
     features, graph
         Path features and summary of the contact graph, where there are any.
     path, section, cement
-        Arrays, where they were kept, and where the query asked for them (`ARRAY_RECORDS`).
+        Arrays, where they were stored and the query requested them (`ARRAY_RECORDS`).
 
     Raises
     ------

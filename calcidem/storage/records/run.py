@@ -88,7 +88,7 @@ class RunRecord:
     ended : datetime or None
         None while it runs, and for ever if it was killed.
     exit_state : str or None
-        How it ended, as the program said it.
+        How it ended, in the words of the program.
     workers : tuple of WorkerRecord
         What its processes were, one record for all that are alike; empty if that was not recorded.
     """

@@ -2,7 +2,7 @@
 
 Each row has a checksum of its columns and, if it belongs to a cell, of the cell's seed and content. An outcome has a
 second one of its few brief quantities, so that a question about velocities alone does not read the others. A checksum
-finds damage; it does not protect from somebody who wants to change a number.
+finds damage; it does not protect against deliberate changes.
 
 A value is a word of 64 bits: a number as it is, anything else by its hash. The name of its column is added, the bits
 are mixed, and the words of a row are summed up and mixed again. What is missing adds nothing, so a column that is added

@@ -135,7 +135,7 @@ def campaign_record(connection: Connection, row: Row[Any]) -> CampaignRecord:
         raise DamagedStoreError(
             f"The configuration of campaign '{row.name}', or its hash {row.hash[:12]}, was changed after it had been "
             "stored.",
-            "Its cells can't be told from those of another campaign: import an exported file into a new database.",
+            "Import an exported file into a new database: its cells may be those of another campaign.",
         )
     return record
 

@@ -280,7 +280,7 @@ def _kind(original: BaseException | None) -> type[StoreError] | None:
 
 
 def measure_commits(path: Path, count: int) -> tuple[str, float]:
-    """Try a SQLite database as a campaign uses it: write so many small transactions into a new file.
+    """Try a SQLite database as a campaign uses it: write a number of small transactions into a new file.
 
     Returns
     -------

@@ -21,7 +21,7 @@ def filesystem_type(path: Path, mountinfo: str | None = None) -> str | None:
     Returns
     -------
     str or None
-        None where it can't be told (no /proc).
+        None where it is unknown (no /proc).
     """
     if mountinfo is None:
         try:

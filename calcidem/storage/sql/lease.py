@@ -97,7 +97,7 @@ class FileLock:
 
 @dataclass(frozen=True, slots=True)
 class Acknowledged:
-    """The last transaction that a master, which has not ended in order, was told to be stored.
+    """The last transaction that was acknowledged to a master that did not end in order.
 
     Attributes
     ----------
@@ -159,7 +159,7 @@ def claim_lease(connection: Connection, campaign_id: int, *, former_is_dead: boo
         if former.may_live() and not (former.host == host and former_is_dead):
             raise lease_held_error(former)
         taken_over_from = (
-            f"{former.host}, process {former.pid}, last heard of at {former.heartbeat:%Y-%m-%d %H:%M:%S} UTC"
+            f"{former.host}, process {former.pid}, last heartbeat at {former.heartbeat:%Y-%m-%d %H:%M:%S} UTC"
         )
         connection.execute(delete(LEASE).where(LEASE.c.campaign_id == campaign_id))
     token, holder = uuid.uuid4().hex, LeaseHolder(host, os.getpid(), now, now)
@@ -188,7 +188,7 @@ def lease_held_error(holder: LeaseHolder | None) -> LeaseHeldError:
     if holder is None:
         who, cure = "another process on this machine", "Wait until it has ended."
     else:
-        who = f"process {holder.pid} on {holder.host} (last heard of at {holder.heartbeat:%H:%M:%S} UTC)"
+        who = f"process {holder.pid} on {holder.host} (last heartbeat at {holder.heartbeat:%H:%M:%S} UTC)"
         free = holder.heartbeat + STALE_AFTER
         cure = f"Wait until it has ended; if it died on another machine, its lease ends at {free:%H:%M:%S} UTC."
     return LeaseHeldError(f"The campaign is being written by {who}.", cure)
@@ -207,7 +207,7 @@ def renew_lease(connection: Connection, token: str) -> datetime:
     if renewed.rowcount == 0:
         raise LeaseLostError(
             "Another process has taken this campaign over because this one was silent for too long.",
-            "Nothing of this transaction was stored; end this process, the other one goes on.",
+            "Nothing of this transaction was stored; end this process, the other one continues.",
         )
     return heartbeat
 

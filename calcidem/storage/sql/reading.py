@@ -86,7 +86,7 @@ def chunks(items: Iterable[T], size: int = _KEYS_PER_QUERY) -> Iterator[list[T]]
 
 
 class StoreReader(OpenDatabase):
-    """What a `Store` is asked, none of which changes it."""
+    """The queries of a `Store`, none of which changes it."""
 
     # Provenance
 
@@ -246,7 +246,7 @@ class StoreReader(OpenDatabase):
                 rows = [row for _, row in _readable_rows(connection, statement.order_by(*_BY_KEY), CELL.c.id, chunk)]
             for row in filter(None, rows):
                 if not (is_possible(checked_seed, row[1]) and is_possible(canonical_content, row[2])):
-                    continue  # its numbers can't be told from those of another cell either
+                    continue  # its numbers may be those of another cell
                 try:
                     yield CellKey(row[1], row[2]), _array_records(row[3], arrays.get(row[0], {}), ARRAY_RECORDS)
                 except UNREADABLE as error:
@@ -278,7 +278,7 @@ class StoreReader(OpenDatabase):
     ) -> dict[str, NDArray[Any]]:
         """Return columns of the selected planned cells in one query.
 
-        Rows are compared with the checksum of their brief quantities if neither others nor damaged cells are asked for.
+        Rows are compared with the checksum of their brief quantities if only these and no damaged cells are requested.
 
         Parameters
         ----------
@@ -289,7 +289,7 @@ class StoreReader(OpenDatabase):
             Quantities to sort by, ``-`` before a name for descending; missing values come last. What is equal is
             in the order of seed, then content.
         limit : int, optional
-            Give the first so many cells only.
+            Give this number of cells at most.
 
         Returns
         -------
@@ -458,7 +458,7 @@ class _Outcomes:
     """What a query over outcomes fetches for each cell, and which of its rows are damaged.
 
     A row begins with number, seed and content of the cell, and the number again if it has an outcome. For the outcome,
-    and for its attempt if that is wanted, there follow a checksum and the columns that it is of.
+    and for its attempt if requested, a checksum and its columns follow.
 
     Attributes
     ----------

@@ -68,7 +68,7 @@ def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) 
 
 
 def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Store":
-    """Open a store for reading, with a campaign of that name chosen, or the only one; a run may go on writing it.
+    """Open a store for reading, with a campaign of that name chosen, or the only one; a run may write it meanwhile.
 
     Raises
     ------
@@ -97,7 +97,7 @@ class Store(StoreReader):
        nothing is. `together` makes one of several.
     4. Writing the same thing again changes nothing. A result is identified by its cell and the number of
        its attempt.
-    5. A done cell stays as it is unless `replace_done` is asked for. Any other outcome gives way to one of
+    5. A done cell is kept unless `replace_done` is set. Any other outcome is replaced by one of
        the same or a later attempt, and to a done one.
     6. A cell without an outcome is pending. Every outcome settles its cell; `retry` makes settled cells
        pending again and keeps their history.
@@ -105,7 +105,7 @@ class Store(StoreReader):
        caller gives a result the number ``attempts + 1`` of `attempt_counts`.
     8. Callers get frozen records, never rows; errors are `StoreError` with cause and cure.
     9. At most one process holds the lease of a campaign. Once its lease has been taken over, a store
-       refuses to write. Writing without ever having asked for the lease is allowed, for imports and single
+       refuses to write. Writing without a lease is allowed, for imports and single
        commands.
     10. Reading never blocks a writer for longer than one short query, and sees only whole transactions.
     11. A cell whose stored outcome is not what was stored is `CellStatus.DAMAGED` in whatever reads the damaged part;
@@ -149,7 +149,7 @@ class Store(StoreReader):
 
     @contextmanager
     def _writing(self) -> Iterator[Connection]:
-        """Open a writing transaction that fails if the lease was lost, or go on in the one that is open."""
+        """Open a writing transaction that fails if the lease was lost, or continue the open one."""
         self._refuse_closed()
         if self._shared is not None:
             yield self._shared
@@ -281,7 +281,7 @@ class Store(StoreReader):
     # Lease
 
     def acquire_lease(self) -> LeaseGrant:
-        """Become the campaign's only master; asked again, it refreshes the lease.
+        """Become the campaign's only master; a repeated call refreshes the lease.
 
         Raises
         ------
@@ -397,7 +397,7 @@ class Store(StoreReader):
         An attempt that is there with the same outcome keeps its row: an import has restored it.
         """
         ids = [cell_id for cell_id, _ in accepted]
-        for table in (ARRAYS, RESULT):  # arrays without an outcome, which damage leaves, would be in the way
+        for table in (ARRAYS, RESULT):  # damage leaves arrays without an outcome, which would conflict
             connection.execute(delete(table).where(table.c.cell_id.in_(ids)))
         listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
         statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number, ATTEMPT.c.outcome).where(listed)
@@ -570,7 +570,7 @@ def _known_cells(connection: Connection, campaign_id: int, keys: Sequence[CellKe
 
 
 def _gives_way(known: _Known, result: PackedResult, *, replace_done: bool) -> bool:
-    """Rule 5 of the contract: whether the stored outcome gives way to the new one."""
+    """Rule 5 of the contract: whether the new outcome replaces the stored one."""
     if known.status is None or known.attempt is None:
         return True
     if known.status == CellStatus.DONE:

@@ -78,7 +78,7 @@ _METADATA = MetaData(
 
 
 class _UtcDateTime(TypeDecorator[datetime]):
-    """A moment in UTC; SQLite has no time zones, so it is taken off on the way in and put back."""
+    """A moment in UTC; SQLite has no time zones, so it is removed on writing and restored on reading."""
 
     impl = DateTime(timezone=True)
     cache_ok = True
@@ -351,7 +351,7 @@ def _create_view(connection: Connection) -> None:
 
 def _newer(address: Address, what: str) -> NewerSchemaError:
     return NewerSchemaError(
-        f"{address} has {what}, which this calcidem doesn't know: a later one wrote it.",
+        f"{address} has {what}, which this calcidem does not know: a later one wrote it.",
         "Use that version (pip install --upgrade calcidem); the database was left as it is.",
     )
 

@@ -98,7 +98,7 @@ def _comparison(left: ast.expr, op: ast.cmpop, right: ast.expr, text: str) -> Co
     first = _operand(left, text)
     if isinstance(op, ast.Is | ast.IsNot):
         if not (isinstance(right, ast.Constant) and right.value is None):
-            raise QueryError(f"'is' in the filter '{text}' goes with None only.", _EXAMPLE)
+            raise QueryError(f"'is' in the filter '{text}' is allowed with None only.", _EXAMPLE)
         return first.is_(None) if isinstance(op, ast.Is) else first.is_not(None)
     if isinstance(op, ast.In | ast.NotIn):
         if not isinstance(right, ast.Tuple | ast.List):

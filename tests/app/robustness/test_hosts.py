@@ -182,7 +182,7 @@ def test_a_host_whose_link_goes_down_is_given_up(trial: HostTrial, undisturbed: 
     trial.do("link", "nodeB", "down")
     ended = trial.finish(process)
     assert ended.code == 0, ended.output
-    assert ("(nodeB): has not been heard of for 20 s" in ended.output) == (limit is None)
+    assert ("(nodeB): has been silent for 20 s" in ended.output) == (limit is None)
     assert trial.cells() == undisturbed
 
 

@@ -40,7 +40,7 @@ def test_a_sample_that_was_sent_again_is_named(complete: Path, invoke: Callable[
         store.use_campaign()
         cell = next(result for result in store.results() if result.key == CellKey(3, 5.0))
         store.record_results([replace(cell, retry=why)], replace_done=True)
-    history = f"done after 1 attempt, wave sent again with half the time step ({why})"
+    history = f"done after 1 attempt, computed again with half the time step ({why})"
     assert f"seed 3, 5 %: {history}" in invoke("status", complete)
     troubles = json.loads(invoke("status", complete, "--format", "json"))["troubles"]
     (trouble,) = (one for one in troubles if (one["seed"], one["content"]) == (3, 5.0))

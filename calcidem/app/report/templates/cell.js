@@ -101,7 +101,7 @@ function drawSignal({ start, interval, transmitted, received, unit, arrivals }) 
     return `<line x1="${at}" x2="${at}" y1="${top}" y2="${height - bottom}" stroke="var(--${method})" stroke-dasharray="2 3"/><circle cx="${at}" cy="${on}" r="4.5" fill="var(--${method})" stroke="var(--wash)"/>`;
   });
   const said = found.map((method) => `${method.replace("_", " ")}: ${withUnit(columns[`vs_${method}`]?.[opened] ?? null, "m/s")}, ${number(arrivals[method])} ms`);
-  const label = `Sent and received signal of ${labelOf(opened)} over ${number(end)} ms. ${said.join("; ") || "No arrival was read"}.`;
+  const label = `Transmitted and received signal of ${labelOf(opened)} over ${number(end)} ms. ${said.join("; ") || "No arrival was read"}.`;
   host.innerHTML = `
     <svg viewBox="0 0 ${width} ${height}" tabindex="0" role="img" aria-label="${escape(label)}">
       ${across.join("")}${upward.join("")}${curve("transmitted")}${curve("received")}${marks.join("")}
