@@ -118,8 +118,8 @@ def _limits() -> Floats:
 _CASES = {
     "tension": (1.0, 0.0, 0.0),
     "shear by rolling": (0.0, 1.0, 0.0),
-    "bending, one way": (0.0, 0.0, 1.0),
-    "bending, the other way": (0.0, 0.0, -1.0),
+    "bending, one sense": (0.0, 0.0, 1.0),
+    "bending, the other sense": (0.0, 0.0, -1.0),
     "tension and bending, half of each": (0.5, 0.0, 0.5),
 }
 _ONE_STEP = "one of 8,000 steps, and rounding of the increments"

