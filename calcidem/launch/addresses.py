@@ -1,4 +1,4 @@
-"""Where a command listens to its ranks: on loopback if all are on its host, else where their hosts can reach it."""
+"""Addresses at which a command listens to ranks: loopback if all are on its host, else those that hosts can reach."""
 
 import os
 import socket

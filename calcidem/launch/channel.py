@@ -1,4 +1,4 @@
-"""A rank's words to the command that started it, over the connection that its starter has made."""
+"""Messages of a rank to the command that started it, over the connection of its starter."""
 
 import os
 import socket
@@ -25,7 +25,7 @@ class _Command:
     lost
         Ranks that it has reported as lost and that were not read yet, with reasons.
     unheard
-        Number of pictures of the progress that it has not taken yet.
+        Number of snapshots of the progress that it has not acknowledged yet.
     """
 
     connection: socket.socket
@@ -34,7 +34,7 @@ class _Command:
     unheard: int = 0
 
     def say(self, text: str) -> None:
-        """Tell it a line."""
+        """Send it a line."""
         with suppress(OSError):  # it is gone; the launcher or the starter will end this process
             self.connection.sendall(f"{text}\n".encode())
 
@@ -53,7 +53,7 @@ class _Command:
 
 
 def tell_command(text: str) -> None:
-    """Tell the command a line, if there is one that listens.
+    """Send a line to the command, if one listens.
 
     loaded          this rank has loaded its program and looks for the others
     joined          it has found all of them
@@ -77,7 +77,7 @@ def command_listens() -> bool:
 def tell_progress(text: str) -> None:
     """Send the progress to the command, unless it has not received the snapshot before: nothing waits for a display.
 
-    Were it not for that, a command that is stopped would fill its socket and be taken for lost.
+    Otherwise the socket of a stopped command would fill up, and it would count as lost.
     """
     if (command := _command()) is None:
         return

@@ -1,4 +1,4 @@
-"""What Open MPI leaves on a host when its processes are killed: session folders and shared memory."""
+"""Removal of session folders and shared memory that Open MPI leaves on a host when its processes are killed."""
 
 import os
 import re
@@ -13,14 +13,14 @@ from pathlib import Path
 _SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - where Open MPI has it, whatever TMPDIR says
 
 _SETTLED = 60.0
-"""Seconds after which what no process uses belongs to none that is just starting."""
+"""Age in seconds from which an unused file belongs to no starting process."""
 
 
 def remove_leftovers() -> None:
-    """Remove what killed launches of this user have left on this host; what anybody may still use stays.
+    """Remove files of killed launches of this user from this host; files that may be in use are kept.
 
-    A session folder goes if the mpirun of its number is dead, and was one of this host: containers may share the
-    folder. A segment of shared memory goes if no process has it mapped.
+    A session folder is removed if the mpirun of its number is dead, and was one of this host: containers may share the
+    folder. A segment of shared memory is removed if no process has it mapped.
     """
     host, user = socket.gethostname(), os.getuid()
     for folder in _settled(Path(tempfile.gettempdir()), "ompi.*", user):

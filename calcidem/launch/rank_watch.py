@@ -1,4 +1,4 @@
-"""What the command knows of the ranks that its launcher started: from themselves and their starters, on all hosts."""
+"""State of the ranks that the launcher started, on all hosts, as they and their starters report it."""
 
 import hmac
 import secrets
@@ -18,16 +18,16 @@ _LONGEST_LINE = 4096
 """Largest length of a line in bytes; no rank sends more."""
 
 _TIME_TO_GREET = 10.0
-"""Seconds in which one who connects must have shown that it is a rank."""
+"""Seconds in which a connection must have authenticated as a rank."""
 
 _PAUSE_OF_WORDS = 60.0
-"""Seconds between two words to the user on connections that were hung up on."""
+"""Seconds between two messages on closed connections."""
 
 _MOST_STRANGERS = 64
-"""Connections that may have to show that yet, beyond one for each rank; more end the oldest."""
+"""Connections not authenticated yet, beyond one for each rank; more close the oldest."""
 
 _PAUSE_WITHOUT_DESCRIPTORS = 0.05
-"""Seconds until the next connection is taken when this process has no file descriptor left."""
+"""Seconds until the next connection is accepted when this process has no file descriptor left."""
 
 _SETTLING = 1.0
 """Seconds after the first death of a rank in which others, and the report of rank 0, may follow."""
@@ -61,7 +61,7 @@ class _ReportedRank:
     loaded, joined
         Whether it has loaded its program, and whether it has found the others.
     silent
-        Seconds since it was heard of.
+        Seconds since its last message.
     ended, ended_after, ended_well, killed
         How it has ended, as the end of a sentence, empty while it lives; seconds of the launch until then; whether its
         exit code was 0; whether a signal has ended it.
@@ -93,7 +93,7 @@ class _ReportedRank:
 
 @dataclass(slots=True, eq=False)
 class _Caller:
-    """One who has connected and may be a rank.
+    """A connection that may be a rank.
 
     Attributes
     ----------
@@ -228,13 +228,13 @@ class RankWatch:
         return min((rank for rank in self._ranks.values() if rank.ended), key=order, default=None)
 
     def kill_ranks(self) -> None:
-        """Have the starters kill their ranks, also stopped ones, on all hosts at once; their last words still come."""
+        """Let the starters kill their ranks, also stopped ones, on all hosts at once; last messages still arrive."""
         for rank in self._ranks.values():
             with suppress(OSError):  # it has hung up itself
                 rank.connection.shutdown(socket.SHUT_WR)
 
     def listen_to_the_end(self, seconds: float) -> None:
-        """Take in the last words of ranks whose launcher has ended, until all have ended or some seconds are over."""
+        """Receive last messages of ranks whose launcher has ended, until all have ended or some seconds are over."""
         until = self._seconds + seconds
         while self._seconds < until and any(not rank.ended for rank in self._ranks.values()):
             self.listen(0.1)
@@ -242,7 +242,7 @@ class RankWatch:
     def ranks_left(self) -> dict[str, int]:
         """Number of ranks on each host that is not lost, once all is over; empty if no host is lost, or all are.
 
-        Lost are the hosts none of whose ranks has had a last word, but for the command's own.
+        A host is lost if none of its ranks has sent a last message, except for the command's own.
         """
         hosts: dict[str, list[_ReportedRank]] = defaultdict(list)
         for _, rank in sorted(self._ranks.items()):  # so that rank 0 stays where it was
@@ -308,7 +308,7 @@ class RankWatch:
         return f"Closed the connection of {self._first_dropped}{others}; the run continues."
 
     def _accept(self, listener: socket.socket) -> None:
-        """Ask one who connects who it is; without room for it the one that has not answered for longest goes."""
+        """Ask a new connection to authenticate; without room the one silent for longest is closed."""
         try:
             connection, place = listener.accept()
         except BlockingIOError:
@@ -331,7 +331,7 @@ class RankWatch:
             self._drop(caller, "closed the connection at once")
 
     def _drop(self, caller: _Caller, why: str) -> None:
-        """Hang up on one who is no rank, and note why."""
+        """Close a connection that is no rank, and note why."""
         del self._callers[caller]
         self._hang_up(caller.connection)
         self._note_dropped(f"{caller.place}, which {why}")
@@ -345,7 +345,7 @@ class RankWatch:
         connection.close()
 
     def _read_greeting(self, caller: _Caller) -> None:
-        """Take in who a caller is, and let its connection be that of a rank if that is sealed with the key."""
+        """Read the identity of a connection; it becomes that of a rank if it is sealed with the key."""
         if caller not in self._callers:
             return  # dropped since the selector returned it
         try:
@@ -405,7 +405,7 @@ class RankWatch:
         return True
 
     def _hear(self, rank: _ReportedRank, text: str) -> None:
-        """Take in a line: see `calcidem.launch.channel` for those of a rank, and `starter` for its own.
+        """Handle a line: see `calcidem.launch.channel` for those of a rank, and `starter` for its own.
 
         Raises
         ------
@@ -451,7 +451,7 @@ class RankWatch:
                 raise ValueError(word)
 
     def _note_end(self, rank: _ReportedRank, code: int, last: str) -> None:
-        """Put into words how a rank has ended."""
+        """Describe how a rank has ended."""
         how, cure = f"ended with exit code {code}", ""
         if code < 0:
             known = -code in set(signal.Signals)  # those of real time have no names

@@ -17,16 +17,16 @@ import time
 from pathlib import Path
 
 COMMAND_VARIABLE = "CALCIDEM_COMMAND"
-"""Tells the ranks of the command: a key, the seconds of silence that it bears, its host, and where it listens."""
+"""For the ranks: the key of the command, its limit of silence in seconds, its host, and its addresses."""
 
 DESCRIPTOR_VARIABLE = "CALCIDEM_COMMAND_DESCRIPTOR"
-"""Tells a rank which of its file descriptors is the connection that its starter has made."""
+"""For a rank: the file descriptor of the connection of its starter."""
 
 LONGEST_GREETING = 512
 """Bytes of each line with which the command and a rank authenticate each other."""
 
 _MEANS_ITSELF = "127."
-"""Beginning of addresses by which each host means itself."""
+"""Beginning of loopback addresses."""
 
 _RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 
@@ -34,7 +34,7 @@ _LOCAL_RANK_VARIABLE, _LOCAL_SIZE_VARIABLE = "OMPI_COMM_WORLD_LOCAL_RANK", "OMPI
 """Number of a rank on its host, and of ranks there."""
 
 _BEATS = 20
-"""Signs of life within the silence that the command bears."""
+"""Heartbeats within the limit of silence."""
 
 _TIME_TO_COUNT = 60.0
 """Seconds in which the launcher's other ranks on a host are counted."""
@@ -78,7 +78,7 @@ def die_with_parent(parent: int | None = None) -> None:
 
 
 def this_host() -> str:
-    """What two processes have in common exactly if a loopback address means the same for both."""
+    """An identifier that two processes share exactly if they share loopback addresses."""
     boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     return f"{boot}/{Path('/proc/self/ns/net').readlink()}"
 
@@ -103,7 +103,7 @@ def _introduce(connection: socket.socket, key: str, rank: str, host: str) -> boo
 
 
 def _read_line(connection: socket.socket) -> str:
-    """Read a line and nothing beyond it, which is for the rank; no more bytes, and seconds, than one may take."""
+    """Read a line and nothing beyond it, which is for the rank; limited in bytes and seconds."""
     line, end = b"", time.monotonic() + _TIME_TO_CONNECT
     while not line.endswith(b"\n"):
         data = connection.recv(1)
@@ -167,7 +167,7 @@ class _Starter:
         sys.exit(f"Rank {self._rank} on {host} cannot reach the command that started it, {where}")
 
     def _become(self, command: list[str], standard_error: int) -> None:
-        """Be the rank from now on, from its first moment to end with the starter."""
+        """Become the rank, which from its first moment ends with the starter."""
         try:
             die_with_parent()
             os.dup2(standard_error, 2)
@@ -179,7 +179,7 @@ class _Starter:
         os._exit(127)
 
     def _attend(self, child: int, errors: int) -> None:
-        """Pass on what the rank writes and give signs of life, until it has ended."""
+        """Forward the output of the rank and send heartbeats, until it has ended."""
         woken, waker = os.pipe()
         os.set_blocking(waker, False)
         signal.set_wakeup_fd(waker)

@@ -1,4 +1,4 @@
-"""Results kept for good: records, the `Store` on a SQL database, NetCDF files and reading.
+"""Permanent results: records, the `Store` on a SQL database, NetCDF files and reading.
 
 Open a database for writing with `calcidem.storage.sql.store.open_store`, for reading with
 `calcidem.storage.sql.store.read_campaign`. `calcidem.storage.netcdf.export` writes a campaign to a NetCDF file,

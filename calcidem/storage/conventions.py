@@ -1,4 +1,4 @@
-"""How quantities and provenance are written down in datasets and NetCDF files: CF attributes, flags and gaps."""
+"""Form of quantities and provenance in datasets and NetCDF files: CF attributes, flags and gaps."""
 
 import json
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ _NO_NUMBER = -1  # stands for None among whole numbers, all of whose real values
 
 
 def fill_value(quantity: Quantity) -> Any:  # noqa: ANN401 - text or number
-    """What stands for a missing value in a file."""
+    """The value of missing entries in a file."""
     return {"text": "", "whole": _NO_NUMBER, "real": np.nan}[quantity.kind]
 
 

@@ -1,4 +1,4 @@
-"""Errors of the store: each says what happened, why, and what to do about it."""
+"""Errors of the store: each has cause and remedy."""
 
 
 class StoreError(Exception):
@@ -7,9 +7,9 @@ class StoreError(Exception):
     Attributes
     ----------
     problem : str
-        What happened and why, with the place (file or URL) and the value.
+        The cause, with the place (file or URL) and the value.
     cure : str
-        What the user can do.
+        The remedy.
     """
 
     def __init__(self, problem: str, cure: str) -> None:

@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all, and never in the place of a database."""
+"""Files that appear complete or not at all, and never replace a database."""
 
 import os
 import secrets
@@ -14,7 +14,7 @@ _BESIDE_A_DATABASE = ("-wal", "-shm", "-journal", ".lock")
 """Endings of the files that SQLite, and the lease, have beside a database."""
 
 _BEGIN_A_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\N{FULLWIDTH EQUALS SIGN}", "\N{FULLWIDTH COMMERCIAL AT}")
-"""First characters of what spreadsheets evaluate."""
+"""First characters of texts that spreadsheets evaluate."""
 
 _CURE = "Give another file name for the result; nothing was written."
 
@@ -24,14 +24,13 @@ def write_atomically(path: str | os.PathLike[str], *, replaces_netcdf: bool = Fa
     """Give a temporary file that takes the place of `path` once the block has ended without error and it is on disk.
 
     It is in the folder of `path`, since a file can be renamed in one step only within a file system; its name is one
-    that no other process, on this machine or another, writes at the same time. After an error what was at `path` is
-    as it was.
+    that no other process, on this machine or another, writes at the same time. After an error `path` is unchanged.
 
     Parameters
     ----------
     path : str or path
     replaces_netcdf : bool
-        Whether a NetCDF file may be replaced: for who writes one, and has looked at what is in it.
+        Whether a NetCDF file may be replaced: for callers that have checked its content.
 
     Raises
     ------
@@ -59,7 +58,7 @@ def write_text_atomically(path: str | os.PathLike[str], text: str) -> None:
 
 
 def refuse_to_replace(path: str | os.PathLike[str], *, replaces_netcdf: bool = False) -> None:
-    """Raise what `write_atomically` does before it gives a file: for who computes long before it writes."""
+    """Raise what `write_atomically` does before it gives a file: for callers that compute long before they write."""
     target = Path(path).absolute()
     if not target.parent.is_dir():
         raise FileNotFoundError(f"The folder {target.parent} does not exist; create it, or give another file name.")

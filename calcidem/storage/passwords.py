@@ -1,4 +1,4 @@
-"""Passwords in the URLs of databases: taken out of command lines, and hidden wherever text is shown or stored."""
+"""Passwords in the URLs of databases: removed from command lines, and hidden in all shown or stored text."""
 
 import json
 import os
@@ -9,7 +9,7 @@ from urllib.parse import unquote
 from calcidem.storage.errors import StoreUnavailableError
 
 PASSWORDS_VARIABLE = "CALCIDEM_PASSWORDS"
-"""Passwords by the URL that they belong to, as JSON: what is in the environment only the same user can read."""
+"""Passwords by the URL that they belong to, as JSON: only the same user can read the environment."""
 
 _IN_URL = re.compile(r"(\w[\w+.-]*://[^\s:/@?]*):([^@]*)@")
 """Scheme and user, and the password between the colon and the first @, as SQLAlchemy reads them."""
@@ -17,7 +17,7 @@ _IN_URL = re.compile(r"(\w[\w+.-]*://[^\s:/@?]*):([^@]*)@")
 _IN_QUERY = re.compile(r"([?&])password=([^&\s]*)&?", re.IGNORECASE)
 
 _ANY_IN_URL = re.compile(r"(\w[\w+.-]*://[^\s:/@?]*):[^\s'\"]*@")
-"""As `_IN_URL`, but up to the last @: rather too much is hidden than too little."""
+"""As `_IN_URL`, but up to the last @: in doubt more is hidden."""
 
 _ANY_IN_TEXT = re.compile(r"(\bpassword\s*=\s*)('(?:[^'\\]|\\.)*'|[^&\s'\"]+)", re.IGNORECASE)
 
@@ -30,8 +30,8 @@ def hide_passwords(text: str) -> str:
 def keep_passwords_back(words: Sequence[str]) -> list[str]:
     """Give the words of a command line without the passwords of their URLs, which go to the environment.
 
-    `password_of` finds them there, in this process and in those that it starts: whoever may list processes sees command
-    lines, error messages repeat them, and a campaign stores them.
+    `password_of` finds them there, in this process and in those that it starts: all users see command lines of
+    processes, error messages repeat them, and a campaign stores them.
 
     Raises
     ------

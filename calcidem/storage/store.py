@@ -25,7 +25,7 @@ STALE_AFTER = timedelta(minutes=5)
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Which cells a query is about; None means no restriction.
+    """The cells of a query; None means no restriction.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ ALL_CELLS = Selection()
 
 @dataclass(frozen=True, slots=True)
 class StoreMark:
-    """Numbers of a whole database, one of which is another as soon as any cell has.
+    """Numbers of a whole database, one of which changes with any change of a cell.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class LeaseGrant:
         ``host, process N, last heartbeat at T`` of a dead master whose lease this one took over; to be
         reported.
     lost : str or None
-        A sentence on what the dead master stored and is no longer there; to be reported.
+        A sentence on stored cells of the dead master that are missing; to be reported.
     """
 
     token: str
@@ -129,7 +129,7 @@ class LeaseHolder:
     acquired : datetime
         When it became the master (UTC).
     heartbeat : datetime
-        When it was last heard of (UTC).
+        Time of its last heartbeat (UTC).
     """
 
     host: str
@@ -154,12 +154,12 @@ class LeaseHolder:
 
 @dataclass(frozen=True, slots=True)
 class Integrity:
-    """What of a campaign is no longer what was stored.
+    """Damage of a campaign.
 
     Attributes
     ----------
     cells : dict of CellKey to str
-        Damaged cells, and what is damaged of each.
+        Damaged cells, and the damaged parts of each.
     others : tuple of str
         Sentences on all other damage: packings, runs, attempts, the file as such.
     """

@@ -22,10 +22,10 @@ class SweepInterrupted(BaseException):
 
 
 class Deadline:
-    """What a computation calls every 0.1 to 0.5 s, between chunks of compiled work.
+    """A check that a computation calls every 0.1 to 0.5 s, between chunks of compiled work.
 
-    A signal handler or a time limit written in Python cannot interrupt compiled code, so the
-    computation has to ask.
+    A signal handler or a time limit written in Python cannot interrupt compiled code, so the computation has to call
+    it.
 
     Parameters
     ----------
@@ -65,9 +65,9 @@ class Compute(Protocol[CellT, ResultT_co]):
     def __call__(self, batch: Batch[CellT], deadline_check: Callable[[], None], /) -> Sequence[ResultT_co]:
         """Return one picklable result for each cell, in the order of `batch.cells`.
 
-        It must depend on the cells alone, not on rank, order or company in the batch: a batch may be
+        It must depend on the cells alone, not on rank, order or the other cells of the batch: a batch may be
         computed again, in parts, elsewhere. `deadline_check` is to be called every 0.1 to 0.5 s and its
-        exceptions passed on. Whatever else the computation raises becomes a failure of the batch.
+        exceptions passed on. Any other exception of the computation becomes a failure of the batch.
         """
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 class Backoff:
     """Sleeps that get longer while nothing happens.
 
-    2 ms at most: that delays a batch of seconds by nothing that matters, and polling so often costs between
+    2 ms at most: that hardly delays a batch of seconds, and such polling costs between
     1 and 2 % of a core.
     """
 
@@ -28,7 +28,7 @@ class Backoff:
 
 
 def wait_until(condition: Callable[[], bool], limit: float = float("inf")) -> bool:
-    """Poll with growing sleeps until `condition` holds or `limit` seconds have passed; tell which."""
+    """Poll with growing sleeps until `condition` holds or `limit` seconds have passed; return whether it holds."""
     backoff = Backoff()
     end = time.monotonic() + limit
     while not condition():

@@ -13,20 +13,20 @@ Cell: TypeAlias = tuple[int, float]
 
 @dataclass(frozen=True, slots=True)
 class Batch(Generic[CellT]):
-    """Cells that one worker computes in one go.
+    """Cells that one worker computes together.
 
     Attributes
     ----------
     identifier
         Number of the batch, unique within a sweep.
     cells
-        What to compute, at least one cell, each hashable and picklable.
+        At least one cell, each hashable and picklable.
     cost
         Expected effort in any unit, larger than zero; only ratios matter. Used for the time left.
     group
         What the cells have in common (the content, in a campaign): cost is measured per group.
     losses
-        How many workers these cells have taken down already, in this run and in earlier ones.
+        Number of workers that were lost over these cells, in this run and in earlier ones.
 
     Raises
     ------
@@ -50,7 +50,7 @@ class Batch(Generic[CellT]):
             raise ValueError(f"losses is {self.losses}: give the number of lost workers, zero or more")
 
     def with_another_loss(self) -> Self:
-        """Return the same batch with one more lost worker to its name."""
+        """Return the same batch with one more lost worker."""
         return replace(self, losses=self.losses + 1)
 
     def split(self, first_identifier: int) -> tuple[Self, ...]:
@@ -72,10 +72,10 @@ def plan_batches(
 ) -> tuple[Batch[Cell], ...]:
     """Group the pending cells into batches and put them in the order in which to compute them.
 
-    All cells of a batch share the content. The batches form waves, one for every `lanes` seeds, so that whole
-    seeds are complete early and a campaign that is stopped at any time is usable; within a wave the expensive
-    contents come first, so that no long batch is left over at the end. Cells that took a worker down before
-    come last and alone: there they can harm nothing that is still to be done.
+    All cells of a batch share the content. The batches form waves, one for every `lanes` seeds, so that whole seeds are
+    complete early and a campaign that is stopped at any time is usable; within a wave the expensive contents come
+    first, so that no long batch is left over at the end. Cells over which a worker was lost come last and alone, where
+    they harm no other cell.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def plan_batches(
     cost_of_content
         Expected effort of one batch of the given content, in any unit.
     losses
-        Number of workers that each cell has taken down in earlier runs; cells not named have none.
+        Number of workers lost over each cell in earlier runs; cells not named have none.
 
     Returns
     -------

@@ -12,7 +12,7 @@ LAUNCHER_VARIABLES = {
     "PMI_RANK": "a PMI launcher",
     "PMIX_RANK": "a PMIx launcher",
 }
-"""Environment variables that a launcher sets for its ranks; the first that is there counts."""
+"""Environment variables that a launcher sets for its ranks; the first that is set counts."""
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Must be 1 before numpy is imported: each rank has one core, threads would fight for it."""
@@ -26,7 +26,7 @@ a second."""
 
 
 def launcher(variables: Mapping[str, str] = os.environ) -> str | None:
-    """Return what started this process as an MPI rank, or None if nothing did."""
+    """Return the launcher of this process as an MPI rank, or None without one."""
     return next((name for variable, name in LAUNCHER_VARIABLES.items() if variable in variables), None)
 
 
@@ -36,7 +36,7 @@ def fault_tolerance_enabled(variables: Mapping[str, str] = os.environ) -> bool:
 
 
 def available_cores() -> int:
-    """Number of cores that this process may use; all of the machine's where the system does not tell."""
+    """Number of cores that this process may use; all of the machine's where the system does not report it."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -66,7 +66,7 @@ def refuse_ranks_off_linux(system: str | None = None) -> None:
 def refuse_singletons(world_size: int, variables: Mapping[str, str] = os.environ) -> None:
     """Refuse to run alone where several tasks were requested.
 
-    `srun python` starts N programs that know nothing about each other: each would compute the whole campaign.
+    `srun python` starts N independent programs: each would compute the whole campaign.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def refuse_singletons(world_size: int, variables: Mapping[str, str] = os.environ
 
 
 def mpi_library_version() -> str | None:
-    """Return the first line of what the MPI library says of itself, or None if it can't be loaded.
+    """Return the first line of the version text of the MPI library, or None if it cannot be loaded.
 
     MPI is not initialised by this call.
     """

@@ -1,11 +1,11 @@
 """The workers of a `concurrent.futures.Executor`, in other processes and on other machines.
 
-An executor tells little: not how many workers it has, who they are, or when one begins with a batch. So each outcome
+An executor does not report how many workers it has, who they are, or when one begins with a batch. So each outcome
 names its worker, and more batches are in flight than workers were seen: a worker that joins finds one waiting, answers,
 and counts from then on.
 
-The computation, with the packing, is pickled once. It goes with the first batches. A process keeps it by its hash; one
-that has joined later and gets a batch without it says so, and the batch is submitted again together with it.
+The computation, with the packing, is pickled once. It goes with the first batches. A process keeps it by its hash; a
+process that joins later and lacks it reports so, and the batch is submitted again with it.
 """
 
 import os
@@ -28,7 +28,7 @@ from calcidem.sweep.sweep_end import SweepEnd, SweepError
 from calcidem.sweep.workers import Loss
 
 _BEFORE_IN_QUEUE = 2
-"""Batches that a worker may have to finish before it begins with one: see `ExecutorWorkers.wants_batch`."""
+"""Batches that a worker may have to finish first: see `ExecutorWorkers.wants_batch`."""
 
 _MEMORY = 60.0
 """Seconds without an answer after which a worker no longer counts, or ten batches if these take longer."""
@@ -75,7 +75,7 @@ class ExecutorWorkers(Generic[CellT]):
     Attributes
     ----------
     exhausted
-        Why the executor takes no more batches, empty while it does.
+        Reason why the executor takes no more batches; else empty.
     """
 
     def __init__(self, executor: Executor, compute: Compute[CellT, Any], options: SweepOptions) -> None:
@@ -97,7 +97,7 @@ class ExecutorWorkers(Generic[CellT]):
 
     @property
     def count(self) -> int:
-        """Number of workers that have answered lately."""
+        """Number of workers that have answered recently."""
         oldest = time.monotonic() - max(_MEMORY, 10.0 * self._longest)
         return sum(answer > oldest for answer in self._last_answer.values())
 
@@ -115,14 +115,14 @@ class ExecutorWorkers(Generic[CellT]):
         return len(self._under_way) + len(self._given_up) < enough
 
     def submit(self, batch: Batch[CellT]) -> None:
-        """Have a batch computed; a suspect one waits until no other is in flight."""
+        """Submit a batch; a suspect one waits until no other is in flight."""
         if batch.losses and self._under_way:
             self._held = batch
         else:
             self._submit(batch, with_computation=not self._rank_of)
 
     def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
-        """Take in what has come.
+        """Receive outcomes.
 
         Raises
         ------
@@ -152,7 +152,7 @@ class ExecutorWorkers(Generic[CellT]):
         return outcomes, losses
 
     def stop(self, _end: SweepEnd, _grace: float) -> frozenset[int]:
-        """Take back what no worker has begun with; what is being computed is dropped once it is done."""
+        """Cancel batches that no worker has begun; running ones are dropped when they end."""
         for future in self._under_way:
             future.cancel()
         return frozenset()
@@ -189,7 +189,7 @@ class ExecutorWorkers(Generic[CellT]):
         return BatchOutcome(flight.batch, place, seconds, results, failure)
 
     def _losses(self, error: Exception, flight: _Flight[CellT]) -> list[Loss[CellT]]:
-        """What it means that a batch has no answer: a loss, or that the executor has ended.
+        """Interpret a batch without an answer: a loss, or the end of the executor.
 
         Raises
         ------
@@ -221,7 +221,7 @@ class ExecutorWorkers(Generic[CellT]):
         return [Loss(Place(0, "unknown host"), flight.batch, reason, time.monotonic() - flight.since, workers)]
 
     def _find_silent(self) -> list[Loss[CellT]]:
-        """Give up batches that no worker has answered for long, and then the executor."""
+        """Give up batches without an answer for long, and then the executor."""
         now = time.monotonic()
         if not self._rank_of:
             limit = 10.0 * self._options.silence_floor
@@ -256,7 +256,7 @@ _loading = threading.Lock()
 
 
 def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], options: SweepOptions) -> bytes:
-    """Compute a batch in a worker; return who it is and, if it has the computation, seconds, results and failure."""
+    """Compute a batch in a worker; return its identity and, if it has the computation, seconds, results and failure."""
     worker: _Identity = (platform.node(), os.getpid(), threading.get_ident())
     with _loading:
         if key not in _computations:

@@ -1,4 +1,4 @@
-"""How long a sweep will still take, from what its batches have cost so far."""
+"""Remaining time of a sweep, from the cost of its batches so far."""
 
 from collections import Counter, defaultdict
 from collections.abc import Hashable, Iterable
@@ -11,8 +11,8 @@ from calcidem.sweep.outcome import BatchOutcome
 class Forecast:
     """Counts cells and measures their cost in each group of batches.
 
-    A group that has been measured counts with its own mean seconds for each cell; one that has not, with its
-    estimated cost, scaled by what the estimates were worth elsewhere.
+    A measured group counts with its own mean seconds for each cell. Others count with their estimated cost, scaled by
+    the ratio of measured to estimated cost elsewhere.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Forecast:
         return self.total - self._remaining.total()
 
     def record(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """Count a final outcome; only results say what a cell costs."""
+        """Count a final outcome; only results measure the cost of a cell."""
         group, cells = outcome.batch.group, len(outcome.batch.cells)
         self._remaining[group] -= cells
         if outcome.failure is None:

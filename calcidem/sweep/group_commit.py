@@ -20,7 +20,7 @@ _MOST_WAITING = 512
 
 
 class Sink(Protocol):
-    """What the caller of a sweep gives to have its outcomes kept; what stores is used by one thread, not the main one.
+    """Receiver of the outcomes of a sweep, given by its caller; its storing methods run on one thread of their own.
 
     An outcome is acknowledged once `store` has returned, so it must be on disk by then. A sweep that was
     killed may have stored a batch that it computes again later: storing twice must equal storing once.
@@ -31,7 +31,7 @@ class Sink(Protocol):
         """Keep final outcomes, one or several."""
 
     def store_loss(self, batch: Batch[Any], reason: str, /) -> None:
-        """Keep that a worker was lost over a batch; `batch.losses` counts this loss already.
+        """Store that a worker was lost over a batch; `batch.losses` counts this loss already.
 
         To be given back as `losses` when the same cells are planned again after a restart.
         """
@@ -43,7 +43,7 @@ class Sink(Protocol):
 class GroupCommit(Generic[CellT]):
     """Stores final outcomes on a thread of its own, in the order given, and acknowledges them once they are stored.
 
-    While a group is stored the next one gathers. As a context manager it stores in the end what has been added, unless
+    While a group is stored the next one gathers. As a context manager it stores the remaining outcomes on exit, unless
     the sink has failed.
 
     Parameters
@@ -51,7 +51,7 @@ class GroupCommit(Generic[CellT]):
     sink
         Where to store them.
     progress
-        Display, which sees stored outcomes only.
+        Display, which receives stored outcomes only.
     """
 
     def __init__(self, sink: Sink, progress: Progress) -> None:
@@ -67,21 +67,21 @@ class GroupCommit(Generic[CellT]):
         return len(self._waiting) > _MOST_WAITING
 
     def add(self, *outcomes: BatchOutcome[CellT, Any]) -> None:
-        """Have outcomes stored, with others and before long."""
+        """Queue outcomes, which are stored soon in a group."""
         self._waiting.extend(outcomes)
 
     def add_loss(self, batch: Batch[CellT], reason: str) -> None:
-        """Have it stored that a worker was lost, after all outcomes so far."""
+        """Queue the loss of a worker, after all outcomes so far."""
         self._begin()
         self._groups.append((self._thread.submit(self._sink.store_loss, batch, reason), []))
 
     def advance(self) -> None:
-        """Acknowledge what is stored by now, and begin with the next group if it is time; does not wait.
+        """Acknowledge stored outcomes, and begin the next group if it is due; does not wait.
 
         Raises
         ------
         Exception
-            Whatever the sink has raised; the outcomes that wait are dropped.
+            Any exception of the sink; the waiting outcomes are dropped.
         """
         while self._groups and self._groups[0][0].done():
             self._acknowledge()
@@ -95,7 +95,7 @@ class GroupCommit(Generic[CellT]):
             self._acknowledge()
 
     def _begin(self) -> None:
-        """Have the thread store what waits, as soon as it has done with what it got before."""
+        """Let the thread store the waiting outcomes after the group before."""
         if self._waiting:
             self._next_begin = time.monotonic() + _INTERVAL
             group, self._waiting = self._waiting, []

@@ -1,4 +1,4 @@
-"""The other ranks as rank 0 sees them: who is idle, who computes what, who is lost."""
+"""The state of the other ranks on rank 0: idle, computing, lost."""
 
 import time
 from collections import deque
@@ -33,12 +33,12 @@ _KILL_PATIENCE = 1.0
 """Seconds within which a killed process must be gone."""
 
 _LAST_WORD = 0.5
-"""Seconds that the command has to say how a process ended that is gone: its starter knows, others only see it."""
+"""Seconds in which the command has to report how a lost process ended: only its starter knows."""
 
 
 @dataclass(slots=True)
 class _Worker(Generic[CellT]):
-    """What the master knows about a worker.
+    """State of a worker on the master.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class _Worker(Generic[CellT]):
 
 
 class MPIWorkers(Generic[CellT]):
-    """All other ranks of a communicator; they join while the sweep runs, whenever they are ready.
+    """All other ranks of a communicator; they join the running sweep when they are ready.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class MPIWorkers(Generic[CellT]):
         return outcomes, self._remove(lost)
 
     def _receive(self) -> list[BatchOutcome[CellT, Any]]:
-        """Take in what has arrived: note new workers, return the outcomes."""
+        """Receive messages: note new workers, return the outcomes."""
         while (message := self._probe()) is not None:
             self._incoming.append(message)
         outcomes: list[BatchOutcome[CellT, Any]] = []
@@ -170,7 +170,7 @@ class MPIWorkers(Generic[CellT]):
         return reasons
 
     def _remove(self, lost: dict[int, str]) -> list[Loss[CellT]]:
-        """Remove lost workers, kill those that still run, and return what they leave behind."""
+        """Remove lost workers, kill those that still run, and return their losses."""
         losses: list[Loss[CellT]] = []
         for rank, reason in lost.items():
             self._expected.discard(rank)
@@ -190,7 +190,7 @@ class MPIWorkers(Generic[CellT]):
         return losses
 
     def stop(self, end: SweepEnd, grace: float) -> frozenset[int]:
-        """Tell all workers how the sweep ended; return those that don't answer and may still run."""
+        """Send the end of the sweep to all workers; return those that do not answer and may still run."""
         sends = {rank: self._send(end, rank, Tag.STOP) for rank in self._expected}
         requests = {rank: request for rank, request in sends.items() if request is not None}
 

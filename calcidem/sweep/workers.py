@@ -1,4 +1,4 @@
-"""The seam of a sweep: whatever computes batches looks like this to the loop that hands them out.
+"""The interface of a sweep to the processes that compute batches.
 
 Three things do: ranks of MPI (`mpi_workers`), the processes of an executor (`executor_workers`), and this process.
 """
@@ -55,10 +55,10 @@ class Workers(Protocol[CellT]):
 
     @property
     def exhausted(self) -> str:
-        """Why nothing more can be computed, empty while something can."""
+        """Reason why nothing more can be computed; else empty."""
 
     def submit(self, batch: Batch[CellT], /) -> None:
-        """Have a batch computed."""
+        """Submit a batch."""
 
     def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
         """Return the outcomes that have come and the workers found lost since the last call.

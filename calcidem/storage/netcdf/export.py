@@ -1,6 +1,6 @@
 """Export of a campaign to one NetCDF-4 file.
 
-The annotations of the records say what there is. Columns are appended block by block to keep memory small. Arrays of
+The annotations of the records define the variables. Columns are appended block by block to keep memory small. Arrays of
 different lengths lie one after the other along a dimension, and a count for each of them tells how many elements are
 whose (the contiguous ragged arrays of the CF conventions, section 9.3.3). An array whose rows differ in length from
 cell to cell lies there row after row.
@@ -133,7 +133,7 @@ def belongs_to_another(path: str | os.PathLike[str], campaign_hash: str | None) 
 
 @contextmanager
 def _replace_netcdf(path: str | os.PathLike[str], campaign_hash: str | None) -> Iterator[Path]:
-    """Give a temporary file for `write_atomically`, and say in plain words what the library calls an HDF error."""
+    """Give a temporary file for `write_atomically`, and describe HDF errors in plain words."""
     if belongs_to_another(path, campaign_hash):
         raise OutputRefusedError(
             f"{path} is a NetCDF file of another campaign, or can't be read as one.",

@@ -129,7 +129,7 @@ class Store(StoreReader):
 
     @contextmanager
     def together(self) -> Iterator[None]:
-        """Make one transaction of all that the block does: the whole is stored at its end, or nothing is.
+        """Make one transaction of the block: all of it is stored at its end, or nothing.
 
         Other processes that write the same database wait, so none may be at work on a campaign of it.
 
@@ -204,7 +204,7 @@ class Store(StoreReader):
     # Campaigns and runs
 
     def begin_campaign(self, campaign: CampaignRecord) -> CampaignRecord:
-        """Create the campaign, or continue the one with the same hash and extend its plan by what is new.
+        """Create the campaign, or continue the one with the same hash and extend its plan.
 
         Returns
         -------
@@ -232,11 +232,11 @@ class Store(StoreReader):
         return record
 
     def extend(self, seeds: Iterable[int], contents: Iterable[float]) -> int:
-        """Plan all cells of seeds x contents (percent) that are not planned yet; return how many were added."""
+        """Plan all cells of seeds x contents (percent) that are not planned yet; return the number added."""
         return self.plan(starmap(CellKey, product(seeds, contents)))
 
     def plan(self, keys: Iterable[CellKey]) -> int:
-        """Plan cells that are not planned yet; return how many were added."""
+        """Plan cells that are not planned yet; return the number added."""
         with self._writing() as connection:
             return _plan_cells(connection, self._campaign, keys)
 
@@ -267,7 +267,7 @@ class Store(StoreReader):
         self._run_id = None
 
     def note_workers(self, workers: Iterable[WorkerRecord]) -> None:
-        """Store what the processes of the run of `begin_run` are, instead of what was known; errors as `end_run`."""
+        """Replace the description of the processes of the run of `begin_run`; errors as `end_run`."""
         self._change_run(workers=list(map(asdict, workers)))
 
     def _change_run(self, **values: object) -> None:
@@ -286,7 +286,7 @@ class Store(StoreReader):
         Raises
         ------
         LeaseHeldError
-            If another living process is it; the message says which, and when it would count as dead.
+            If another living process is; the message names it, and when it would count as dead.
         """
         if self._token is not None:
             self.renew_lease()
@@ -307,7 +307,7 @@ class Store(StoreReader):
         return replace(grant, lost=lost)
 
     def renew_lease(self) -> None:
-        """Say that this master is alive; recording does it too. Call it at least every minute.
+        """Report that this master is alive; recording does so, too. Call it at least every minute.
 
         Raises
         ------
@@ -369,7 +369,7 @@ class Store(StoreReader):
         Returns
         -------
         int
-            How many were stored; the others were kept out by rule 5.
+            Number of stored outcomes; rule 5 refused the others.
 
         Raises
         ------
@@ -520,7 +520,7 @@ class Store(StoreReader):
 
 
 def _plan_cells(connection: Connection, campaign_id: int, keys: Iterable[CellKey]) -> int:
-    """Plan the cells that are not planned yet, by seed, then content; return how many."""
+    """Plan the cells that are not planned yet, by seed, then content; return their number."""
     statement = select(CELL.c.seed, CELL.c.content).where(CELL.c.campaign_id == campaign_id)
     planned = {(seed, content) for seed, content in connection.execute(statement)}
     new = [key for key in sorted(set(keys)) if (key.seed, key.content) not in planned]
@@ -549,7 +549,7 @@ class _Known(NamedTuple):
 
 
 def _known_cells(connection: Connection, campaign_id: int, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
-    """What is known of planned cells.
+    """State of planned cells.
 
     Raises
     ------

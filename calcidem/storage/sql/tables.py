@@ -122,7 +122,7 @@ def _columns_of(record: type, *left_out: str) -> list[Column[Any]]:
 
 
 def _condition_of(quantity: Quantity) -> str:
-    """What its bound demands of a column that is not NULL, in SQL; empty for nothing."""
+    """Condition of its bound on a column that is not NULL, in SQL; empty without a bound."""
     least = {Bound.POSITIVE: "> 0", Bound.NOT_NEGATIVE: ">= 0", Bound.NONE: f"> -{_LARGEST}"}[quantity.bound]
     if quantity.kind == "text" or (quantity.kind == "whole" and quantity.bound is Bound.NONE):
         return ""
@@ -161,7 +161,7 @@ LEASE = Table(
     Column("token", Text, nullable=False),
     *_columns_of(LeaseHolder),
 )
-"""The one process that may write a campaign."""
+"""The process that may write a campaign."""
 
 RUN = Table(
     "run",
@@ -337,7 +337,7 @@ def prepare_schema(connection: Connection, address: Address, *, read_only: bool)
 
 
 def _create_view(connection: Connection) -> None:
-    """Make the view of whole cells, one row each, for people who ask the database itself.
+    """Make the view of whole cells, one row each, for direct queries of the database.
 
     Its columns are the campaign's name and all stored quantities.
     """
