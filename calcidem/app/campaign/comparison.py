@@ -1,4 +1,4 @@
-"""Stored campaigns beside one another."""
+"""Comparison of stored campaigns."""
 
 import os
 from collections import Counter
@@ -31,7 +31,7 @@ class CampaignComparison:
         Numbers and intervals along (campaign, content, bound), in m/s:
         `calcidem.analysis.comparison.compare_velocities`.
     differing
-        For each further campaign what its configuration changes in that of the first, one line for each key.
+        For each further campaign the differences of its configuration from the first, one line for each key.
     """
 
     table: xr.Dataset
@@ -108,7 +108,7 @@ def compare(campaigns: Sequence[Campaign | str | os.PathLike[str]], level: float
 
 
 def _label_apart(campaigns: Sequence[Campaign]) -> list[str]:
-    """Name campaigns: by their names, where these are the same with their files, and with numbers where that is."""
+    """Label campaigns by name; equal names get their files, equal files get numbers."""
     labels = [campaign.record.name for campaign in campaigns]
     counts = Counter(labels)
     for place, campaign in enumerate(campaigns):

@@ -15,7 +15,7 @@ _TIME_TO_CLOSE = 3.0
 
 @contextmanager
 def dask_executor(address: str) -> Iterator[Executor]:
-    """Connect to a scheduler, and take back in the end what its workers have not begun with.
+    """Connect to a scheduler, and cancel in the end the batches that its workers have not begun.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Why cells have no velocity: the section of each, the number that refused it, and what may help.
+"""Why cells have no velocity: the section of each, the number that refused it, and remedies.
 
 Nothing is written to the database. A section that is not stored is computed again: the same seed and content give the
 same bits.
@@ -34,18 +34,18 @@ _SPECTRUM_POINTS = 240  # of the spectrum
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """Why a cell has no velocity, and what may give it one.
+    """Why a cell has no velocity, and remedies.
 
     Attributes
     ----------
     key, status, reason
-        Which cell, its outcome, and why.
+        The cell, its outcome, and the reason.
     packing
-        What the packing is like, if all cells of this content failed; otherwise empty.
+        Description of the packing, if all cells of this content failed; else empty.
     finding
-        The number that refused it, and what else was measured, in sentences.
+        The number that refused it, and other measurements, in sentences.
     remedies
-        What may help, the most promising first.
+        Remedies, the most promising first.
     case
         Section, reading and expected velocity.
     """
@@ -103,7 +103,7 @@ def diagnose(
     selection: Selection = ALL_CELLS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Diagnosis, ...]:
-    """Say of cells without a velocity why they have none, and what may help.
+    """Explain why cells have no velocity, and propose remedies.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def diagnose(
     selection
         Only cells of these seeds and contents.
     progress
-        Told what is being computed.
+        Called with the cell that is being computed.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def diagnose(
     CampaignMismatchError
         If a cell has to be computed again, and was computed with another version of the physics.
     StoreError
-        If the campaign lacks what its cells are computed from.
+        If the campaign lacks data from which its cells are computed.
     """
     examiner = _Examiner(store, progress)
     cells = store.results(Selection(selection.seeds, selection.contents, UNREAD), with_arrays=True)
@@ -129,7 +129,7 @@ def diagnose(
 
 
 class _Examiner:
-    """A campaign with what its diagnoses share."""
+    """A campaign with the data that its diagnoses share."""
 
     def __init__(self, store: Store, progress: Callable[[str], None]) -> None:
         self.store = store
@@ -172,7 +172,7 @@ class _Examiner:
         return measure_all(experiment, cell.key.content, [cell.key.seed])[0]
 
     def _expected(self, key: CellKey, experiment: Experiment) -> tuple[tuple[float, float] | None, str]:
-        """Slowest and fastest S wave that is expected of a cell, m/s, and how that is known."""
+        """Slowest and fastest S wave that is expected of a cell, m/s, and the source of this range."""
         known = self.readable(key.content)
         if known:
             return (min(known), max(known)), f"the {pluralize(len(known), 'readable seed')} of this content"

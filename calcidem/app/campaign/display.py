@@ -61,7 +61,7 @@ class _CallbackDisplay(SilentDisplay):
     Parameters
     ----------
     callback
-        Takes each picture; what it raises ends the run.
+        Receives each snapshot; its exceptions end the run.
     """
 
     def __init__(self, callback: Callable[[RunProgress], object]) -> None:
@@ -73,7 +73,7 @@ class _CallbackDisplay(SilentDisplay):
 
 
 class LineDisplay(SilentDisplay):
-    """Writes a line now and then, for logs of batch systems and for pipes.
+    """Writes a line at growing intervals, for logs of batch systems and for pipes.
 
     Parameters
     ----------
@@ -107,19 +107,19 @@ class LineDisplay(SilentDisplay):
 
 
 class ChannelDisplay(SilentDisplay):
-    """Has the command that started the ranks draw the picture: its terminal is the real one.
+    """Lets the command that started the ranks draw the display: its terminal is the real one.
 
     Parameters
     ----------
     console
-        Where sentences are written that stay.
+        Console for permanent lines.
     """
 
     def __init__(self, console: Console) -> None:
         self._console = console
 
     def show(self, progress: RunProgress) -> None:
-        """Send it; nothing waits for the command, and what it has no time for is lost."""
+        """Send it; nothing waits for the command, which may skip snapshots."""
         tell_progress(progress.to_json())
 
     def note(self, text: str) -> None:
@@ -128,7 +128,7 @@ class ChannelDisplay(SilentDisplay):
 
 
 class LiveDisplay:
-    """Draws how far a run is at the foot of a terminal; all other text goes above it.
+    """Draws the progress at the foot of a terminal; all other text goes above it.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ class LiveDisplay:
         return Group(head, *lines, *self._contents(progress))
 
     def _contents(self, progress: RunProgress) -> Iterator[Text]:
-        """Cells of each content, those that are complete faint, as far as a few lines hold them."""
+        """Cells of each content in a few lines, complete contents faint."""
         words = [
             Text(f"{content:g} %: {finished}/{total}", style="dim" if finished == total else "")
             for content, finished, total in progress.contents
@@ -211,7 +211,7 @@ class LiveDisplay:
 
 
 def choose_display(progress: Callable[[RunProgress], object] | bool | None) -> ProgressDisplay:
-    """The display for what a caller in Python asks for: a function, something to see or not, or whatever suits."""
+    """The display that a caller in Python chooses: a function, True, False, or the default."""
     if callable(progress):
         return _CallbackDisplay(progress)
     console = Console(highlight=False)
@@ -244,7 +244,7 @@ def _described(progress: RunProgress) -> list[str]:
 
 
 def _describe_packing(progress: RunProgress) -> Iterator[str]:
-    """How far a packing is."""
+    """Progress of a packing."""
     if progress.expansion_step <= progress.expansion_steps:
         yield f"radius step {progress.expansion_step} of {progress.expansion_steps}"
     else:
@@ -257,6 +257,6 @@ def _describe_packing(progress: RunProgress) -> Iterator[str]:
 
 
 def _time_left(progress: RunProgress, passed: float = 0.0) -> str:
-    """Time left some seconds after this was so."""
+    """Time left some seconds after this snapshot."""
     left = progress.seconds_left
     return "?" if left is None else duration(max(left - passed, 0.0))

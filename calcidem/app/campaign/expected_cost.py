@@ -30,7 +30,7 @@ _PACKINGS_OVER_LATTICE = 0.5  # velocity of packings over that of the hexagonal 
 
 @dataclass(frozen=True, slots=True)
 class ExpectedCost:
-    """What cells need, each number good to a factor of two.
+    """Cost of cells, each number good to a factor of two.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ def expected_speeds(configuration: Configuration, packing: Packing | None) -> di
     """Shear-wave velocity that is expected at each content of a plan, m/s.
 
     It is the static speed of one sample, or where there is no packing yet, or a large one, half of that of the
-    hexagonal lattice, which rises by as much with each percent of calcite: good to a factor of two with cement.
+    hexagonal lattice, increased by the same amount for each percent of calcite: good to a factor of two with cement.
     """
     contents = configuration.campaign.contents
     lattice = np.pi * float(np.mean(configuration.packing.diameter)) * cutoff_estimate(configuration, cemented=False)
@@ -74,7 +74,7 @@ def expected_speeds(configuration: Configuration, packing: Packing | None) -> di
 def expected_cost(
     configuration: Configuration, speeds: Mapping[float, float], batches: Sequence[Batch[Cell]]
 ) -> ExpectedCost:
-    """What batches need of a configuration whose waves have these speeds, m/s, at each content."""
+    """Cost of the batches of a configuration whose waves have these speeds, m/s, at each content."""
     wave, lanes, table = configuration.wave, configuration.run.lanes, configuration.excitation.table
     disks, path = disks_in_box(configuration), configuration.packing.width
     seconds, cells = 0.0, 0
@@ -97,7 +97,7 @@ def expected_cost(
 
 
 def _seconds_of_arithmetic() -> float:
-    """CPU time of some arithmetic of NumPy on this machine, s: the least of several, since others may be at work."""
+    """CPU time of some arithmetic of NumPy on this machine, s: the least of several, since other programs may run."""
     values, least = np.linspace(1.0, 2.0, 4096), np.inf
     for _ in range(5):
         began = thread_time()

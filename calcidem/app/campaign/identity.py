@@ -1,4 +1,4 @@
-"""Whether a stored campaign is the one it is taken for: refused where its cells could not be those of this program."""
+"""Checks that a stored campaign is the expected one, and that its cells are those of this program."""
 
 from datetime import UTC, datetime
 

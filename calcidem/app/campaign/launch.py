@@ -1,4 +1,4 @@
-"""Starting calcidem again as the ranks of an MPI launcher, and bringing signals and exit code through it."""
+"""Starts calcidem again as the ranks of an MPI launcher, and relays signals and exit code."""
 
 import os
 import shutil
@@ -29,13 +29,13 @@ from calcidem.sweep.signals import SignalHandlers, find_signals
 from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 
 _MPIRUN_VARIABLE = "MPIRUN"
-"""Names the launcher, if it is not to be the one next to Python or in the search path."""
+"""Names the launcher, in place of the one next to Python or in the search path."""
 
 FIRST_WITH_ULFM = 5
 """Version of Open MPI that continues when a rank is lost."""
 
 _NO_LISTENER = 213
-"""Exit code of an Open MPI whose own listener did not start, as happens once in some hundred times, before any rank."""
+"""Exit code of an Open MPI whose own listener did not start, about once in some hundred starts, before any rank."""
 
 _RESTART_PAUSE = 1.0
 """Seconds before a new start, in which the last processes of the former one are gone."""
@@ -47,7 +47,7 @@ _TIME_TO_END = 5.0
 """Seconds that the launcher has for ending its ranks before it is killed."""
 
 _TIME_FOR_LAST_WORDS = 10.0
-"""Seconds in which it arrives how the ranks have ended, unless their host is lost."""
+"""Seconds in which the ends of the ranks are reported, unless their host is lost."""
 
 _PATIENCE_OF_USERS = 1.0
 """Seconds that the ranks have for their end after a second SIGTERM or Ctrl-C."""
@@ -56,7 +56,7 @@ _FORWARDED_VARIABLES = (
     *(*THREAD_VARIABLES, "NUMBA_CACHE_DIR", "CALCIDEM_CACHE", "PYTHONPATH", "TMPDIR"),
     PASSWORDS_VARIABLE,
 )
-"""What ranks on other hosts must know, too: ssh takes no variables along. Command lines show names, never values."""
+"""Variables for ranks on other hosts: ssh does not forward them. Command lines show names, never values."""
 
 _LIBPQ = "PG"
 """Beginning of the names of the variables that PostgreSQL's own library reads: PGPASSWORD, PGPASSFILE, PGSERVICE."""
@@ -79,7 +79,7 @@ def default_ranks() -> int:
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """What `calcidem run --ranks` starts.
+    """A launch by `calcidem run --ranks`.
 
     Attributes
     ----------
@@ -208,9 +208,9 @@ class _LaunchEnd:
     worth_a_restart
         Whether another start may do better.
     failure_at_start
-        Why the ranks did not even begin, empty if they did.
+        Reason why the ranks did not begin; empty if they did.
     hosts
-        Those that are left, with their numbers of ranks, if others are lost; else empty.
+        Remaining hosts with their numbers of ranks, if others are lost; else empty.
     """
 
     code: int

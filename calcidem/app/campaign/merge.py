@@ -72,7 +72,7 @@ class Merged:
     shared
         Done cells that several sources have with the same values.
     overruled
-        Cells that are done in one source and went wrong in another.
+        Cells that are done in one source and failed in another.
     conflicts
         Done cells on which sources disagree. If there are any and no source was preferred, nothing was written.
     """
@@ -157,7 +157,7 @@ def missing_lines(merged: Merged) -> list[str]:
 def _merge_campaigns(sources: Sequence[Store], target: Store, prefer: int | None) -> Merged:
     """Write the union of some campaigns of one configuration into an empty store, see `merge_databases`.
 
-    A done outcome wins over any other one, that of the preferred source over other done ones, and otherwise that of
+    A done outcome replaces any other one, that of the preferred source over other done ones, and otherwise that of
     the source that comes first. Attempts of a cell are put in the order of time and numbered again; runs and attempts
     that several sources have because one is a copy of the other occur once.
     """
@@ -279,7 +279,7 @@ def _copy_outcomes(
 ) -> None:
     """Copy the outcomes that were chosen from a source, with their arrays.
 
-    What a run has written into the source since the choice is left out.
+    Later writes of a run into the source are left out.
     """
     chosen: Iterator[CellResult] = (
         replace(result, attempt=numbers[position, result.key, result.attempt])

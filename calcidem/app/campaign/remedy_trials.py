@@ -119,7 +119,7 @@ def try_remedies(
     count
         How many of these cells, spread over the contents. Of several values of a key the most extreme is tried.
     progress
-        Told what is being computed.
+        Called with the cell that is being computed.
 
     Yields
     ------

@@ -142,22 +142,22 @@ def sweep_options(configuration: Configuration) -> SweepOptions:
 
 
 class CampaignRun:
-    """What rank 0 holds while a campaign is computed: its database, its packing and what is left to do.
+    """State of rank 0 while a campaign is computed: database, packing and remaining batches.
 
-    As a context manager it closes the database and notes how the run ended. A database that is there is looked at
-    before the packing is made, so that one of another campaign is refused at once; a new one is made after the packing,
-    so that a configuration that the packing cannot fulfil leaves none behind.
+    As a context manager it closes the database and notes how the run ended. An existing database is checked before the
+    packing is made, so that one of another campaign is refused at once; a new one is made after the packing, so that a
+    configuration that the packing cannot fulfil leaves none behind.
 
     Parameters
     ----------
     configuration
         What to compute.
     workers
-        What each rank is.
+        Description of each rank.
     tell
         Takes sentences for the user.
     check
-        Called every fraction of a second while the packing is made; may raise to end that.
+        Called every fraction of a second while the packing is made; may raise to end it.
     watch
         Told as often how far that is.
 
@@ -254,7 +254,7 @@ class CampaignRun:
         )
 
     def more(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> tuple[Batch[Cell], ...]:
-        """Batches that are needed because of what has come; none unless the number of seeds is open."""
+        """Further batches that the outcomes require; none unless the number of seeds is open."""
         if self.demand is None:
             return ()
         cells = self.demand.take_in(outcomes)
@@ -274,7 +274,7 @@ class CampaignRun:
 
 
 def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> LeaseGrant:
-    """Become the only master, as soon as one on another machine has been silent for so long that it must have died.
+    """Become the only master, after one on another machine has been silent until its lease ended.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The terminal of the command that starts the ranks: how far the run is, and above that whatever the ranks write."""
+"""The terminal of the command that starts the ranks: the progress, and above it the output of the ranks."""
 
 import os
 import subprocess
@@ -16,7 +16,7 @@ _MOST_BYTES = 1 << 16
 
 
 class CommandScreen:
-    """A context manager that has what is written to the standard output and error of the ranks' launcher.
+    """A context manager that receives the standard output and error of the ranks' launcher.
 
     On a terminal it reads both from pipes and writes them line by line above the picture, so that neither tears the
     other. Elsewhere the launcher writes by itself, and rank 0 writes lines instead of the picture.
@@ -45,7 +45,7 @@ class CommandScreen:
 
     @property
     def outputs(self) -> tuple[int | None, int | None]:
-        """What `subprocess.Popen` is to do with the launcher's standard output and error."""
+        """Arguments of `subprocess.Popen` for the launcher's standard output and error."""
         if self._display is None:
             return None, None
         return subprocess.PIPE, subprocess.PIPE if sys.stderr.isatty() else None
@@ -81,7 +81,7 @@ class CommandScreen:
         self._pipes = {}
 
     def say(self, text: str) -> None:
-        """Tell the user a sentence of the command's own."""
+        """Write a sentence of the command itself."""
         if self._display is not None and sys.stderr.isatty():
             self._display.note(text)
         else:

@@ -1,4 +1,4 @@
-"""How far a campaign is: states of its cells, running statistics, time left, what was retried or given up."""
+"""Progress of a campaign: states of its cells, statistics, time left, repeated and failed cells."""
 
 import os
 from collections import Counter
@@ -16,13 +16,13 @@ from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 
 STATUS_QUANTITIES = ("seed", "content", "status", "seconds", *BUDGET_QUANTITIES)
-"""What the status needs of each cell."""
+"""Quantities of each cell that the status needs."""
 
 _TROUBLES = (
     *(CellStatus.DAMAGED, CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT),
     *(CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL),
 )
-"""Outcomes other than done, the most alarming first."""
+"""Outcomes other than done, the most severe first."""
 
 UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 """Outcomes without a velocity that the same computation gives again."""
@@ -31,12 +31,12 @@ FEWEST_TO_PLAN = 3
 """Number of velocities below which a standard deviation has no meaning."""
 
 _URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
-"""Place of each status, the most alarming first."""
+"""Place of each status, the most severe first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContentStatus:
-    """How far the cells of one content are.
+    """Progress of the cells of one content.
 
     Attributes
     ----------
@@ -74,16 +74,16 @@ class ContentStatus:
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """A cell that went wrong, or that needed several attempts.
+    """A cell that failed, or that needed several attempts.
 
     Attributes
     ----------
     key, status
-        Which cell, and what it is now.
+        The cell and its present status.
     attempts, losses
-        How often it was tried, and how many of these attempts took a worker down since the last retry.
+        Number of attempts, and number of workers lost over it since the last retry.
     reason
-        First line of why it is what it is; empty for a done or pending cell.
+        First line of the reason; empty for a done or pending cell.
     retry
         Why its sample was computed again with half the step; empty if it was not.
     """
@@ -113,7 +113,7 @@ class CampaignStatus:
     budget
         Errors of all velocities.
     troubles
-        Cells that went wrong, were tried more than once, or needed half the step.
+        Cells that failed, were repeated, or needed half the step.
     last_run, run_number
         The latest run, if there was any.
     running
@@ -159,7 +159,7 @@ def read_status(database: str | os.PathLike[str], campaign_name: str | None = No
 
 
 def campaign_status(store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> CampaignStatus:
-    """Gather how far a campaign is, in a few short queries.
+    """Gather the progress of a campaign, in a few short queries.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def campaign_status(store: Store, columns: Mapping[str, NDArray[Any]], troubles:
     columns
         `STATUS_QUANTITIES` of its planned cells, as `Store.table` gives them.
     troubles
-        What went wrong in its cells.
+        Its failed and repeated cells.
     """
     contents = np.array(sorted(set(columns["content"].tolist())))
     rows = [columns["content"] == content for content in contents]
@@ -214,7 +214,7 @@ def _content_hashes(store: Store) -> dict[int, str | None]:
 def _content_status(
     content: float, columns: Mapping[str, NDArray[Any]], measured: float, expected: float
 ) -> ContentStatus:
-    """How far one content is, from the columns of its cells and the measured and expected seconds of a cell."""
+    """Progress of one content, from the columns of its cells and the measured and expected seconds of a cell."""
     found = dict(zip(columns["seed"].astype(int).tolist(), map(CellStatus, columns["status"].tolist()), strict=True))
     counts = Counter(found.values())
     vs = columns["vs"].astype(float)
@@ -290,5 +290,5 @@ def _is_being_written(store: Store) -> bool:
 
 
 def worst_status(statuses: Sequence[CellStatus]) -> CellStatus:
-    """The most alarming of some statuses; pending if there is nothing worse and not all are done."""
+    """The most severe of some statuses; pending if there is nothing worse and not all are done."""
     return min(statuses, key=_URGENCY.__getitem__)

@@ -1,4 +1,4 @@
-"""Where the outcomes of a sweep go: the store, with the attempts counted and the lease kept alive."""
+"""Writes the outcomes of a sweep into the store, counts the attempts and keeps the lease alive."""
 
 import time
 from collections import deque
@@ -17,7 +17,7 @@ from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.outcome import BatchOutcome
 
 _RENEWAL_INTERVAL = 30.0
-"""Seconds between two renewals of the lease; half of what the store asks for."""
+"""Seconds between two renewals of the lease; half of the interval that the store requires."""
 
 _LOCK_PAUSE = 1.0
 """Seconds until the next attempt to get a lock; SQLite itself has waited for half a minute by then."""
@@ -41,7 +41,7 @@ class StoreSink:
     tell
         Takes sentences for the user.
     workers
-        What is known of the workers: of those of an executor nothing before their first results.
+        Descriptions of the workers; those of an executor are unknown before their first results.
     """
 
     def __init__(
@@ -60,15 +60,15 @@ class StoreSink:
 
     @property
     def losses(self) -> dict[Cell, int]:
-        """Workers that each cell has taken down so far."""
+        """Number of workers lost over each cell so far."""
         return {(key.seed, key.content): count.losses for key, count in self._counts.items()}
 
     def plan(self, keys: Iterable[CellKey]) -> None:
-        """Have cells planned with the next outcomes that are stored; does not wait."""
+        """Plan cells together with the next stored outcomes; does not wait."""
         self._unplanned.extend(keys)
 
     def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
-        """Write the outcomes in one transaction, after what is new of the workers that they come from."""
+        """Write new kinds of workers, and then the outcomes in one transaction."""
         self._note_workers(outcomes)
         new = [self._unplanned.popleft() for _ in range(len(self._unplanned))]
         if new:
@@ -110,7 +110,7 @@ class StoreSink:
         self._counts |= self._with_patience(lambda: self._store.record_lost(keys, reason))
 
     def _with_patience(self, write: Callable[[], T]) -> T:
-        """Write, and wait for another process that has locked the database: nothing that is computed is dropped.
+        """Write, and wait for another process that has locked the database: no computed cell is dropped.
 
         Raises
         ------

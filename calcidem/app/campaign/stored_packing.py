@@ -1,4 +1,4 @@
-"""A packing as the store and the cache keep it: as bytes, and as a record; who reads one makes none."""
+"""A packing as the store and the cache keep it: as bytes, and as a record; reading never makes a packing."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""What a worker does: cells of one content in, records of their outcomes and of their contact graphs out."""
+"""The computation of a worker: cells of one content in, records of their outcomes and contact graphs out."""
 
 import contextlib
 import os
@@ -113,7 +113,7 @@ class CellComputation:
 
 
 def _version() -> str:
-    """What decides the bits of a cell."""
+    """Versions that decide the bits of a cell."""
     return f"calcidem {__version__} with physics version {PHYSICS_VERSION}"
 
 
@@ -284,7 +284,7 @@ class EnoughSeenError(Exception):
 
 
 def kernel_compilations(configuration: Configuration, packing: Packing) -> list[Callable[[], None]]:
-    """What compiles the kernels that the campaign needs, in any order: samples that are started and ended at once."""
+    """Functions that compile the kernels of the campaign, in any order: samples that are started and ended at once."""
     experiment = configuration.experiment(packing)
     seed, lanes = configuration.campaign.seed_numbers[0], configuration.run.lanes
     contents = configuration.campaign.contents

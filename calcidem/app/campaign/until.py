@@ -16,8 +16,9 @@ from calcidem.sweep.outcome import BatchOutcome
 class SeedDemand:
     """Seeds that each content needs so far.
 
-    A content with n seeds gets more, or is done, only once all seeds 1 to n have an outcome, and what it gets depends
-    on their velocities alone. So it ends with the same seeds on any number of ranks, and after any interruption.
+    A content with n seeds gets more, or is done, only once all seeds 1 to n have an outcome, and the number of its
+    seeds depends on their velocities alone. So it ends with the same seeds on any number of ranks, and after any
+    interruption.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ class SeedDemand:
         return found
 
     def lines(self) -> Iterator[str]:
-        """What it came to, once all cells are known, in sentences."""
+        """Summary once all cells are known, in sentences."""
         counts = sorted(self._counts.values())
         cells, equal = sum(counts), counts[-1] * len(counts)
         saving = f", {1 - cells / equal:.0%} less than {equal} with as many at each" if equal > cells else ""

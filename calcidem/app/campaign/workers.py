@@ -1,4 +1,4 @@
-"""What the processes of a run are, as far as bits could depend on it, and whether they do."""
+"""Properties of the processes of a run on which bits could depend, and whether they do."""
 
 import ctypes
 import platform
@@ -25,7 +25,7 @@ _CORE_FUNCTIONS = ("scipy_openblas_get_corename64_", "openblas_get_corename64_",
 
 @cache  # a process stays what it is
 def describe_worker(rank: int) -> WorkerRecord:
-    """What this process is."""
+    """Description of this process."""
     processor, features = target_processor()
     machine = platform.machine().lower()
     return WorkerRecord(
@@ -70,7 +70,7 @@ def _blas_core() -> str | None:
 
 
 def group_workers(workers: Iterable[WorkerRecord]) -> tuple[WorkerRecord, ...]:
-    """One record for all that are alike, with their ranks and hosts."""
+    """One record for all equal workers, with their ranks and hosts."""
     groups: list[WorkerRecord] = []
     for worker in workers:
         alike = next((i for i, group in enumerate(groups) if _is_alike(group, worker)), None)
@@ -84,12 +84,12 @@ def group_workers(workers: Iterable[WorkerRecord]) -> tuple[WorkerRecord, ...]:
 
 
 def _is_alike(one: WorkerRecord, other: WorkerRecord) -> bool:
-    """Whether two records differ in nothing but where the workers are."""
+    """Whether two records differ only in the places of the workers."""
     return replace(one, ranks=(), hosts=()) == replace(other, ranks=(), hosts=())
 
 
 def _differing_versions(workers: Sequence[WorkerRecord]) -> tuple[str, ...]:
-    """Names of what these workers have in several versions."""
+    """Names of libraries that these workers have in several versions."""
     names = dict.fromkeys(name for worker in workers for name in worker.versions)
     return tuple(name for name in names if len({worker.versions.get(name) for worker in workers}) > 1)
 
@@ -97,7 +97,7 @@ def _differing_versions(workers: Sequence[WorkerRecord]) -> tuple[str, ...]:
 def _describe_doubt(workers: Sequence[WorkerRecord]) -> str:
     """Why a cell could have other bits on one of these workers than on another; empty if it can't.
 
-    What decides a bit is arithmetic of IEEE 754, in an order and with contractions that the sources fix, and functions
+    Bits are decided by arithmetic of IEEE 754, in an order and with contractions that the sources fix, and functions
     that calcidem brings itself. So it depends neither on the features of the processor, nor on BLAS, numpy's vector
     functions, the C library, or versions of libraries: `tests/dem/bits` compares them on x86-64. Nothing in it is of
     x86-64 alone, so aarch64 has the same bits by construction, but a campaign on both at once has not been compared.
