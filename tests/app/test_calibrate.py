@@ -292,7 +292,7 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
         ("content,vs\n0,5,300\n", "point in numbers"),
         ("content,vs,sd\n1,,3\n", "row 2, vs = ''"),
         ("content,vs,samples\n1,3,1.5\n", "samples = '1.5': give a whole number of 2 or more"),
-        ("content,vs\n1,3\n1,4\n", "content = 1: stands twice"),
+        ("content,vs\n1,3\n1,4\n", "content = 1: occurs twice"),
         ("content,vs\n1,inf\n", "vs = 'inf'"),
     ],
 )

@@ -142,7 +142,7 @@ def test_what_is_wanted_is_no_part_of_the_identity_and_has_no_parts(tmp_path: Pa
     found = load_configuration(path)
     assert found.campaign.until == WantedIntervals(0.02, 0.1)
     assert found.hash == replace(found, campaign=CampaignPlan()).hash == Configuration().hash
-    with pytest.raises(ConfigurationError, match="until adds seeds as it goes"):
+    with pytest.raises(ConfigurationError, match="until adds seeds during the run"):
         load_configuration(path, {"part": "1/2"})
     for table, words in (
         ("{}", "give mean or sd"),

@@ -107,7 +107,7 @@ def _draw_traces(axes: Axes, picture: SectionPicture) -> None:
         receiver = station == len(place) - 1
         with_p, clean = (motion[:, station] * scale[station] for motion in (picture.across, picture.clean))
         axes.plot(time, offset + np.clip(with_p, -offset, place[-1]), color=SKY, linewidth=0.8, label="with the P wave")
-        label = "P wave taken off" if station == 0 else None
+        label = "P wave removed" if station == 0 else None
         axes.plot(time, offset + clean, color=BLACK if receiver else BLUE, linewidth=1.2, label=label)
         axes.annotate(f"{largest[station]:.2g}", (time[-1], offset), (3, 0), textcoords="offset points", fontsize=7.0)
         if np.isfinite(picture.p_waves[station]):

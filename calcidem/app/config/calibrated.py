@@ -32,8 +32,8 @@ def calibration_note(configuration: Configuration) -> str:
             former = ", ".join(f"{name} = {written(_value(fitted, name))}" for name in changed)
             present = ", ".join(written(_value(configuration, name)) for name in changed)
             return (
-                f"Note: {values}: calibrated with {former} (preset {preset}), but here that is {present}. Leave what "
-                "was calibrated out, or fit it to measurements of this material with 'calcidem calibrate'."
+                f"Note: {values}: calibrated with {former} (preset {preset}), but here that is {present}. Leave the "
+                "calibrated values out, or fit them to measurements of this material with 'calcidem calibrate'."
             )
     return ""
 

@@ -76,8 +76,8 @@ def _check_part(configuration: Configuration) -> Iterator[Problem]:
     """Parts are dealt out before it is known how many seeds a content needs."""
     if configuration.run.part is not None and configuration.campaign.until is not None:
         yield Problem(
-            f"run.part = {quote(configuration.run.part)}: campaign.until adds seeds as it goes, which no part can "
-            "know; leave one of the two out",
+            f"run.part = {quote(configuration.run.part)}: campaign.until adds seeds during the run, which parts do not "
+            "share; leave one of the two out",
             ("run.part", "campaign.until"),
         )
 
@@ -206,7 +206,7 @@ def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
         limit = cutoff_estimate(configuration, cemented=content > 0.0)
         if table.covers(content) and table.at(content) > limit:
             yield Problem(
-                f"wave.frequency = {table.at(content):g}: at {content:g} % grains pass no wave on above about "
+                f"wave.frequency = {table.at(content):g}: at {content:g} % waves do not propagate above about "
                 f"{limit:.3g} Hz (lattice cut-off); give at most half of that",
                 ("wave.frequency", "campaign.contents", "sand.shear_modulus", "cement.bond_modulus"),
             )
@@ -215,7 +215,7 @@ def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
         if table.covers(content) and table.at(content) > resolved:
             yield Problem(
                 f"wave.frequency = {table.at(content):g}: at {content:g} % the pulse has fewer than {FEWEST_SAMPLES} "
-                f"time steps, far above what the sample lets through; give at most {resolved:.2g} Hz",
+                f"time steps, far above its cut-off; give at most {resolved:.2g} Hz",
                 ("wave.frequency", "campaign.contents", "wave.step_fraction", "sand.shear_modulus"),
             )
             return

@@ -54,7 +54,7 @@ def read_targets(file: Path) -> tuple[Target, ...]:
             targets.append(Target(values["content"], values["vs"], values.get("sd"), samples))
     contents = [target.content for target in targets]
     twice = sorted({content for content in contents if contents.count(content) > 1})
-    problems += [Problem(f"content = {content:g}: stands twice; leave one out") for content in twice]
+    problems += [Problem(f"content = {content:g}: occurs twice; leave one out") for content in twice]
     if problems:
         raise ConfigurationError(str(file), problems)
     return tuple(targets)
@@ -65,7 +65,7 @@ def _header_problems(header: Sequence[str], rows: Sequence[Sequence[str]]) -> It
     for name in (name for name in _REQUIRED if name not in header):
         yield Problem(f"column {name}: is missing; give a header line such as 'content,vs' or 'content,vs,sd,samples'")
     for name in (name for name in header if name not in _COLUMNS or header.count(name) > 1):
-        yield Problem(f'column "{name}": is unknown or stands twice; there are {", ".join(_COLUMNS)}')
+        yield Problem(f'column "{name}": is unknown or occurs twice; there are {", ".join(_COLUMNS)}')
     if not rows:
         yield Problem("rows = 0: give a line for each content below the header")
 

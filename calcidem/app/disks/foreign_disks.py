@@ -117,7 +117,7 @@ def read_foreign_disks(file: Path, columns: Sequence[str] = (), timestep: int | 
     try:
         rows = read(file, lines, timestep)
     except (ValueError, IndexError, csv.Error) as error:
-        raise PackingFileError(f"{file} begins well, but can't be read on ({error}); was it cut off?") from error
+        raise PackingFileError(f"{file} is damaged after its beginning ({error}); was it cut off?") from error
     if columns:
         rows = replace(rows, names=columns, evidence=f"{rows.evidence}; columns as given")
     return _disks_of(file, rows)

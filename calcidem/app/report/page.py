@@ -237,8 +237,8 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
     measured = [row.vs.n for row in analysis.distributions if row.vs.n]
     if measured and min(measured) < _FEW_SAMPLES:
         remarks.append(
-            f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test "
-            "that does not reject normality proves little."
+            f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test that "
+            "does not reject normality is weak."
         )
     doubtful = [row for row in analysis.distributions if is_in_doubt(row.vs.n, row.failed)]
     if doubtful:
