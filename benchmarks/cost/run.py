@@ -1,10 +1,9 @@
 """How the cost of a sample grows with disks, lanes, calcite content and ranks.
 
-    python benchmarks/cost/run.py [--json FILE] [--figure docs/cost.png] [--lanes-agree]
+    python benchmarks/cost/run.py [--json FILE] [--figure docs/cost.png]
 
 Kernel times are CPU seconds of one core, without compilation; those of the ranks are wall times of `calcidem run` on
-a finished packing. With ``--lanes-agree`` two samples at each of the paper's 17 contents are computed side by side and
-one by one, and their velocities compared.
+a finished packing.
 """
 
 import argparse
@@ -45,7 +44,6 @@ from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.scene import Precision, Regime
 from calcidem.dem.engine.state import choose_features
-from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 
 GRAINS = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
@@ -102,18 +100,12 @@ def over_lanes() -> list[dict[str, Any]]:
     return rows
 
 
-def paper_experiment() -> tuple[Experiment, tuple[float, ...]]:
-    """Experiment and contents of examples/paper-small-pulse.toml."""
-    configuration = load_configuration(ROOT / "examples" / "paper-small-pulse.toml")
-    packing = provide_packing(configuration, None, lambda _: None)
-    return configuration.experiment(packing), configuration.campaign.contents
-
-
 def over_contents() -> list[dict[str, Any]]:
     """CPU seconds of a sample of the paper's campaign at each content."""
-    experiment, contents = paper_experiment()
+    configuration = load_configuration(ROOT / "examples" / "paper-small-pulse.toml")
+    experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None))
     rows = []
-    for content in contents:
+    for content in configuration.campaign.contents:
         spent = []
         for _ in range(3):
             before = time.process_time()
@@ -137,25 +129,6 @@ def over_ranks() -> list[dict[str, Any]]:
             rows.append({"ranks": ranks, "workers": max(1, ranks - 1), "seconds": time.perf_counter() - before})
         print(f"{ranks} ranks: {rows[-1]['seconds']:.1f} s for {16 * 17} samples", flush=True)
     return rows
-
-
-def lanes_agree() -> dict[str, Any]:
-    """Compare 34 samples computed side by side with the same ones computed one by one."""
-    experiment, contents = paper_experiment()
-    differences, estimates = [], []
-    for content in contents:
-        beside = measure(experiment, content, SEEDS[:2], lanes=8)
-        for sample in beside:
-            (alone,) = measure(experiment, content, [sample.seed], lanes=1)
-            if sample.vs is None or alone.vs is None or sample.result.error is None:
-                raise SystemExit(
-                    f"seed {sample.seed} at {content} % has no velocity: {sample.result.reason or alone.result.reason}"
-                )
-            differences.append(abs(sample.vs / alone.vs - 1.0))
-            estimates.append(sample.result.error.bound)
-    found = {"cells": len(differences), "largest": max(differences), "smallest_estimate": min(estimates)}
-    print(f"{found['cells']} samples, 8 lanes against 1: largest difference {found['largest']:.1e} of Vs")
-    return found
 
 
 def draw(results: dict[str, Any], file: Path) -> None:
@@ -198,15 +171,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--figure", type=Path)
-    parser.add_argument("--lanes-agree", action="store_true", help="only compare 34 samples in 8 lanes and in one")
     options = parser.parse_args()
-    if options.lanes_agree:
-        results: dict[str, Any] = {"lanes_agree": lanes_agree()}
-    else:
-        results = {"grains": over_grains(), "lanes": over_lanes(), "contents": over_contents(), "ranks": over_ranks()}
+    results = {"grains": over_grains(), "lanes": over_lanes(), "contents": over_contents(), "ranks": over_ranks()}
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n")
-    if options.figure and not options.lanes_agree:
+    if options.figure:
         draw(results, options.figure)
 
 

@@ -5,6 +5,7 @@ Started by run.py under mpirun; rank 0 prints what the sweep has cost as JSON.
 
 import argparse
 import json
+import random
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -12,8 +13,6 @@ from dataclasses import asdict, dataclass, replace
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
-
-from simulation import durations
 
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.storage.records import CellKey, PackedResult
@@ -27,6 +26,9 @@ CELLS = 8
 """Cells in a batch, as in a campaign on processors with AVX-512."""
 
 CONTENT = 5.0
+
+SPREAD = 0.5
+"""Batches take their mean time up to so much less or more, all values alike: cheap and expensive contents."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,13 @@ def thread_times() -> tuple[float, float]:
     """CPU time of this thread, and for how long it was ready and had no core, s (Linux)."""
     cpu, queue, _ = Path("/proc/thread-self/schedstat").read_text(encoding="ascii").split()
     return int(cpu) * 1e-9, int(queue) * 1e-9
+
+
+def durations(batches: int, mean: float) -> list[float]:
+    """Times of the batches, s: evenly spread around the mean in a random order that is always the same."""
+    order = list(range(batches))
+    random.Random(17).shuffle(order)
+    return [mean * (1.0 + SPREAD * (2.0 * (position + 0.5) / batches - 1.0)) for position in order]
 
 
 def real_outcomes(database: str) -> tuple[PackedResult, ...]:

@@ -1,8 +1,10 @@
-"""How many workers one master keeps busy: measured costs, a simulation with them, and whether real ranks agree with it.
+"""How many workers one master keeps busy: measured costs, the bound that follows, and what real ranks reach.
 
     python benchmarks/dispatch/run.py [--json FILE] [--figure docs/scaling.png]
 
-Takes some five minutes; docs/scaling.md says what follows. Workers that sleep stand in for those that compute, so that
+Takes some five minutes; docs/scaling.md says what follows. The two threads of the master share the interpreter lock, so
+that a batch costs it the message and its share of the storing, and N workers with batches of T seconds compute at most
+T / (N cost) of their time. Workers that sleep stand in for those that compute, so that
 more of them than there are cores can be had; what they return is real, and the real master stores it in a real database.
 """
 
@@ -23,8 +25,7 @@ import matplotlib as mpl
 mpl.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from rank import CELLS, Group, TimedSink, moved, numbered, open_sink, real_outcomes
-from simulation import Costs, durations, efficiency, simulate
+from rank import CELLS, Group, TimedSink, durations, moved, numbered, open_sink, real_outcomes
 
 from calcidem.app.campaign.launch import find_mpirun, launcher_options
 from calcidem.sweep.outcome import BatchOutcome, Place
@@ -45,13 +46,37 @@ WORKERS = (16, 32, 64, 128, 256, 512, 1000)
 
 
 @dataclass(frozen=True)
+class Costs:
+    """What a batch costs the master, s.
+
+    Attributes
+    ----------
+    message
+        CPU time of the thread that exchanges messages, for a batch: receive the outcome, hand out the next batch.
+    group_cpu, batch_cpu
+        CPU time of the storing thread for a transaction, and for each batch in it.
+    group_disk, batch_disk
+        Its waiting for the disk, likewise; messages are exchanged meanwhile.
+    """
+
+    message: float
+    group_cpu: float
+    batch_cpu: float
+    group_disk: float
+    batch_disk: float
+
+    def bound(self, workers: int, seconds: float) -> float:
+        """Largest share of their time that so many workers compute with batches of so many seconds."""
+        return min(1.0, seconds / (workers * (self.message + self.batch_cpu)))
+
+
+@dataclass(frozen=True)
 class Check:
-    """Real ranks against the simulation: efficiency, for so many workers and so long batches."""
+    """Share of their time that real workers compute, for so many workers and so long batches."""
 
     workers: int
     seconds: float
     real: float
-    simulated: float
 
 
 def sweep(ranks: int, batches: int, seconds: float, *, stored: bool) -> dict[str, Any]:
@@ -94,34 +119,30 @@ def fit(groups: Sequence[Group], cost: Sequence[float]) -> tuple[float, float]:
 
 
 def measure_costs() -> tuple[Costs, list[Group]]:
-    """All costs that the simulation needs."""
+    """All costs."""
     groups = measure_storing()
     group_cpu, batch_cpu = fit(groups, [group.cpu for group in groups])
     group_disk, batch_disk = fit(groups, [max(group.wall - group.cpu - group.queue, 0.0) for group in groups])
     count, seconds = 400, 0.02
     busy = sweep(9, count, seconds, stored=True)
-    message = busy["messages"] / count
-    alone = sweep(2, 100, seconds, stored=False)
-    transit = max(alone["wall"] / 100 - seconds - message, 0.0)
-    return Costs(message, transit, group_cpu, batch_cpu, group_disk, batch_disk), groups
+    return Costs(busy["messages"] / count, group_cpu, batch_cpu, group_disk, batch_disk), groups
 
 
-def check(costs: Costs, ranks: int, seconds: float) -> Check:
-    """Efficiency of real ranks and of the simulation, over the same batches."""
+def check(ranks: int, seconds: float) -> Check:
+    """What real ranks reach."""
     workers = ranks - 1
     times = durations(workers * BATCHES_OF_ONE, seconds)
-    ideal = sum(times) / workers
     real = sweep(ranks, len(times), seconds, stored=True)
-    return Check(workers, seconds, ideal / real["wall"], ideal / simulate(workers, times, costs))
+    return Check(workers, seconds, sum(times) / workers / real["wall"])
 
 
 def draw(costs: Costs, checks: Sequence[Check], file: Path) -> None:
-    """Draw the simulated efficiency over the number of workers, and the real ranks."""
+    """Draw the bound over the number of workers, and the real ranks."""
     figure, axes = plt.subplots(figsize=(7.0, 4.2), layout="constrained")
     workers = np.unique(np.geomspace(8, 1000, 25).round().astype(int))
     for seconds in (2.0, SECONDS, 0.25):
-        share = [100.0 * efficiency(int(count), seconds, costs, batches_of_one=40) for count in workers]
-        axes.plot(workers, share, label=f"simulated, batches of {seconds:g} s")
+        share = [100.0 * costs.bound(int(count), seconds) for count in workers]
+        axes.plot(workers, share, label=f"bound, batches of {seconds:g} s")
     own = [found for found in checks if found.seconds == SECONDS]
     axes.plot([c.workers for c in own], [100.0 * c.real for c in own], "ko", label=f"real ranks, {SECONDS:g} s")
     axes.set(xscale="log", xlabel="workers of one master", ylabel="time that the workers compute, %", ylim=(0, 102))
@@ -134,7 +155,7 @@ def draw(costs: Costs, checks: Sequence[Check], file: Path) -> None:
 
 
 def main() -> None:
-    """Measure, simulate, compare, draw."""
+    """Measure, print, draw."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="file for all numbers")
     parser.add_argument("--figure", type=Path, help="picture to draw")
@@ -146,22 +167,19 @@ def main() -> None:
     for size in GROUPS:
         own = [group.cpu for group in groups if group.batches == size]
         print(f"{size:24d}   {1e3 * float(np.median(own)) / size / CELLS:.3f}")
-    print("workers   s a batch   real   simulated")
+    print("workers   s a batch   real   bound")
     checks = []
     for ranks, seconds in ((8, SECONDS), (16, SECONDS), (32, SECONDS), (32, SECONDS / 4)):
-        checks.append(found := check(costs, ranks, seconds))
-        print(
-            f"{found.workers:7d}   {seconds:9g}   {found.real:4.0%}   {found.simulated:9.0%}",
-            flush=True,
-        )
-    print(f"workers   simulated, {SECONDS:g} s a batch")
-    simulated = {workers: efficiency(workers, SECONDS, costs) for workers in WORKERS}
-    for workers, share in simulated.items():
-        print(f"{workers:7d}   {share:.0%}")
+        checks.append(found := check(ranks, seconds))
+        bound = costs.bound(found.workers, seconds)
+        print(f"{found.workers:7d}   {seconds:9g}   {found.real:4.0%}   {bound:5.0%}", flush=True)
+    print(f"workers   bound, {SECONDS:g} s a batch")
+    for workers in WORKERS:
+        print(f"{workers:7d}   {costs.bound(workers, SECONDS):.0%}")
     idle = sweep(3, 4, 5.0, stored=False)
     print(f"idle: {idle['messages'] / idle['wall']:.2%} of a core while its workers compute")
     if options.json:
-        numbers = {"costs": asdict(costs), "checks": [asdict(found) for found in checks], "simulated": simulated}
+        numbers = {"costs": asdict(costs), "checks": [asdict(found) for found in checks]}
         options.json.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
     if options.figure:
         draw(costs, checks, options.figure)

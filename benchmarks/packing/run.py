@@ -1,122 +1,106 @@
-"""Seconds and steps of a packing, and whether packings of two checkouts are alike.
+"""Seconds and steps of packings, their statistics over the seeds, and the velocities of waves through them.
 
-    python benchmarks/packing/run.py [--against CHECKOUT] [--seeds 20] [--config FILE] [--set packing.stress=3e5]
-                                     [--contents 0 2.55] [--mirrored] [--keep FOLDER] [--json FILE]
+    python benchmarks/packing/run.py [--seeds 20] [--config FILE] [--set packing.stress=3e5] [--contents 0 2.55]
 
-Every seed is packed by both in turns, each on one core with its kernels in the cache; without ``--against`` by this one
-alone. Two packings of one seed begin with the same disks, so what is given is the mean of their differences in units of
-its standard error: of many, one in twenty lies beyond 2, more of few seeds. Of normal
-forces over their mean, f, the whole distributions are compared too: the largest distance between the two (Kolmogorov and
-Smirnov) over that of seeds dealt out to two heaps at random, since forces of one packing are not independent.
-``--keep`` keeps packings and takes those that are there; their seconds are then those of the clock. With ``--mirrored``
-waves go through the packings seen from behind.
+Seconds are those of the processor with the kernels in the cache. Each quantity is printed with its mean over the seeds
+and the standard error of that. Velocities are means over the cement seeds of a batch.
 """
 
 import argparse
 import json
-import os
-import subprocess
 import sys
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from scipy.stats import ks_2samp
 
-Floats = npt.NDArray[np.float64]
+from calcidem.app.config.changed import change_configuration
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
+from calcidem.dem.wave.measurement import measure
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parents[1]
-DEALS = 200
-
-
-class Worker:
-    """A process that makes packings of one checkout."""
-
-    def __init__(self, checkout: Path, options: argparse.Namespace) -> None:
-        command = [sys.executable, str(HERE / "worker.py"), str(options.config), "--set", *options.set]
-        command += ["--contents", *map(str, options.contents)]
-        command += ["--mirrored"] if options.mirrored else []
-        if options.keep:
-            folder = options.keep / checkout.resolve().name
-            folder.mkdir(parents=True, exist_ok=True)
-            command += ["--keep", str(folder)]
-        threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        self.process = subprocess.Popen(
-            command,
-            env={**os.environ, **threads, "PYTHONPATH": str(checkout)},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-
-    def pack(self, seed: int) -> dict[str, Any]:
-        """What the packing of a seed took and is."""
-        print(seed, file=self.process.stdin, flush=True)
-        found: dict[str, Any] = json.loads((self.process.stdout or sys.stdin).readline())
-        return found
+ROOT = Path(__file__).resolve().parents[2]
+PRESET = ROOT / "calcidem" / "app" / "config" / "presets" / "paper-small-pulse.toml"
+_LANES = 8
+_SLIDING = 0.999  # of the friction limit
+_WEAK, _STRONG = 0.1, 2.0  # normal forces over the mean
 
 
-def mean_and_error(values: Floats) -> tuple[float, float]:
-    """Mean and its standard error, of the numbers among them."""
-    known = values[np.isfinite(values)]
-    return float(known.mean()), float(known.std(ddof=1) / np.sqrt(len(known))) if len(known) > 1 else float("nan")
+def make(configuration: Configuration, seed: int) -> tuple[Packing, float]:
+    """Packing of a seed, and the processor's seconds that it took."""
+    generator = random_generator(configuration.campaign.root_seed, seed, RandomPurpose.DISKS)
+    began = time.process_time()
+    packing = make_packing(configuration.packing, configuration.sand, generator)
+    return packing, time.process_time() - began
 
 
-def distance_of_forces(heaps: list[list[list[float]]]) -> tuple[float, float]:
-    """Largest distance of two distributions, and the share of random deals of the seeds that give a larger one."""
-    generator, seeds = np.random.default_rng(1), [*heaps[0], *heaps[1]]
+def describe(packing: Packing, configuration: Configuration) -> dict[str, float]:
+    """Statistics of the contacts."""
+    first, second = packing.pairs.T
+    apart = np.column_stack([packing.x[second] - packing.x[first], packing.y[second] - packing.y[first]])
+    overlap = packing.radius[first] + packing.radius[second] - np.hypot(*apart.T)
+    normal = configuration.sand.hertz_coefficient(packing.radius[first], packing.radius[second]) * overlap**1.5
+    force, double_angle = normal / normal.mean(), 2.0 * np.arctan2(apart[:, 1], apart[:, 0])
+    mobilised = np.abs(packing.preload.shear) / (configuration.packing.friction_preparation * normal)
+    report = packing.report
+    return {
+        "steps": float(report.steps),
+        "porosity": report.porosity,
+        "coordination number": report.coordination_number,
+        "the same without rattlers": report.coordination_number_without_rattlers,
+        "rattlers": report.rattlers / len(packing.x),
+        "side stress / lid stress": (report.wall_stress[0] + report.wall_stress[1]) / (2.0 * report.wall_stress[3]),
+        "fabric along y (-mean cos 2a)": float(-np.cos(double_angle).mean()),
+        "force fabric (-mean f cos 2a)": float(-(force * np.cos(double_angle)).mean()),
+        "sliding contacts": float((mobilised > _SLIDING).mean()),
+        "mean mobilised friction": float(mobilised.mean()),
+        "standard deviation of f": float(force.std()),
+        f"share of f < {_WEAK:g}": float((force < _WEAK).mean()),
+        f"share of f > {_STRONG:g}": float((force > _STRONG).mean()),
+        "mean overlap, um": 1e6 * report.mean_overlap,
+        "unbalanced-force ratio, 1e-6": 1e6 * report.unbalanced_ratio,
+        "error of the lid's stress, %": 100.0 * abs(report.wall_stress[3] / configuration.packing.stress - 1.0),
+    }
 
-    def distance(order: Any) -> float:  # noqa: ANN401 - numbers of seeds
-        halves = np.array_split(order, [len(heaps[0])])
-        return float(ks_2samp(*(np.concatenate([seeds[k] for k in half]) for half in halves), method="asymp").statistic)
 
-    found = distance(np.arange(len(seeds)))
-    return found, float(np.mean([distance(generator.permutation(len(seeds))) > found for _ in range(DEALS)]))
-
-
-def show(found: list[list[dict[str, Any]]]) -> None:
-    """Print means, and differences in units of their standard errors."""
-    both = len(found) > 1
-    print("| quantity | this checkout |", "the other | difference / its standard error |" if both else "")
-    print("|---|---|", "---|---|" if both else "")
-    for part in ("cost", "statistics"):
-        for name in found[0][0][part]:
-            values = np.array([[packing[part][name] for packing in packings] for packings in found])
-            cells = ["{:.5g} ± {:.2g}".format(*mean_and_error(row)) for row in values]
-            if both:
-                mean, error = mean_and_error(values[0] - values[1])
-                cells.append(f"{mean / error:+.1f}" if error > 0.0 else "0")
-            print("|", name, "|", " | ".join(cells), "|")
-    if both:
-        distance, larger = distance_of_forces([[packing["force"] for packing in packings] for packings in found])
-        print(f"\nDistributions of f are {distance:.4f} apart; {larger:.0%} of {DEALS} random deals are further apart.")
+def velocities(packing: Packing, configuration: Configuration, contents: list[float]) -> Iterator[tuple[str, float]]:
+    """Mean velocity over the cement seeds of a batch, m/s, and the part of them without a velocity."""
+    for content in contents:
+        cells = measure(configuration.experiment(packing), content, range(1, _LANES + 1), lanes=_LANES)
+        found = [cell.vs for cell in cells if cell.vs is not None]
+        yield f"Vs at {content:g} %, m/s", float(np.mean(found)) if found else float("nan")
+        yield f"without Vs at {content:g} %", 1.0 - len(found) / _LANES
 
 
 def main() -> None:
-    """Make, compare and print."""
+    """Make packings, measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--against", type=Path)
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument(
-        "--config", type=Path, default=ROOT / "calcidem" / "app" / "config" / "presets" / "paper-small-pulse.toml"
-    )
+    parser.add_argument("--config", type=Path, default=PRESET)
     parser.add_argument("--set", nargs="*", default=[])
     parser.add_argument("--contents", nargs="*", type=float, default=[0.0, 2.55])
-    parser.add_argument("--mirrored", action="store_true")
-    parser.add_argument("--keep", type=Path)
-    parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    workers = [Worker(checkout, options) for checkout in (ROOT, options.against) if checkout]
-    found: list[list[dict[str, Any]]] = [[] for _ in workers]
+    values = {key: json.loads(value) for key, _, value in (item.partition("=") for item in options.set)}
+    configuration = change_configuration(options.config, values)
+    small = replace(configuration, packing=replace(configuration.packing, width=0.02, height=0.03))
+    make(small, 1)  # compiles
+    found: dict[str, list[float]] = defaultdict(list)
     for seed in range(1, options.seeds + 1):
-        for worker, packings in zip(workers, found, strict=True):
-            packings.append(worker.pack(seed))
-            print(seed, packings[-1]["cost"], file=sys.stderr, flush=True)
-    show(found)
-    if options.json:
-        options.json.write_text(json.dumps(found), encoding="utf-8")
+        packing, seconds = make(configuration, seed)
+        measured = {"seconds": seconds, **describe(packing, configuration)}
+        for name, value in (measured | dict(velocities(packing, configuration, options.contents))).items():
+            found[name].append(value)
+        print(seed, f"{seconds:.2f} s", file=sys.stderr, flush=True)
+    print("| quantity | mean |\n|---|---|")
+    for name, values_found in found.items():
+        known = np.array(values_found)[np.isfinite(values_found)]
+        error = known.std(ddof=1) / np.sqrt(len(known)) if len(known) > 1 else np.nan
+        print(f"| {name} | {known.mean() if len(known) else np.nan:.5g} ± {error:.2g} |")
 
 
 if __name__ == "__main__":

@@ -145,28 +145,3 @@ def displacements(programs: Programs, program: str, scene: Path, arguments: tupl
             worker.run(steps // 10)
             moved.append(worker.state()[:, :2] - origin)
     return np.array(moved)
-
-
-def check_agreement(programs: Programs) -> list[dict[str, object]]:
-    """Make every check whose peer is installed; print a line for each."""
-    rows: list[dict[str, object]] = []
-    native = tuple(replace(check, peer="native") for check in CHECKS if check.peer == "lammps")
-    for check in (*native, *CHECKS):
-        if getattr(programs, check.peer) is None:
-            continue
-        found = difference(check, programs)
-        agrees = found <= check.level
-        print(
-            f"  {check.name:40s} {check.peer:7s} {found:8.1e}  (allowed {check.level:.0e})  {'agrees' if agrees else 'DIFFERS'}"
-        )
-        rows.append(
-            {
-                "check": check.name,
-                "peer": check.peer,
-                "difference": found,
-                "level": check.level,
-                "agrees": agrees,
-                "why_not_equal": check.reason,
-            }
-        )
-    return rows

@@ -1,8 +1,8 @@
 """How often a reading of sections with a known delay is wrong, how often it refuses, and what its standard errors are worth.
 
-    python benchmarks/reading/judge.py [FILE.npz ...] [--drawn 65] [--lattices 1001 1150]
+    python benchmarks/reading/judge.py [--drawn 65] [--lattices 1001 1150]
 
-Takes sections from files, draws those of a seed (sections.py), or computes those of some seeds (lattices.py). *Wrong* is a velocity
+Draws sections of a seed (sections.py), or computes those of some seeds (lattices.py). *Wrong* is a velocity
 off by more than 10 % and by more than twice its standard error, of all sections; *refused* is no velocity, of those that are
 readable (`Section.readable`). A reading that states no standard error is wrong beyond 10 %.
 """
@@ -11,11 +11,10 @@ import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from lattices import lattice_sections
-from section import Section, kinds_of, load_sections
+from section import Section
 from sections import drawn_sections
 
 from calcidem.dem.kernels.layout import Flags, Floats
@@ -194,11 +193,10 @@ def print_errors(judgement: Judgement) -> None:
 def main() -> None:
     """Judge the reading as it is."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("files", type=Path, nargs="*")
     parser.add_argument("--drawn", type=int, nargs="*", default=[], metavar="SEED")
     parser.add_argument("--lattices", type=int, nargs=2, metavar=("FIRST", "LAST"))
     chosen = parser.parse_args()
-    sets = {str(file): load_sections(file) for file in chosen.files}
+    sets: dict[str, list[Section]] = {}
     if chosen.drawn:
         sets["drawn"] = drawn_sections(chosen.drawn)
     if chosen.lattices:
@@ -209,7 +207,7 @@ def main() -> None:
         for title, read in (("receiver", read_section), ("path", read_crest)):
             judgement = judge(sections, read)
             print(f"\n{title}")
-            print_counts(judgement, kinds_of(sections))
+            print_counts(judgement, tuple(dict.fromkeys(one.kind for one in sections)))
             print_errors(judgement)
 
 

@@ -1,7 +1,5 @@
 """Sections of waves that calcidem.dem sends through lattices of disks, with a delay that is known from elsewhere.
 
-    python benchmarks/reading/lattices.py FILE.npz --seeds 1 150
-
 One seed is one simulation of eight samples side by side: a hexagonal or square lattice, as it is, tilted, with jittered
 disks of unequal mass, with contacts cemented at random, or cemented in patches. A part of its left edge is driven, or
 rubbed by a wall, and may move along the path, too. Each sample is listened to at three receivers, without and with noise.
@@ -14,17 +12,15 @@ arrives at different heights at different times. The delay is that of the receiv
 mean over the whole height differs from it by more than 2 %, or the plane wave has a second peak of 0.75 of the first.
 """
 
-import argparse
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import eigsh
 from scipy.spatial import cKDTree
-from section import Section, peak_time, save_sections
+from section import Section, peak_time
 
 from calcidem.dem.engine.leapfrog import run_in_place
 from calcidem.dem.engine.material import Cement, Sand
@@ -727,21 +723,3 @@ def _disturbed(generator: np.random.Generator, clean: Section) -> Section:
     across = gain[:, None] * (np.cos(angle) * both[0] + np.sin(angle) * both[1])
     along = gain[:, None] * (np.cos(angle) * both[1] - np.sin(angle) * both[0])
     return replace(clean, across=across, along=along, readable=_is_readable(clean, level))
-
-
-def main() -> None:
-    """Write the sections of some seeds to a file."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("file", type=Path)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(1, 150), metavar=("FIRST", "LAST"))
-    chosen = parser.parse_args()
-    first, last = chosen.seeds
-    sections = lattice_sections(range(first, last + 1))
-    save_sections(chosen.file, sections)
-    print(
-        f"{len(sections)} of {3 * LANES * (last - first + 1)} sections, the others without a known delay: {chosen.file}"
-    )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,8 +1,6 @@
-"""A space-time section with a known delay, as both generators give it to a judge, and a file for many of them."""
+"""A space-time section with a known delay, as both generators give it to a judge."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -76,46 +74,6 @@ class Section:
         return self.frequency * self.delay
 
 
-_SCALARS = tuple(
-    entry.name for entry in fields(Section) if entry.name not in {"kind", "times", "places", "across", "along"}
-)
-
-
-def save_sections(path: Path, sections: Sequence[Section]) -> None:
-    """Write sections to an uncompressed .npz file; signals are kept in single precision."""
-    signals = [np.concatenate([one.across.ravel(), one.along.ravel()]) for one in sections]
-    np.savez(
-        path,
-        kind=np.array([one.kind for one in sections]),
-        first_time=np.array([one.times[0] for one in sections]),
-        interval=np.array([one.times[1] - one.times[0] for one in sections]),
-        samples=np.array([len(one.times) for one in sections]),
-        columns=np.array([len(one.places) for one in sections]),
-        places=np.concatenate([one.places for one in sections]),
-        signals=np.concatenate(signals).astype(np.float32),
-        **{name: np.array([getattr(one, name) for one in sections]) for name in _SCALARS},
-    )
-
-
-def load_sections(path: Path) -> list[Section]:
-    """Sections of a file that `save_sections` has written."""
-    with np.load(path) as stored:
-        data = {name: stored[name] for name in stored.files}
-    sections, signal, place = [], 0, 0
-    for index in range(len(data["kind"])):
-        samples, columns = int(data["samples"][index]), int(data["columns"][index])
-        size = samples * columns
-        across, along = data["signals"][signal : signal + 2 * size].astype(float).reshape(2, columns, samples)
-        scalars = {name: data[name][index].item() for name in _SCALARS}
-        times = data["first_time"][index] + data["interval"][index] * np.arange(samples)
-        places = data["places"][place : place + columns]
-        sections.append(
-            Section(str(data["kind"][index]), times=times, places=places, across=across, along=along, **scalars)
-        )
-        signal, place = signal + 2 * size, place + columns
-    return sections
-
-
 def peak_time(times: Floats, signal: Floats, inside: Flags) -> float:
     """Time of the largest value among some samples, between samples by a parabola; NaN where it is no peak."""
     top = int(np.flatnonzero(inside)[np.argmax(signal[inside])])
@@ -125,8 +83,3 @@ def peak_time(times: Floats, signal: Floats, inside: Flags) -> float:
     curvature = left - 2.0 * middle + right
     shift = 0.5 * (left - right) / curvature if curvature < 0.0 else 0.0
     return float(times[top] + shift * (times[1] - times[0]))
-
-
-def kinds_of(sections: Iterable[Section]) -> tuple[str, ...]:
-    """Kinds in the order in which they come."""
-    return tuple(dict.fromkeys(one.kind for one in sections))

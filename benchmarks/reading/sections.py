@@ -22,7 +22,7 @@ def drawn_sections(seeds: Iterable[int], count: int = _RULES["signals"]) -> list
 
 def draw_section(seed: int, index: int) -> Section:
     """Draw one signal, and what the stations record of its waves."""
-    known, drawn = draw_signal(seed, index), draw_parts(seed, index)
+    (received, readable), drawn = draw_signal(seed, index), draw_parts(seed, index)
     generator = np.random.default_rng([seed, index, 1])
     medium, count = Medium(drawn, 4 * drawn.count), _RULES["count"]
     places = np.linspace(*_RULES["places"], count)
@@ -40,11 +40,11 @@ def draw_section(seed: int, index: int) -> Section:
     ends = np.append(places, 1.0)
     along = _draw_along(np.random.default_rng([seed, index, 2]), medium, ends, growth)
     return Section(
-        kind=known.kind,
+        kind=drawn.kind,
         group=index,
         times=drawn.interval * np.arange(drawn.count),
         places=ends,
-        across=np.column_stack([*columns, known.signals.received]).T,
+        across=np.column_stack([*columns, received]).T,
         along=along.T,
         distance=RANGES["distance"],
         amplitude=1.0,
@@ -52,7 +52,7 @@ def draw_section(seed: int, index: int) -> Section:
         delay=drawn.delay,
         delay_error=0.0,
         aperture=float("inf"),
-        readable=known.readable,
+        readable=readable,
     )
 
 

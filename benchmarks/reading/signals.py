@@ -17,49 +17,6 @@ from calcidem.dem.wave.pulse import Pulse
 
 RANGES = tomllib.loads(Path(__file__).with_name("ranges.toml").read_text(encoding="utf-8"))
 KINDS = tuple(name for name, value in RANGES.items() if isinstance(value, dict) and name not in {"common", "stations"})
-METHODS = ("peak", "first_arrival", "cross_correlation")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Signals:
-    """What was transmitted and received.
-
-    Attributes
-    ----------
-    sampling_interval
-        s.
-    sent, received
-        (S,) and (T,) velocities over the peak of the S pulse.
-    distance
-        m.
-    """
-
-    sampling_interval: float
-    sent: Floats
-    received: Floats
-    distance: float
-
-
-@dataclass(frozen=True)
-class Known:
-    """A signal and what is known of it.
-
-    Attributes
-    ----------
-    kind
-        Table of ranges.toml that it was drawn from.
-    signals
-        As the reading gets them.
-    delay
-        Travel time of the S pulse, s.
-    readable
-        See above.
-    """
-
-    kind: str
-    signals: Signals
-    delay: float
-    readable: bool
 
 
 @dataclass(frozen=True)
@@ -145,19 +102,23 @@ def draw_parts(seed: int, index: int) -> Drawn:
     return Drawn(kind, drawn, delay, frequency, interval, count, tuple(coda), generator)
 
 
-def draw_signal(seed: int, index: int) -> Known:
-    """Draw one signal; it depends on seed and index alone."""
+def draw_signal(seed: int, index: int) -> tuple[Floats, bool]:
+    """The received signal over the peak of its S pulse, and whether it is readable; seed and index alone decide."""
     drawn = draw_parts(seed, index)
-    parts, delay, count = drawn.parts, drawn.delay, drawn.count
-    medium = Medium(drawn, 16 * count)
+    parts, delay = drawn.parts, drawn.delay
+    medium = Medium(drawn, 16 * drawn.count)
     shear = medium.pulse(delay, parts["width"], parts["tail"])
     clean = shear + parts["p_height"] * medium.pulse(delay / parts["p_ratio"], parts["width"] * parts["p_width"], 0.0)
     clean += parts["round_trip"] * medium.pulse(3.0 * delay, parts["width"], parts["tail"])
     for later, height in drawn.coda:
         clean += height * medium.pulse(delay + later, parts["width"], 0.0)
-    received = clean + drawn.noise(drawn.generator, 16 * count)
-    signals = Signals(drawn.interval, medium.sent[:count], received, RANGES["distance"])
-    return Known(drawn.kind, signals, delay, _is_readable(clean, signals, delay, parts["noise"]))
+    sent = int(np.argmax(medium.sent)) * drawn.interval
+    top = int(np.argmax(clean[: int((sent + RANGES["readable_until"] * delay) / drawn.interval)]))
+    within = abs(top * drawn.interval - sent - delay) <= RANGES["readable_within"] * delay
+    quiet = parts["noise"] <= RANGES["readable_noise"] * clean[top]
+    return clean + drawn.noise(drawn.generator, 16 * drawn.count), bool(
+        within and clean[top] >= clean[top + 1] and quiet
+    )
 
 
 def _chain(f: Floats, delay: float, grains: float) -> Floats:
@@ -192,11 +153,3 @@ def _ringing(x: Floats, sent: Floats, share: float, resonance: float, sharpness:
     )
     late = first + 1 - int(np.argmax(sent))
     return np.asarray(passed * np.exp(2j * np.pi * np.arange(len(x)) / len(sent) * late))
-
-
-def _is_readable(clean: Floats, signals: Signals, delay: float, noise: float) -> bool:
-    """Whether somebody who sees the signal without its noise finds the S pulse."""
-    sent = int(np.argmax(signals.sent)) * signals.sampling_interval
-    top = int(np.argmax(clean[: int((sent + RANGES["readable_until"] * delay) / signals.sampling_interval)]))
-    within = abs(top * signals.sampling_interval - sent - delay) <= RANGES["readable_within"] * delay
-    return bool(within and clean[top] >= clean[top + 1] and noise <= RANGES["readable_noise"] * clean[top])

@@ -279,12 +279,7 @@ class CampaignAnalysis:
     def sample(self, seed: int, content: float) -> MeasuredSample:
         """Give one sample without reading the others.
 
-        Raises
-        ------
-        UnavailableError
-            If its cement pattern is not stored.
-        UnknownCellError
-            If the cell has no outcome.
+        `UnavailableError` if its cement pattern is not stored, `UnknownCellError` if the cell has no outcome.
         """
         cell = self.cell(seed, content)
         if cell.cement is None:
@@ -352,16 +347,9 @@ class CampaignAnalysis:
 def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
     """Correlate the eight features with Vs within one content, over the selected cells alone.
 
-    Returns
-    -------
-    xarray.Dataset
-        Along feature: ``pearson``, its 95 % interval ``pearson_low`` and ``pearson_high``, ``p`` and ``p_corrected``,
-        see `calcidem.analysis.correlation.seed_permutation_test`.
-
-    Raises
-    ------
-    UnavailableError
-        If the campaign has no cement, or no selected cell has a velocity.
+    Along feature: ``pearson``, its 95 % interval ``pearson_low`` and ``pearson_high``, ``p`` and ``p_corrected``, see
+    `calcidem.analysis.correlation.seed_permutation_test`. `UnavailableError` if the campaign has no cement, or no
+    selected cell has a velocity.
     """
     table = analysis.table
     chosen = np.zeros(analysis.vs.shape, dtype=bool)
@@ -383,12 +371,8 @@ def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr
 def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
     """Find the dispersion from the stored sections of cells of one content that have a velocity.
 
-    Phase velocities from a third to three times the median Vs are looked for.
-
-    Raises
-    ------
-    ValueError
-        If fewer than three of the cells have a velocity and a section.
+    Phase velocities from a third to three times the median Vs are looked for. `ValueError` if fewer than three of the
+    cells have a velocity and a section.
     """
     read = [(cell.vs, cell.section) for cell in cells if cell.vs is not None and cell.section is not None]
     if len(read) < FEWEST_SECTIONS:

@@ -34,28 +34,14 @@ _INTERVALS = ("mean", "standard_deviation", "difference", "paired_difference", "
 
 
 def compare_velocities(velocities: Mapping[str, xr.DataArray], level: float = 0.95) -> xr.Dataset:
-    """Compare the velocities of several campaigns with those of the first, content by content.
+    """Compare the velocities of several campaigns, by their names, with those of the first, content by content.
 
-    Parameters
-    ----------
-    velocities
-        By the name of the campaign: Vs in m/s along (seed, content), NaN where there is none.
-    level
-        Level of all intervals, between 0 and 1.
-
-    Returns
-    -------
-    xarray.Dataset
-        Along (campaign, content), intervals along `bound` too. Contents are those that any of the campaigns has; what
-        a campaign lacks is NaN. ``difference`` takes all samples as independent (Welch's interval).
-        ``paired_difference`` takes the seeds that both campaigns have: what the places of the cement add to both falls
-        out of it, so that it is the narrower of the two where the same seed stands for the same places
-        (``pair_correlation``). Both are NaN for the first campaign.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two campaigns.
+    Vs is in m/s along (seed, content), NaN where there is none. The result is along (campaign, content), intervals
+    along `bound` too. Contents are those that any of the campaigns has; what a campaign lacks is NaN. ``difference``
+    takes all samples as independent (Welch's interval). ``paired_difference`` takes the seeds that both campaigns have:
+    what the places of the cement add to both falls out of it, so that it is the narrower of the two where the same seed
+    stands for the same places (``pair_correlation``). Both are NaN for the first campaign. `ValueError` for fewer than
+    two campaigns.
     """
     if len(velocities) <= 1:
         raise ValueError(f"{len(velocities)} campaigns are given; a comparison needs two or more")

@@ -32,13 +32,7 @@ class ContactWeights:
 
     @classmethod
     def from_coordination_number(cls, coordination_number: float) -> Self:
-        """Choose the weights by their physical meaning, Eq. 8: C^(-2/3) for sand, 1/C for cement.
-
-        Parameters
-        ----------
-        coordination_number
-            Mean number of contacts of a grain, C = 2 N_c / N, at least 1.
-        """
+        """Choose the weights by their physical meaning, Eq. 8: C^(-2/3) for sand, 1/C for cement, C = 2 N_c / N."""
         return cls(hertz=coordination_number ** (-2 / 3), bond=1 / coordination_number)
 
     @classmethod
@@ -87,34 +81,15 @@ class PathScale:
 
 
 def connectivity(hertz_contacts: int, bonded_contacts: int, weights: ContactWeights) -> float:
-    """Give C_d, the weighted length of a path, Eq. 9, dimensionless.
-
-    Parameters
-    ----------
-    hertz_contacts, bonded_contacts
-        Numbers of sand contacts N_h and cemented contacts N_LPB on the path.
-    weights
-        Weight of each kind.
-    """
+    """Give C_d, the weighted length of a path of N_h sand contacts and N_LPB cemented ones, Eq. 9."""
     return weights.hertz * hertz_contacts + weights.bond * bonded_contacts
 
 
 def normalized_connectivity(c_d: float, weights: ContactWeights, scale: PathScale) -> float:
     """Give C_d,n, Eq. 9: 0 for a straight row of cemented contacts, 1 for a straight row of sand contacts.
 
-    Parameters
-    ----------
-    c_d
-        Weighted length of the path.
-    weights
-        The weights it was computed with.
-    scale
-        Distance and grain size.
-
-    Raises
-    ------
-    ValueError
-        If the two weights are equal: the definition divides by their difference.
+    The weights are those that C_d was computed with. `ValueError` if both are equal: the definition divides by their
+    difference.
     """
     if weights.bond == weights.hertz:
         raise ValueError(f"both weights are {weights.hertz}; C_d,n exists only where bond < hertz")

@@ -88,20 +88,7 @@ class ContactGraph:
         return 2 * self.contact_count / self.grain_count
 
     def contact_weights(self, bonded: ArrayLike, weights: ContactWeights) -> NDArray[np.float64]:
-        """Give the weight of each contact, shape (m,).
-
-        Parameters
-        ----------
-        bonded
-            Which contacts are cemented, booleans, shape (m,).
-        weights
-            Weight of each kind of contact.
-
-        Raises
-        ------
-        ValueError
-            If `bonded` has another shape.
-        """
+        """Give the weight of each contact, of which ``bonded`` are cemented, both (m,); else a `ValueError`."""
         mask = np.asarray(bonded, dtype=np.bool_)
         if mask.shape != (self.contact_count,):
             raise ValueError(
@@ -117,11 +104,8 @@ class ContactGraph:
     def to_networkx(self, bonded: ArrayLike, weights: ContactWeights) -> "nx.Graph[int]":
         """Give the graph as a networkx model; arguments as in `contact_weights`.
 
-        Returns
-        -------
-        networkx.Graph
-            Every grain is a vertex, with `role` "transmitter", "receiver" or "interior"; every contact an
-            edge with `bonded` (bool) and `weight` (float).
+        Every grain is a vertex, with `role` "transmitter", "receiver" or "interior"; every contact an edge with
+        `bonded` (bool) and `weight` (float).
         """
         import networkx as nx  # noqa: PLC0415 - ranks find paths without it
 
@@ -165,10 +149,7 @@ class PreferentialPath:
 def contacts_on_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> tuple[int, int]:
     """Count the sand contacts and the cemented ones on one of the shortest paths, whichever is found first.
 
-    Parameters
-    ----------
-    graph, bonded, weights
-        As in `ShortestPaths.search`, which raises the same errors and takes twice as long.
+    Errors are those of `ShortestPaths.search`, which takes twice as long.
     """
     if weights.bond == weights.hertz:  # a length does not tell what made it
         path = ShortestPaths.search(graph, bonded, weights).first()
@@ -216,25 +197,10 @@ class ShortestPaths:
 
     @classmethod
     def search(cls, graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> Self:
-        """Search from all receiver grains at once.
+        """Search from all receiver grains at once (Dijkstra 1959, doi:10.1007/BF01386390).
 
-        Parameters
-        ----------
-        graph
-            The contacts.
-        bonded
-            Which contacts are cemented, booleans, shape (m,).
-        weights
-            Weight of each kind of contact.
-
-        Raises
-        ------
-        ValueError
-            If no chain of contacts joins transmitter and receiver, or `bonded` has the wrong shape.
-
-        Notes
-        -----
-        Dijkstra (1959), doi:10.1007/BF01386390.
+        ``bonded`` (m,) says which contacts are cemented. `ValueError` if it has another shape, or no chain of contacts
+        joins transmitter and receiver.
         """
         lengths = graph.matrix(bonded, weights)
         distance = dijkstra(lengths, directed=True, indices=graph.receiver, min_only=True)
@@ -261,14 +227,10 @@ class ShortestPaths:
     def mean_longest_bonded_run(self) -> float:
         """Give the mean, over all of them, of the longest run of cemented contacts on a path.
 
-        Equally short paths have runs of different lengths. Each path counts once.
-
-        Notes
-        -----
-        Every step comes nearer to the receiver, so the shortest paths make a graph without cycles. Its grains are
-        visited from the transmitter on. At each, paths are counted by the length of their present run (columns), once
-        for each limit that none of their runs exceeds (rows). The counts within each limit at the receiver are the
-        distribution of the longest run.
+        Equally short paths have runs of different lengths. Each path counts once. Every step comes nearer to the
+        receiver, so the shortest paths make a graph without cycles. Its grains are visited from the transmitter on. At
+        each, paths are counted by the length of their present run (columns), once for each limit that none of their
+        runs exceeds (rows). The counts within each limit at the receiver are the distribution of the longest run.
         """
         # A path has as many cemented contacts as fit into its length.
         most = self.distance[self.starts[0]] / self.weights.bond * (1 + _RELATIVE_TIE) if self._bonded.any() else 0.0

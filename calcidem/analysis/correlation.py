@@ -46,25 +46,12 @@ class Correlations:
 def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     """Correlate all variables of a table with one another.
 
-    Parameters
-    ----------
-    table
-        Numeric variables along (seed, content), NaN where missing. A sample counts only if it has all of
-        them.
-    level
-        Confidence level of the intervals, between 0 and 1.
+    The table has numbers along (seed, content), NaN where missing; a sample counts only if it has all of them.
+    ``level`` is that of the intervals. `ValueError` for other dimensions, or fewer than two variables.
 
-    Raises
-    ------
-    ValueError
-        If a variable has other dimensions, or there are fewer than two variables.
-
-    Notes
-    -----
-    Intervals by Fisher's z, tanh(artanh(r) -/+ z / sqrt(n - 3)), with one degree of freedom less for each
-    further content whose mean was subtracted (Fisher 1924, on partial correlation). They take samples as
-    independent. Those of different seeds are; those of one seed share their cement from content to content,
-    so the intervals are somewhat too narrow.
+    Intervals by Fisher's z, tanh(artanh(r) -/+ z / sqrt(n - 3)), with one degree of freedom less for each further
+    content whose mean was subtracted (Fisher 1924, on partial correlation). They take samples as independent. Those of
+    different seeds are; those of one seed share their cement, so the intervals are somewhat too narrow.
     """
     names, values = _complete_values(table)
     complete = np.isfinite(values[..., 0])
@@ -83,34 +70,17 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
 
 
 def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) -> xr.Dataset:
-    """Correlate the variables of a table with one of them at each content.
+    """Correlate the variables of a table with one of them, positive, at each content.
 
-    Parameters
-    ----------
-    table
-        As for `correlate`.
-    target
-        Variable with which the others are correlated, positive.
-    level
-        Probability with which the intervals of a variable hold at all contents together.
+    Table and errors are as for `correlate`; also `ValueError` if the table lacks the target. Intervals of a variable
+    hold at all contents together with probability ``level``. Given are along (variable, content), without the target:
+    ``n``, ``pearson``, ``pearson_log`` with the logarithm of the target, ``spearman``, its interval ``low`` and
+    ``high`` and its ``p``, and ``p_corrected`` for all variables and contents. NaN where a variable does not vary or
+    there are fewer than four samples.
 
-    Returns
-    -------
-    xarray.Dataset
-        Along (variable, content), without the target: ``n``, ``pearson``, ``pearson_log`` with the logarithm of the
-        target, ``spearman``, its interval ``low`` and ``high`` and its ``p``, and ``p_corrected`` for all variables and
-        contents. NaN where a variable does not vary or there are fewer than four samples.
-
-    Raises
-    ------
-    ValueError
-        As `correlate`; also if the table lacks the target.
-
-    Notes
-    -----
-    Samples of one content are of different seeds, thus independent. Intervals by Fisher's z with the variance of
-    Bonett and Wright (2000, doi:10.1007/BF02294183), each at level 1 - (1 - level) / contents (Bonferroni). The
-    correction of p controls the false discovery rate (Benjamini and Hochberg 1995).
+    Intervals by Fisher's z with the variance of Bonett and Wright (2000, doi:10.1007/BF02294183), each at level 1 - (1
+    - level) / contents (Bonferroni). The correction of p controls the false discovery rate (Benjamini and Hochberg
+    1995).
     """
     names, values = _complete_values(table)
     place = _place_of(target, names)
@@ -150,33 +120,15 @@ def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) ->
 
 
 def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
-    """Test which variables of a table go together with one of them within one content.
+    """Test which variables of a table go together with one of them, the target, within one content.
 
-    Parameters
-    ----------
-    table
-        As for `correlate`.
-    target
-        Variable that the others are tested against.
+    Table and errors are as for `correlate_by_content`. Given are along variable, without the target: ``pearson`` as
+    `correlate` gives it within one content, its two-sided ``p``, and ``p_corrected``, the probability that the largest
+    of all coefficients is as large by chance. NaN for a variable that does not vary.
 
-    Returns
-    -------
-    xarray.Dataset
-        Along variable, without the target: ``pearson`` as `correlate` gives it within one content, its two-sided
-        ``p``, and ``p_corrected``, the probability that the largest of all coefficients is as large by chance. NaN for
-        a variable that does not vary.
-
-    Raises
-    ------
-    ValueError
-        As `correlate`; also if the table lacks the target.
-
-    Notes
-    -----
-    The rows of whole seeds are exchanged at random against those of the target, so that samples of one seed, which
-    share their cement from content to content, are not taken as independent. A missing sample counts as the mean of
-    its content. The correction is that of the largest statistic (Westfall and Young 1993, doi:10.2307/2532216): it
-    needs no assumption on how the variables go together.
+    The rows of whole seeds are exchanged at random against those of the target, so that samples of one seed are not
+    taken as independent. A missing sample counts as the mean of its content. The correction is that of the largest
+    statistic (Westfall and Young 1993, doi:10.2307/2532216): no assumption on how the variables go together.
     """
     names, values = _complete_values(table)
     place = _place_of(target, names)
@@ -229,19 +181,7 @@ def _complete_values(table: xr.Dataset) -> tuple[list[str], NDArray[np.float64]]
 def _fisher_interval(
     coefficient: NDArray[np.float64], n: int, level: float = 0.95, lost_freedom: int = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Give the lower and upper ends of the confidence interval of Pearson's coefficient.
-
-    Parameters
-    ----------
-    coefficient
-        Pearson's coefficients, any shape.
-    n
-        Number of samples; with n - lost_freedom of three or fewer, the interval is NaN.
-    level
-        Confidence level between 0 and 1.
-    lost_freedom
-        Number of quantities held constant (partial correlation).
-    """
+    """Ends of the interval of Pearson's coefficients; NaN with three or fewer samples less ``lost_freedom``."""
     freedom = n - lost_freedom - 3
     if freedom <= 0:
         return np.full_like(coefficient, np.nan), np.full_like(coefficient, np.nan)

@@ -99,10 +99,8 @@ def dispersion(
     ----------
     sections
         Of three samples and more, from the transmitted pulse to the end of the received one.
-    frequency
-        Of the pulse, Hz.
-    velocities
-        Slowest and fastest phase velocity that is looked for, m/s.
+    frequency, velocities
+        Of the pulse, Hz, and the slowest and fastest phase velocity that is looked for, m/s.
     shares
         Frequencies of the result over that of the pulse, whose spectrum is zero at 2.
 

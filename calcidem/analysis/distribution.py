@@ -104,20 +104,9 @@ class ContentDistribution:
 
 
 def describe(values: ArrayLike, level: float = 0.95) -> Distribution:
-    """Describe one sample.
+    """Describe one sample of finite values (n,), with intervals at a level; `ValueError` for others.
 
-    Parameters
-    ----------
-    values
-        Sample, shape (n,), finite. What is undefined for so few values, or because all are equal, becomes
-        NaN.
-    level
-        Level of all intervals, between 0 and 1.
-
-    Raises
-    ------
-    ValueError
-        If a value is not finite or the array has not one dimension.
+    What is undefined for so few values, or because all are equal, becomes NaN.
     """
     sample = np.asarray(values, dtype=np.float64)
     if sample.ndim != 1 or not np.isfinite(sample).all():
@@ -143,22 +132,7 @@ def describe(values: ArrayLike, level: float = 0.95) -> Distribution:
 def describe_contents(
     vs: xr.DataArray, status: xr.DataArray | None = None, level: float = 0.95
 ) -> tuple[ContentDistribution, ...]:
-    """Describe the velocities at every content of a campaign, complete or not.
-
-    Parameters
-    ----------
-    vs
-        Shear-wave velocity in m/s, dimensions (seed, content), NaN where there is none.
-    status
-        Outcome of each cell, see `calcidem.analysis.outcomes.count_outcomes`.
-    level
-        Level of all intervals, between 0 and 1.
-
-    Raises
-    ------
-    ValueError
-        If `vs` or `status` is malformed or they contradict one another.
-    """
+    """Describe the velocities at every content of a campaign; arguments and errors of `count_outcomes`."""
     counts = count_outcomes(vs, status)
     columns = arrange_matrix(vs).to_numpy().T
     return tuple(
@@ -179,17 +153,9 @@ def describe_contents(
 
 
 def tabulate(distributions: tuple[ContentDistribution, ...]) -> xr.Dataset:
-    """Arrange distributions as a table along content, intervals along a further dimension `bound`.
+    """Arrange distributions, one for each content, as a table: a variable with units for each number of `Distribution`.
 
-    Parameters
-    ----------
-    distributions
-        One for each content, as `describe_contents` returns them.
-
-    Returns
-    -------
-    xarray.Dataset
-        One variable for each number of `Distribution`, with units as attributes.
+    Intervals have a further dimension `bound`.
     """
     table = xr.Dataset(coords={"content": [row.content for row in distributions], "bound": ["low", "high"]})
     table["content"].attrs = {"units": "%", "long_name": "calcite content by sand mass"}

@@ -37,13 +37,7 @@ class ErrorBudget:
 
 
 def error_budget(cells: Mapping[Any, ArrayLike]) -> ErrorBudget:
-    """Sum up the errors of some cells.
-
-    Parameters
-    ----------
-    cells
-        `BUDGET_QUANTITIES` by name, arrays of one shape with NaN where missing: a table of a store, or a dataset.
-    """
+    """Sum up the errors of some cells: `BUDGET_QUANTITIES` by name, arrays of one shape with NaN where missing."""
     vs, reading, numerical, total, departure = (np.asarray(cells[name], dtype=float) for name in BUDGET_QUANTITIES)
     absolute = (vs * reading)[np.isfinite(vs * reading)]
     known = vs[np.isfinite(vs)]

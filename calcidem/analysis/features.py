@@ -58,23 +58,10 @@ FEATURES = (
 def measure_path(
     path: PreferentialPath, longest_bonded_run: float, weights: ContactWeights, scale: PathScale
 ) -> PathFeatures:
-    """Compute the eight features of a path.
+    """Compute the eight features of a path of one contact or more, for the weights of the search.
 
-    Parameters
-    ----------
-    path
-        A shortest path, with at least one contact.
-    longest_bonded_run
-        Mean over all shortest paths, see `calcidem.analysis.contact_graph.ShortestPaths`.
-    weights
-        The weights it is shortest for.
-    scale
-        Distance and grain size.
-
-    Raises
-    ------
-    ValueError
-        If the two weights are equal, where C_d,n is undefined.
+    ``longest_bonded_run`` is the mean over all shortest paths. `ValueError` if the two weights are equal, where C_d,n is
+    undefined.
     """
     contacts = len(path.bonded)
     c_d = connectivity(path.hertz_contacts, path.bonded_contacts, weights)

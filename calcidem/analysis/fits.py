@@ -59,24 +59,10 @@ class PowerLawFit:
     def prediction_bounds(
         self, connectivity: ArrayLike, level: float = 0.95
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Give the interval in which the velocity of a new sample falls with probability `level`, in m/s.
+        """Give the ends of the interval in which the velocity of a new sample falls with probability `level`, in m/s.
 
-        Parameters
-        ----------
-        connectivity
-            C_d,n of the new samples, positive, any shape.
-        level
-            Probability between 0 and 1.
-
-        Returns
-        -------
-        tuple
-            Lower and upper ends, each with the shape of `connectivity`.
-
-        Notes
-        -----
-        Scatter of a sample and uncertainty of the curve (delta method) together, with Student's t. It takes
-        scatter as equal for all C_d,n. Where it is not, `leave_one_seed_out` gives how often the interval
+        Scatter of a sample and uncertainty of the curve (delta method) together, with Student's t. It takes scatter as
+        equal for all C_d,n, positive, any shape. Where it is not, `leave_one_seed_out` tells how often the interval
         really holds.
         """
         x = np.asarray(connectivity, dtype=np.float64)
@@ -108,22 +94,10 @@ class LeaveOneSeedOut:
 
 
 def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -> PowerLawFit:
-    """Fit Vs = a C^b + c by least squares.
+    """Fit Vs = a C^b + c by least squares to positive C_d,n and velocities (m/s), both (n,), NaN where unknown.
 
-    Parameters
-    ----------
-    connectivity
-        C_d,n of each sample, positive, shape (n,); NaN where unknown.
-    vs
-        Velocity of each sample in m/s, shape (n,); NaN where unknown.
-    level
-        Level of the parameter intervals, between 0 and 1.
-
-    Raises
-    ------
-    ValueError
-        If shapes disagree, a connectivity is not positive, there are fewer than four samples or three
-        different connectivities, or the fit does not converge.
+    ``level`` is that of the parameters' intervals. `ValueError` if shapes disagree, a connectivity is not positive,
+    there are fewer than four samples or three different connectivities, or the fit does not converge.
     """
     x, y, left_out = _known_samples(connectivity, vs)
     if x.size <= _PARAMETER_COUNT or np.unique(x).size < _PARAMETER_COUNT:
@@ -155,24 +129,10 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
 
 
 def leave_one_seed_out(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike, level: float = 0.95) -> LeaveOneSeedOut:
-    """Predict the samples of each seed from a law fitted to all other seeds.
+    """Predict the samples of each seed from a law fitted to all other seeds; errors as of `fit_power_law`.
 
-    All contents of a seed are left out together: they share their cement, and a fit that has seen one of them
-    has seen part of the others.
-
-    Parameters
-    ----------
-    connectivity, vs
-        As for `fit_power_law`.
-    seed
-        Seed of each sample, shape (n,), at least two different ones.
-    level
-        Level of the prediction interval whose coverage is counted.
-
-    Raises
-    ------
-    ValueError
-        As for `fit_power_law`, also when too few samples remain without one seed.
+    All contents of a seed are left out together: they share their cement, and a fit that has seen one of them has seen
+    part of the others. Of the prediction interval at ``level`` the coverage is counted.
     """
     x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
     seeds = np.asarray(seed)

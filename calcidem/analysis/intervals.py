@@ -52,35 +52,16 @@ UNDEFINED = Interval(math.nan, math.nan)
 
 
 def mean_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Give the confidence interval of the mean by Student's t, exact for normal values.
-
-    Parameters
-    ----------
-    values
-        Sample, shape (n,).
-    level
-        Confidence level between 0 and 1.
-    """
+    """Give the confidence interval of the mean by Student's t, exact for normal values."""
     return _around_mean(values, level, lambda n: 1 / n)
 
 
 def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
     """Give the confidence interval of the standard deviation: by chi-square below 8 values, by Bonett from there on.
 
-    Chi-square is exact for normal values and misses more often the more the kurtosis exceeds 3, however large n is.
-    Bonett's interval is corrected for the sample's kurtosis. A percentile or BCa bootstrap of a few values covers far
-    less than it promises: 57 % instead of 95 % of four normal values.
-
-    Parameters
-    ----------
-    values
-        Sample, shape (n,).
-    level
-        Confidence level between 0 and 1.
-
-    Notes
-    -----
-    Bonett (2006), doi:10.1016/j.csda.2004.10.003.
+    Chi-square is exact for normal values and misses more often the more the kurtosis exceeds 3, however large n is. The
+    other is corrected for the sample's kurtosis (Bonett 2006, doi:10.1016/j.csda.2004.10.003). A percentile or BCa
+    bootstrap of a few values covers far less than it promises: 57 % instead of 95 % of four normal values.
     """
     n = values.size
     if n <= 1:
@@ -104,32 +85,14 @@ def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95
 def prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
     """Give the interval in which one new value falls with probability `level`, if the values are normal.
 
-    Parameters
-    ----------
-    values
-        Sample, shape (n,).
-    level
-        Probability between 0 and 1.
-
-    Notes
-    -----
     mean -/+ t s sqrt(1 + 1/n), with t the quantile of Student's distribution with n - 1 degrees of freedom.
     """
     return _around_mean(values, level, lambda n: 1 + 1 / n)
 
 
 def difference_interval(values: NDArray[np.float64], references: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Give the confidence interval of the difference of two means by Welch's t; the variances may differ.
+    """Give the confidence interval of the mean of one sample less that of another one; the variances may differ.
 
-    Parameters
-    ----------
-    values, references
-        Two independent samples, shapes (n,) and (m,); the mean of the second is subtracted.
-    level
-        Confidence level between 0 and 1.
-
-    Notes
-    -----
     Welch (1947), doi:10.1093/biomet/34.1-2.28.
     """
     if min(values.size, references.size) <= 1:
@@ -188,19 +151,11 @@ def _student_quantile(freedom: int, probability: float) -> float:
 
 
 def ordered_prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Give a prediction interval for one new value that assumes no distribution.
+    """Give a prediction interval for one new value that assumes no distribution, and holds at least `level`.
 
-    Parameters
-    ----------
-    values
-        Sample, shape (n,); undefined below n = 2 / (1 - level) - 1 (39 values for 95 %).
-    level
-        Probability between 0 and 1; the interval holds at least this much.
-
-    Notes
-    -----
-    A new value falls between the j-th smallest and the j-th largest of n with probability (n + 1 - 2 j) / (n
-    + 1); the largest j that still gives `level` is taken (Wilks 1941, doi:10.1214/aoms/1177731788).
+    A new value falls between the j-th smallest and the j-th largest of n with probability (n + 1 - 2 j) / (n + 1); the
+    largest j that still gives `level` is taken (Wilks 1941, doi:10.1214/aoms/1177731788). Undefined below
+    n = 2 / (1 - level) - 1 (39 values for 95 %).
     """
     n = values.size
     rank = math.floor((1 - level) * (n + 1) / 2 + 1e-9)  # 0.05 * 40 / 2 must give 1 in spite of round-off
@@ -211,28 +166,12 @@ def ordered_prediction_interval(values: NDArray[np.float64], level: float = 0.95
 
 
 def mean(values: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
-    """Give the mean along an axis; of equal values exactly that value.
-
-    Parameters
-    ----------
-    values
-        Samples, at least one value along `axis`.
-    axis
-        The axis that vanishes.
-    """
+    """Give the mean along an axis; of equal values exactly that value."""
     first = np.take(values, 0, axis)
     return np.asarray(first + np.mean(values - np.expand_dims(first, axis), axis=axis))
 
 
 def standard_deviation(values: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
-    """Give the standard deviation along an axis, with n - 1 in the denominator; of equal values exactly zero.
-
-    Parameters
-    ----------
-    values
-        Samples, at least two values along `axis`.
-    axis
-        The axis that vanishes.
-    """
+    """Give the standard deviation along an axis, with n - 1 in the denominator; of equal values exactly zero."""
     first = np.take(values, [0], axis)
     return np.asarray(np.std(values - first, axis=axis, ddof=1))

@@ -63,12 +63,7 @@ class Misfit:
 def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Target]) -> tuple[Misfit, ...]:
     """Compare a campaign with measured velocities; those outside the range of its contents are left out.
 
-    Parameters
-    ----------
-    distributions
-        Of each content of the campaign, ascending; contents without a velocity do not count.
-    measured
-        At contents of its own.
+    The distributions are of each content, ascending; contents without a velocity do not count.
     """
     rows = [row for row in distributions if row.vs.n]
     contents = np.array([row.content for row in rows])

@@ -35,32 +35,17 @@ class NormalityTest:
 
 
 def jarque_bera(values: NDArray[np.float64]) -> NormalityTest:
-    """Test the values of one sample for normality.
-
-    Parameters
-    ----------
-    values
-        Sample, shape (n,), finite. The result is NaN for fewer than two values or when all are equal.
-    """
+    """Test a finite sample (n,) for normality; NaN for fewer than two values or when all are equal."""
     if values.size <= 1 or np.ptp(values) == 0:
         return NormalityTest(math.nan, math.nan, math.nan)
     return jarque_bera_from_moments(values.size, skewness(values), kurtosis(values))
 
 
 def jarque_bera_from_moments(n: int, skewness: float, kurtosis: float) -> NormalityTest:
-    """Test a sample of which only the size and two moments are known, for example a printed table's row.
+    """Test a sample of n values from its population moments, Eqs. 6 and 7, such as those of a printed table.
 
-    Parameters
-    ----------
-    n
-        Size of the sample.
-    skewness, kurtosis
-        Population moments, Eqs. 6 and 7 (a normal distribution has 0 and 3).
-
-    Notes
-    -----
-    Jarque and Bera (1987), doi:10.2307/1403192. The statistic approaches its limit slowly, which is why the
-    p-value among simulated samples of the same size is given as well.
+    Jarque and Bera (1987), doi:10.2307/1403192. The statistic approaches its limit slowly, which is why the p-value
+    among simulated samples of the same size is given as well.
     """
     statistic = n * (skewness**2 / 6 + (kurtosis - 3) ** 2 / 24)  # Eq. 5
     null = _null_statistics(n)
@@ -71,24 +56,12 @@ def jarque_bera_from_moments(n: int, skewness: float, kurtosis: float) -> Normal
 
 
 def skewness(values: NDArray[np.float64]) -> float:
-    """Give the population skewness, Eq. 6; NaN when all values are equal.
-
-    Parameters
-    ----------
-    values
-        Sample, shape (n,).
-    """
+    """Give the population skewness of a sample (n,), Eq. 6; NaN when all values are equal."""
     return math.nan if values.size == 0 or np.ptp(values) == 0 else float(stats.skew(values))
 
 
 def kurtosis(values: NDArray[np.float64]) -> float:
-    """Give the population kurtosis, Eq. 7 (3 for a normal distribution); NaN when all values are equal.
-
-    Parameters
-    ----------
-    values
-        Sample, shape (n,).
-    """
+    """Give the population kurtosis of a sample (n,), Eq. 7 (3 if normal); NaN when all values are equal."""
     return math.nan if values.size == 0 or np.ptp(values) == 0 else float(stats.kurtosis(values, fisher=False))
 
 
@@ -105,19 +78,11 @@ def _null_statistics(n: int) -> NDArray[np.float64]:
 
 
 def jarque_bera_power(n: int, skewness: float, level: float = 0.05, samples: int = 4000) -> float:
-    """Give the share of samples of a skewed distribution that the test rejects, by its asymptotic p-value.
+    """Give the share of samples of n values of a skewed distribution that the test rejects, by its asymptotic p-value.
 
-    Parameters
-    ----------
-    n
-        Size of a sample.
-    skewness
-        Of the gamma distribution that they are drawn from, not negative; it has the kurtosis 3 + 1.5 skewness^2. With
-        0 it is the normal one, and the result is the share of false alarms.
-    level
-        Below which p rejects.
-    samples
-        Number of samples drawn; the standard error of the share is at most 0.5 / sqrt(samples).
+    They are drawn from a gamma distribution of this skewness, not negative, whose kurtosis is 3 + 1.5 skewness^2; with
+    0 it is the normal one, and the result is the share of false alarms. The standard error of the share is at most 0.5
+    / sqrt(samples).
     """
     generator = np.random.default_rng([_SIMULATION_SEED, n])
     drawn = generator.gamma(4 / skewness**2, size=(samples, n)) if skewness else generator.normal(size=(samples, n))

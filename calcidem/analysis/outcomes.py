@@ -13,27 +13,13 @@ _NOT_COMPUTED = ""
 def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.Dataset:
     """Count the cells of each content by what became of them.
 
-    A cell that is missing because it was not computed yet has no information on Vs. A cell that failed may well
-    do (the slow samples are the ones whose arrival is hard to see), so the two are never added up.
+    A cell that is missing because it was not computed yet says nothing about Vs. A cell that failed may well do (the
+    slow samples are the ones whose arrival is hard to see), so the two are never added up.
 
-    Parameters
-    ----------
-    vs
-        Shear-wave velocity in m/s, dimensions (seed, content), NaN where there is none.
-    status
-        Outcome of each cell as text with the same dimensions: "done" where Vs is a number, "" where the cell
-        was not computed, and any other text for a failure of that name. Without it every NaN counts as not
-        computed.
-
-    Returns
-    -------
-    xarray.Dataset
-        `measured`, `missing` and `failed`, all along content, and `failures` along (outcome, content).
-
-    Raises
-    ------
-    ValueError
-        If `vs` has other dimensions, an infinite value, or disagrees with `status`.
+    Both are along (seed, content): Vs in m/s, NaN where there is none, and the outcome as text, "done" where Vs is a
+    number, "" where the cell was not computed, any other text for a failure of that name. Without it every NaN counts
+    as not computed. Given are `measured`, `missing` and `failed` along content, and `failures` along (outcome,
+    content). `ValueError` if `vs` has other dimensions, an infinite value, or disagrees with `status`.
     """
     vs = arrange_matrix(vs)
     measured = np.isfinite(vs.to_numpy())
@@ -62,13 +48,7 @@ def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
 
 
 def arrange_matrix(vs: xr.DataArray) -> xr.DataArray:
-    """Return `vs` with its dimensions in the order (seed, content).
-
-    Raises
-    ------
-    ValueError
-        If it has other dimensions or holds an infinite value.
-    """
+    """Return `vs` along (seed, content); `ValueError` if it has other dimensions or holds an infinite value."""
     if set(vs.dims) != {"seed", "content"}:
         raise ValueError(f"vs has the dimensions {vs.dims}; give it the dimensions ('seed', 'content')")
     if bool(np.isinf(vs).any()):

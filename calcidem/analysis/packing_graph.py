@@ -45,10 +45,7 @@ class PackingGraph:
     def bonded(self, cement: CementPattern) -> NDArray[np.bool_]:
         """Give which contacts of the graph are cemented, shape (m,).
 
-        Raises
-        ------
-        ValueError
-            If the pattern cements two grains that do not touch.
+        `ValueError` if the pattern cements two grains that do not touch.
         """
         mask = np.zeros(self.graph.contact_count, dtype=np.bool_)
         mask[self._rows(cement.contacts)] = True
@@ -65,19 +62,9 @@ class PackingGraph:
         return float(np.mean(bonded[self.in_column])) if self.in_column.any() else np.nan
 
     def path(self, bonded: NDArray[np.bool_], known: tuple[int, ...] = ()) -> PreferentialPath:
-        """Give the preferential path of one sample.
+        """Give the preferential path of a sample with these cemented contacts (m,); known grains save the search.
 
-        Parameters
-        ----------
-        bonded
-            Which contacts are cemented, shape (m,).
-        known
-            Its grains where they are stored, which saves the search.
-
-        Raises
-        ------
-        ValueError
-            If no chain of contacts joins transmitter and receiver.
+        `ValueError` if no chain of contacts joins transmitter and receiver.
         """
         if not known:
             return self.shortest_paths(bonded).first()
@@ -109,18 +96,8 @@ class PackingGraph:
 def packing_graph(packing: PackingRecord, transmitter_half_width: float, receiver_half_width: float) -> PackingGraph:
     """Make the graph of a packing.
 
-    Parameters
-    ----------
-    packing
-        The disks.
-    transmitter_half_width, receiver_half_width
-        Of the bands of the left and of the right wall around mid-height, m. Grains that touch the wall there
-        transmit and receive.
-
-    Raises
-    ------
-    ValueError
-        If no grain touches one of the bands.
+    Grains that touch the left or the right wall within the half-width (m) of a band around mid-height transmit and
+    receive. `ValueError` if no grain touches one of the bands.
     """
     off_centre = np.abs(packing.y - packing.height / 2)
     graph = ContactGraph(

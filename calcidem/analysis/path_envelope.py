@@ -47,23 +47,7 @@ class PathEnvelope:
     high: float
 
     def connectivity(self, ratio: ArrayLike) -> NDArray[np.float64]:
-        """Give C_d for omega_h = 1 and omega_LPB = `ratio`.
-
-        Parameters
-        ----------
-        ratio
-            Ratios between `low` and `high`, any shape.
-
-        Returns
-        -------
-        numpy.ndarray
-            Same shape as `ratio`.
-
-        Raises
-        ------
-        ValueError
-            If a ratio lies outside.
-        """
+        """Give C_d for omega_h = 1 and these omega_LPB, any shape; `ValueError` outside of `low` and `high`."""
         ratios = np.asarray(ratio, dtype=np.float64)
         if ratios.size and not (self.low <= ratios.min() and ratios.max() <= self.high):
             raise ValueError(
@@ -76,28 +60,13 @@ class PathEnvelope:
 
 
 def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, high: float = 0.99) -> PathEnvelope:
-    """Find the envelope of one sample.
+    """Find the envelope of one sample, of whose contacts ``bonded`` (m,) are cemented, for 0 < low < high <= 1.
 
-    Parameters
-    ----------
-    graph
-        The contacts of the packing.
-    bonded
-        Which of them are cemented, booleans, shape (m,).
-    low, high
-        Range of the ratio, 0 < low < high <= 1.
+    `ValueError` if that range is another, or no chain of contacts joins transmitter and receiver.
 
-    Raises
-    ------
-    ValueError
-        If the range is empty or outside (0, 1], or no chain of contacts joins transmitter and receiver.
-
-    Notes
-    -----
-    Eisner and Severance (1976), doi:10.1145/321978.321982: find the shortest paths at both ends of the range
-    and cut their lines; at the cut search again. A path shorter there is a new line, and both halves are
-    treated alike; if there is none, the cut is a corner. k lines take at most 2 k searches or so, and
-    comparing them needs only integers.
+    Eisner and Severance (1976), doi:10.1145/321978.321982: find the shortest paths at both ends of the range and cut
+    their lines; at the cut search again. A path shorter there is a new line, and both halves are treated alike; if
+    there is none, the cut is a corner. k lines take at most 2 k searches or so, and comparing them needs only integers.
     """
     if not 0 < low < high <= 1:
         raise ValueError(f"low = {low} and high = {high}; they must satisfy 0 < low < high <= 1")

@@ -54,22 +54,7 @@ class SeedPlan:
 
 
 def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0.95) -> int:
-    """Give the smallest number of seeds whose mean has an interval of at most this half-width.
-
-    Parameters
-    ----------
-    standard_deviation
-        Standard deviation of one sample, not negative.
-    half_width
-        Half-width of the confidence interval in the same unit, positive.
-    level
-        Confidence level between 0 and 1.
-
-    Raises
-    ------
-    ValueError
-        If the deviation is negative or not finite, or the half-width is not positive.
-    """
+    """Smallest number of seeds whose mean has an interval of at most this half-width, in the unit of the deviation."""
     if not (math.isfinite(standard_deviation) and standard_deviation >= 0):
         raise ValueError(f"standard_deviation is {standard_deviation}; it must be a finite number, not negative")
     if not half_width > 0:
@@ -83,23 +68,10 @@ def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0
 
 
 def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95, unreadable: int = 0) -> SeedPlan:
-    """Plan the seeds of one content from those it has.
+    """Plan the seeds of one content from the values that it has (n,), NaN left out, and those that gave no velocity.
 
-    Parameters
-    ----------
-    values
-        Values so far, shape (n,); NaN are left out; at least two.
-    half_width
-        Requested half-width, in the same unit, positive.
-    level
-        Confidence level of the planned interval, and of the deviation's that gives the range of the plan.
-    unreadable
-        How many samples gave no velocity.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two values, or the half-width is not positive.
+    ``level`` is that of the planned interval, and of the deviation's that gives the range of the plan. `ValueError` if
+    there are fewer than two values, or the half-width, in their unit, is not positive.
     """
     sample = _finite_values(values)
     deviation = float(standard_deviation(sample))
@@ -125,29 +97,14 @@ _ADDED_TOGETHER = 8
 def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, sd: float | None = None) -> int:
     """Give the number of seeds that a content should have next, so that its intervals become as narrow as asked.
 
-    That is the number there is once they are, or once there are `most`; else what the intervals so far suggest, but at
-    most twice as many as there are. The result depends on the values alone. Where fewer than
-    half of the seeds have a value, no more are added.
+    That is the number n of values (NaN where a seed gave none) once they are, or once there are `most`; else what the
+    intervals so far suggest, but at most twice as many as there are. The result depends on the values alone, whoever
+    computed them. Where fewer than half of the seeds have a value, no more are added. ``mean`` and ``sd`` are the
+    largest half-widths of the 95 % intervals of mean and standard deviation, relative to these; None for any.
 
-    Parameters
-    ----------
-    values
-        Of the first n seeds, shape (n,); NaN where a seed gave none.
-    most
-        Seeds that there may be.
-    mean, sd
-        Largest half-widths of the 95 % intervals of mean and standard deviation, relative to these; None for any.
-
-    Returns
-    -------
-    int
-        From n to the larger of n and `most`.
-
-    Notes
-    -----
-    The interval is looked at again and again, which makes one that is narrow by chance more likely to be the last
-    (Chow & Robbins 1965, doi:10.1214/aoms/1177700156). From 8 seeds on it still holds the mean, or the standard
-    deviation, in 93 to 96 % of cases (normal and log-normal, sd/mean .05 to .25; tests/analysis/test_planning.py).
+    The interval is looked at again and again, which makes one that is narrow by chance more likely to be the last (Chow
+    & Robbins 1965, doi:10.1214/aoms/1177700156). From 8 seeds on it still holds the mean, or the standard deviation, in
+    93 to 96 % of cases (normal and log-normal, sd/mean .05 to .25; tests/analysis/test_planning.py).
     """
     sample = np.asarray(values, dtype=np.float64)
     count, known = sample.size, sample[np.isfinite(sample)]
@@ -168,36 +125,13 @@ def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, 
 
 
 def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, replicates: int = 2000) -> xr.Dataset:
-    """Give the half-widths that mean, standard deviation and skewness would have with other numbers of seeds.
+    """Give the half-widths that mean, standard deviation and skewness would have with 3 and more seeds.
 
-    Parameters
-    ----------
-    values
-        Values of one content so far, shape (n,); NaN are left out; at least two.
-    counts
-        Numbers of seeds, each at least 3, smaller or larger than n.
-    level
-        Confidence level between 0 and 1.
-    replicates
-        Number of resamples for each count.
-
-    Returns
-    -------
-    xarray.Dataset
-        `mean`, `standard_deviation` and `skewness`: half-widths along `count`, the first two in the unit of
-        the values.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than two values or a count is below 3.
-
-    Notes
-    -----
-    The mean's is t s / sqrt(count). The other two assume no distribution: `count` values are drawn from the
-    sample with replacement again and again, and half the width of the central `level` of the results is
-    taken. That is a forecast from the values so far; from few of them it understates skewness, which rare
-    values make.
+    They are along `count`, the first two in the unit of the values (n,), of which NaN are left out. The mean's is
+    t s / sqrt(count). The other two assume no distribution: `count` values are drawn from the sample with replacement
+    again and again, and half the width of the central `level` of the results is taken. That is a forecast from the
+    values so far; from few of them it understates skewness, which rare values make. `ValueError` for fewer than two
+    values, or a count below 3.
     """
     sample = _finite_values(values)
     if min(counts, default=_SMALLEST_COUNT) < _SMALLEST_COUNT:

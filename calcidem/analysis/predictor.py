@@ -82,26 +82,11 @@ class VelocityPredictor:
 
 
 def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> VelocityPredictor:
-    """Fit the predictor of one content by least squares.
+    """Fit the predictor of one content by least squares to features (n, k) and positive velocities (n,), m/s.
 
-    Parameters
-    ----------
-    features
-        Of each sample, shape (n, k); with k of 0 the content alone is left, and so are features that do not vary.
-    vs
-        Velocity of each in m/s, positive, shape (n,).
-    level
-        Probability of the intervals.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three samples more than features, or lengths differ.
-
-    Notes
-    -----
-    The error of a left-out sample is that of the fit to all over one less its own influence (Allen 1974,
-    doi:10.1080/00401706.1974.10489157).
+    With k of 0 the content alone is left, and so are features that do not vary. `ValueError` if there are fewer than
+    three samples more than features, or lengths differ. The error of a left-out sample is that of the fit to all over
+    one less its own influence (Allen 1974, doi:10.1080/00401706.1974.10489157).
     """
     x, y = np.asarray(features, dtype=np.float64), np.log(np.asarray(vs, dtype=np.float64))
     if x.ndim != 2 or len(x) != len(y) or len(y) < FEWEST_ROWS + x.shape[1]:  # noqa: PLR2004 - a table
@@ -162,18 +147,7 @@ class PredictorCheck:
 
 
 def check_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> PredictorCheck:
-    """Predict each sample of one content from all others.
-
-    Parameters
-    ----------
-    features, vs, level
-        As for `fit_predictor`; one sample more is needed.
-
-    Raises
-    ------
-    ValueError
-        As `fit_predictor`.
-    """
+    """Predict each sample of one content from all others; arguments and errors of `fit_predictor`, one sample more."""
     x, y = np.asarray(features, dtype=np.float64), np.asarray(vs, dtype=np.float64)
     intervals = [
         fit_predictor(np.delete(x, out, axis=0), np.delete(y, out), level).predict(x[out]).interval

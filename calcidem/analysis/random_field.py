@@ -11,23 +11,9 @@ _FieldArray: TypeAlias = NDArray[np.floating[Any]]
 
 
 def _autocorrelation(fields: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
-    """Give the autocorrelation of fields along one of their axes.
+    """Autocorrelation (L,) of fields (..., Y, X) along x (-1) or y (-2) for lags of 0, 1, 2, ... steps.
 
-    Parameters
-    ----------
-    fields
-        (..., Y, X) realizations on a regular grid; NaN are left out.
-    axis
-        -1 for x, -2 for y.
-
-    Returns
-    -------
-    ndarray
-        (L,) for lags of 0, 1, 2, ... steps; NaN where no two values are so far apart.
-
-    Notes
-    -----
-    The mean is that of all fields together: the mean of each would remove wavelengths longer than a sample.
+    NaN are left out. The mean is that of all fields: the mean of each would take away what is longer than a sample.
     """
     centred = np.moveaxis(fields - np.nanmean(fields), axis, -1)
     known, values = np.isfinite(centred), np.nan_to_num(centred)
@@ -69,19 +55,11 @@ def describe_fields(
 ) -> xr.Dataset:
     """Gather positive fields of samples, and describe them as random-field models take them: log-normal, with a length.
 
-    Parameters
-    ----------
-    fields
-        By seed and content: x (X,), y (Y,) on a regular grid, m, the same for all, and the values (Y, X), NaN where
-        there is none; at least one.
-
-    Returns
-    -------
-    xarray.Dataset
-        `shear_modulus` (content, seed, y, x), Pa, all NaN for a sample that is not given. Along content:
-        `geometric_mean`, `log_deviation` of the natural logarithm, `between` the part of its variance that is between
-        samples, and the scales of fluctuation of the logarithm along x and y, `scale_x` and `scale_y`, m. `unknown` is
-        the part of the places without a value.
+    Given by seed and content, at least one, are x (X,), y (Y,) on a regular grid, m, the same for all, and the values
+    (Y, X), NaN where there is none. The result has `shear_modulus` (content, seed, y, x), Pa, all NaN for a sample that
+    is not given. Along content: `geometric_mean`, `log_deviation` of the natural logarithm, `between` the part of its
+    variance that is between samples, and the scales of fluctuation of the logarithm along x and y, `scale_x` and
+    `scale_y`, m. `unknown` is the part of the places without a value.
     """
     x, y, first = next(iter(fields.values()))
     seeds, contents = (np.unique([key[place] for key in fields]) for place in (0, 1))

@@ -42,14 +42,9 @@ class Change:
 
 
 def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float = 0.95) -> tuple[Change, ...]:
-    """Compare two matrices of Vs content by content, on the seeds that they have in common.
+    """Compare two matrices of Vs (m/s) along (seed, content), NaN where there is none, on the seeds that both have.
 
-    Parameters
-    ----------
-    variant, reference
-        Vs in m/s along (seed, content), NaN where there is none. Contents that the reference lacks are left out.
-    level
-        Level of the interval, between 0 and 1.
+    Contents that the reference lacks are left out.
     """
     first, second = xr.align(variant, reference, join="inner")
     changes = []
@@ -127,19 +122,9 @@ class VarianceParts:
 
 
 def variance_parts(values: np.ndarray) -> VarianceParts:
-    """Divide the variance of a complete table between its rows, its columns and the rest.
+    """Divide the variance of a complete table (m/s), at least 2 x 2, between its rows, its columns and the rest.
 
-    Two-way random-effects analysis of variance with one value in each place.
-
-    Parameters
-    ----------
-    values
-        m/s, shape (rows of the first cause, columns of the second), both at least 2, all finite.
-
-    Raises
-    ------
-    ValueError
-        If the table is too small or has gaps.
+    Two-way random-effects analysis of variance with one value in each place. `ValueError` for gaps or a smaller table.
     """
     rows, columns = values.shape
     if min(rows, columns) < 2 or not np.isfinite(values).all():  # noqa: PLR2004 - a variance needs two

@@ -21,17 +21,8 @@ Values = TypeVar("Values", float, NDArray[np.float64], "xr.DataArray")
 
 
 def small_strain_modulus(vs: Values, density: float | None = None) -> Values:
-    """Shear modulus G0 = rho Vs^2 (Eq. 1), Pa.
+    """Shear modulus G0 = rho Vs^2 (Eq. 1), Pa; the density of the sample, kg/m^3, is that of Table 1, 1659, by default.
 
-    Parameters
-    ----------
-    vs
-        Shear-wave velocity, m/s: a number or an array.
-    density
-        Overall density of the sample, kg/m^3; by default that of the soil of Table 1, 1659.
-
-    Examples
-    --------
     >>> small_strain_modulus(200.0)
     66360000.0
     """
@@ -42,8 +33,6 @@ def small_strain_modulus(vs: Values, density: float | None = None) -> Values:
 def damping_ratio(local_damping: float) -> float:
     """Damping ratio D = alpha / pi of local damping (section 3.1.2).
 
-    Examples
-    --------
     >>> round(damping_ratio(0.3), 4)
     0.0955
     """
@@ -64,19 +53,7 @@ def median_diameter_by_mass(radius: ArrayLike) -> float:
 def wavelengths(
     vs: float | None, frequency: float, distance: float, median_diameter: float
 ) -> tuple[float, float] | tuple[None, None]:
-    """Wavelengths on the path, and wavelength over median diameter; None and None without a velocity.
-
-    Parameters
-    ----------
-    vs
-        Shear-wave velocity, m/s.
-    frequency
-        Frequency of the transmitted pulse, Hz.
-    distance
-        That the wave travelled, m.
-    median_diameter
-        Of the grains, by mass, m.
-    """
+    """Wavelengths on a path (m), and wavelength over median diameter by mass (m); None and None without a velocity."""
     if vs is None:
         return None, None
     wavelength = vs / frequency

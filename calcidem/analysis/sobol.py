@@ -24,23 +24,9 @@ OUTPUTS = {"mean": "mean Vs (m/s)", "relative_deviation": "sd / mean", "readable
 def sobol_points(ranges: Mapping[str, tuple[float, float]], bases: int) -> NDArray[np.float64]:
     """Give the points at which a model has to be evaluated, shape (bases (P + 2), P), the same in every call.
 
-    Parameters
-    ----------
-    ranges
-        Lowest and highest value of each of the P parameters, between which it is uniform.
-    bases
-        Number of base points, a power of two.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    StoreError
-        If SALib is not installed.
-
-    Notes
-    -----
-    Scrambled Sobol sequence, each base point with its P crossings (Saltelli 2010, doi:10.1016/j.cpc.2009.09.018).
+    Each of the P parameters is uniform in its range; ``bases`` is a power of two. `ValueError` if it is none,
+    `StoreError` if SALib is not installed. Scrambled Sobol sequence, each base point with its P crossings (Saltelli
+    2010, doi:10.1016/j.cpc.2009.09.018).
     """
     if bases < _FEWEST_BASES or bases & (bases - 1):
         raise ValueError(f"bases = {bases}: give a power of two of at least {_FEWEST_BASES}, such as 32")
@@ -49,23 +35,12 @@ def sobol_points(ranges: Mapping[str, tuple[float, float]], bases: int) -> NDArr
 
 
 def sobol_indices(ranges: Mapping[str, tuple[float, float]], output: ArrayLike, level: float = 0.95) -> xr.Dataset:
-    """Estimate first and total Sobol indices from a model's output at `sobol_points`.
+    """Estimate first and total Sobol indices from a model's output at `sobol_points`, NaN where there is none.
 
-    Parameters
-    ----------
-    ranges
-        As for `sobol_points`.
-    output
-        One number for each point, NaN where there is none; a base point with a gap among its crossings is left out.
-    level
-        Of the intervals.
-
-    Returns
-    -------
-    xarray.Dataset
-        Along parameter: ``first`` and ``total``, the shares of the variance that the parameter makes alone and with all
-        others, and ``first_half_width`` and ``total_half_width`` of their bootstrap intervals; ``bases`` is the
-        number of base points that count, 0 if they are fewer than four. All NaN then, or if the output does not vary.
+    A base point with a gap among its crossings is left out. Given are along parameter ``first`` and ``total``, the
+    shares of the variance that the parameter makes alone and with all others, and ``first_half_width`` and
+    ``total_half_width`` of their bootstrap intervals; ``bases`` is the number of base points that count, 0 if they are
+    fewer than four. All NaN then, or if the output does not vary.
     """
     rows = np.asarray(output, dtype=np.float64).reshape(-1, len(ranges) + 2)
     whole = rows[np.isfinite(rows).all(axis=1)]
@@ -82,11 +57,8 @@ def sobol_indices(ranges: Mapping[str, tuple[float, float]], output: ArrayLike, 
 def campaign_outputs(vs: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     """Mean (m/s), standard deviation over mean, and readable share of samples, each with the leading shape of ``vs``.
 
-    Parameters
-    ----------
-    vs
-        Velocities in m/s, NaN where there is none, seeds along the last axis. Below two there is no mean, either: it
-        would be that of other seeds than elsewhere.
+    Velocities are in m/s, NaN where there is none, seeds along the last axis. Below two there is no mean, either: it
+    would be that of other seeds than elsewhere.
     """
     read = np.isfinite(vs)
     count = read.sum(axis=-1)

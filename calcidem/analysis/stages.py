@@ -61,22 +61,7 @@ class StageGrowth:
 def growth_by_stage(
     content: ArrayLike, mean_vs: ArrayLike, stages: tuple[Stage, ...] = STAGES
 ) -> tuple[StageGrowth, ...]:
-    """Give the growth rate of each stage.
-
-    Parameters
-    ----------
-    content
-        Calcite contents in percent, shape (k,).
-    mean_vs
-        Mean velocity at each of them in m/s, shape (k,); contents where it is NaN are left out.
-    stages
-        The ranges.
-
-    Raises
-    ------
-    ValueError
-        If the two arrays differ in shape.
-    """
+    """Give the growth rate of each stage from contents (%) and mean velocities (m/s), both (k,); NaN is left out."""
     contents, means = np.asarray(content, dtype=np.float64), np.asarray(mean_vs, dtype=np.float64)
     if contents.ndim != 1 or contents.shape != means.shape:
         raise ValueError(

@@ -65,18 +65,13 @@ def scan_ratio(
 
     Parameters
     ----------
-    envelopes
-        One for each sample, which has its shortest path for all ratios.
-    vs
-        Shear-wave velocity of each sample in m/s, shape (n,), NaN where there is none.
-    seed
-        The seed of each sample, shape (n,).
+    envelopes, vs, seed
+        One of each for every sample: its shortest path for all ratios, its velocity in m/s (NaN for none), and
+        its seed.
     ratios
         Ratios to compare, shape (k,), ascending, at least two.
-    level
-        Level of the interval, between 0 and 1.
-    replicates
-        Number of bootstrap replicates.
+    level, replicates
+        Of the interval, and bootstrap replicates.
 
     Raises
     ------
@@ -85,11 +80,11 @@ def scan_ratio(
 
     Notes
     -----
-    At one ratio C_d,n is C_d shifted and divided by constants (Eq. 9), so both have the same correlation with
-    Vs and C_d is used, which stays finite near a ratio of 1.
+    At one ratio C_d,n is C_d shifted and divided by constants (Eq. 9), so both have the same correlation with Vs and
+    C_d is used, which stays finite near a ratio of 1.
 
-    The bootstrap draws seeds, with all contents of a seed, since samples of one seed share their cement from
-    content to content and are not independent (Davison and Hinkley 1997, section 3.8).
+    The bootstrap draws seeds, with all contents of a seed, since samples of one seed share their cement from content to
+    content and are not independent (Davison and Hinkley 1997, section 3.8).
     """
     velocity, seeds = np.asarray(vs, dtype=np.float64), np.asarray(seed)
     grid = np.asarray(ratios, dtype=np.float64)

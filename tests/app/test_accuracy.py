@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from calcidem.app.studies.accuracy.amplitudes import amplitude_rows
 from calcidem.app.studies.accuracy.command import parse_target
-from calcidem.app.studies.accuracy.equilibrium import equilibrium_rows
 from calcidem.app.studies.accuracy.findings import Findings, findings_json, measured_errors
+from calcidem.app.studies.accuracy.questions import amplitude_rows, equilibrium_rows
 from calcidem.app.studies.accuracy.reference import _FINEST, HALVING, measure_convergence
 from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, with_wave
 from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, pareto, run_study
-from calcidem.app.studies.explain import Explanation, _precision, _with_errors
+from calcidem.app.studies.explain import Explanation, _alternatives_of, _with_errors
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import make_packing
@@ -108,8 +107,8 @@ def test_errors_are_read_back_for_the_same_campaign_and_packing_only(study: Stud
     measured = measured_errors("a" * 64, "c" * 64, file)
     assert measured is not None
     errors = [abs(cell.vs_error or 0.0) for cell in study.cells if (cell.setting, cell.content) == (DEFAULT, 0.66)]
-    assert measured.of(DEFAULT, 0.66) == pytest.approx(max(errors), rel=1e-4)
-    assert measured.of(DEFAULT, 4.0) is None
+    assert measured.worst[DEFAULT, 0.66] == pytest.approx(max(errors), rel=1e-4)
+    assert measured.worst.get((DEFAULT, 4.0)) is None
     with pytest.raises(ValueError, match="another campaign"):
         measured_errors("b" * 64, "c" * 64, file)
     with pytest.raises(ValueError, match="another packing, cccccccccccc and not bbbbbbbbbbbb"):
@@ -122,10 +121,11 @@ def test_explain_shows_the_measured_errors_of_both_ways(experiment: Experiment, 
     file = tmp_path / "accuracy.json"
     file.write_text(findings_json(Findings("a" * 64, "c" * 64, study)))
     measured = measured_errors("a" * 64, "c" * 64, file)
-    row = _with_errors(Explanation(0.66, _precision(experiment), 1.0, 0.0), measured)
+    precision = next(one for one in _alternatives_of(experiment, 0.66) if one.what == "double precision")
+    row = _with_errors(Explanation(0.66, precision, 1.0, 0.0), measured)
     assert row.error is not None
     assert row.other_error is not None
-    assert _with_errors(Explanation(4.0, _precision(experiment), 1.0, 0.0), measured).error is None
+    assert _with_errors(Explanation(4.0, precision, 1.0, 0.0), measured).error is None
 
 
 @pytest.mark.full

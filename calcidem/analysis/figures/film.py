@@ -50,13 +50,7 @@ ShowFrame = Callable[[int], None]
 
 
 def movie_writer(file: Path) -> AbstractMovieWriter:
-    """Writer for the ending of a file, .gif or .mp4.
-
-    Raises
-    ------
-    OutputRefusedError
-        For another ending, or if ffmpeg is not installed.
-    """
+    """Writer for the ending .gif or .mp4 of a file; `OutputRefusedError` for others, or without ffmpeg."""
     if file.suffix.lower() == ".gif":
         return _SmallGifWriter(fps=_MOVIE_RATE)
     if file.suffix.lower() != ".mp4":
@@ -92,18 +86,9 @@ def draw_film(
 ) -> Figure:
     """Draw the first moment of a wave; `frame_shower` shows the others.
 
-    Parameters
-    ----------
-    packing, cemented
-        The packing, and which pairs of its disks are cemented, shape (m, 2).
-    disks
-        x, y and radius of the disks that were computed, shape (n,), m.
-    arrival
-        Signals of the sample.
-    half_widths
-        Of transmitter and receiver, m.
-    frames
-        Times in s, shape (f,), and velocities of these disks along y in m/s, shape (f, n).
+    Of the packing the pairs ``cemented`` (m, 2) are; ``disks`` are x, y and radius of those that were computed, (n,) m;
+    ``half_widths`` those of transmitter and receiver, m. ``frames`` are times (f,), s, and velocities of the disks
+    along y (f, n), m/s.
     """
     x, y, radius = disks
     reach = min(_SHOWN * packing.width, packing.height / 2)

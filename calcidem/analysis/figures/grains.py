@@ -43,20 +43,9 @@ def draw_grains(
     high: float = np.inf,
     cement_width: float = 1.0,
 ) -> None:
-    """Draw the grains between two heights, and the cement between them.
+    """Draw the grains between two heights, m, and the cement between them, on axes that lose their ticks.
 
-    Parameters
-    ----------
-    axes
-        Where; loses its ticks and gets equal scales.
-    sample
-        The packing.
-    kinds
-        0 (sand), 1 (P) or 2 (C) of each contact, shape (m,); nothing is cemented by default.
-    low, high
-        Heights in m.
-    cement_width
-        Width of the cemented contacts in points.
+    ``kinds`` (m,) are 0 (sand), 1 (P) or 2 (C) of each contact; the width of cemented contacts is in points.
     """
     packing, pairs = sample.packing, sample.graph.pairs
     chosen = (packing.y > low) & (packing.y < high)

@@ -73,13 +73,7 @@ def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arriv
 
 
 def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
-    """Give the signals that came with a cell and what was read from them.
-
-    Raises
-    ------
-    UnavailableError
-        If no section is stored.
-    """
+    """Give the signals of a cell and what was read from them; `UnavailableError` if no section is stored."""
     section = cell.section
     if section is None:
         raise UnavailableError(f"no section is stored for seed {cell.key.seed} at {cell.key.content:g} %")

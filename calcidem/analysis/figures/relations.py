@@ -52,13 +52,7 @@ def _symbol(name: str) -> str:
 
 @apply_style
 def draw_correlations(correlations: Correlations) -> Figure:
-    """Draw the correlation matrices over all contents and within one (Fig. 13a).
-
-    Parameters
-    ----------
-    correlations
-        Of the eight features and Vs.
-    """
+    """Draw the correlation matrices of the eight features and Vs over all contents and within one (Fig. 13a)."""
     figure = new_figure(height=3.95, width=7.4)
     panels = figure.subplots(1, 2)
     titles = ("over all contents", "within one content")
@@ -96,15 +90,7 @@ def _draw_matrix(axes: Axes, matrices: xr.Dataset) -> AxesImage:
 
 @apply_style
 def draw_ratio_scan(scan: RatioScan, published_ratio: float | None = None) -> Figure:
-    """Draw the correlation of C_d,n with Vs over the ratio of the weights (Fig. 14).
-
-    Parameters
-    ----------
-    scan
-        The scan.
-    published_ratio
-        The best ratio of the reproduced study, to show beside.
-    """
+    """Draw the correlation of C_d,n with Vs over the ratio of the weights (Fig. 14), and the published best."""
     axes, _ = new_panel(height=3.4)
     interval = scan.best_ratio_interval
     axes.axvspan(interval.low, interval.high, color=SKY, alpha=0.3, linewidth=0, label="95 % interval of the best")
@@ -133,16 +119,9 @@ def draw_laws(
     contents: NDArray[np.float64],
     published: Sequence[PublishedLaw] = (),
 ) -> Figure:
-    """Draw Vs against C_d,n with the fitted law for each choice of weights (Table 4).
+    """Draw Vs (m/s) against C_d,n with the fitted law, a panel for each choice of weights (Table 4).
 
-    Parameters
-    ----------
-    laws
-        One panel for each.
-    vs, contents
-        Velocity in m/s and content in percent of each sample, shape (n,).
-    published
-        Laws to show beside, each in its own range and only where C_d,n has the same weights.
+    Published laws are shown in their own range, where C_d,n has the same weights.
     """
     figure = new_figure(height=4.1, width=7.4)
     panels = figure.subplots(1, len(laws), squeeze=False, sharey=True)[0]

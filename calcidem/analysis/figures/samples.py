@@ -42,15 +42,7 @@ _BARE_KEY = Line2D([], [], markersize=4.5, label="uncemented contact on it", **R
 
 @apply_style
 def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]) -> Figure:
-    """Draw whole samples of one seed side by side, and below each an enlarged part (Figs. 2c, 2d and 5).
-
-    Parameters
-    ----------
-    graph
-        The packing.
-    samples
-        The samples, from the least to the most cemented; two to four look best.
-    """
+    """Draw two to four samples of one seed side by side, and below each an enlarged part (Figs. 2c, 2d and 5)."""
     packing = graph.packing
     middle, half = packing.height / 2, min(0.011, packing.height / 4)
     figure = new_figure(height=7.6)
@@ -89,19 +81,7 @@ def draw_measurement(
     damped_layer: float,
     arrival: Arrival | None,
 ) -> Figure:
-    """Draw transmitter, receiver and an example of both signals (Fig. 4).
-
-    Parameters
-    ----------
-    graph
-        The packing.
-    transmitter_half_width, receiver_half_width
-        Of the two bands, m.
-    damped_layer
-        Thickness of the strongly damped layers at floor and lid, m.
-    arrival
-        The signals of a sample, and the distance L that its velocities are made of; none are drawn without.
-    """
+    """Draw transmitter, receiver and an example of both signals (Fig. 4), if there is one; all lengths in m."""
     packing = graph.packing
     width, height = packing.width * MM, packing.height * MM
     figure = new_figure(height=4.4)
@@ -152,15 +132,7 @@ def _draw_way(axes: Axes, graph: PackingGraph, distance: float | None) -> None:
 
 @apply_style
 def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSample]) -> Figure:
-    """Draw samples of one content with the path that the wave prefers (Fig. 12).
-
-    Parameters
-    ----------
-    graph
-        The packing.
-    samples
-        Three samples from slow to fast.
-    """
+    """Draw samples of one content, from slow to fast, with the path that the wave prefers (Fig. 12)."""
     packing = graph.packing
     heights = np.concatenate([packing.y[list(sample.path.grains)] for sample in samples])
     margin = 0.012

@@ -35,11 +35,7 @@ _SHOWN_METHODS = ("peak", "first_arrival")
 def draw_reading_study(study: xr.Dataset) -> Figure:
     """Draw Vs from peak to peak and by first arrival against frequency (Fig. 6).
 
-    Parameters
-    ----------
-    study
-        What `frequency_study` of `calcidem.app.studies.frequency_and_damping` gives. Marks are hollow where transmitter
-        and receiver are less than a wavelength apart.
+    Marks are hollow where transmitter and receiver are less than a wavelength apart.
     """
     contents = study["content"].to_numpy()
     lines = math.ceil(len(contents) / 2)
@@ -78,13 +74,7 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
 
 @apply_style
 def draw_frequency_study(study: xr.Dataset) -> Figure:
-    """Draw received frequency and Vs against transmitted frequency (Fig. 9).
-
-    Parameters
-    ----------
-    study
-        What `calcidem.app.studies.frequency_and_damping.frequency_study` gives.
-    """
+    """Draw received frequency and Vs against transmitted frequency (Fig. 9)."""
     figure = new_figure(height=3.5, width=7.0)
     left, right = figure.subplots(1, 2)
     frequency = study["frequency"].to_numpy() * KHZ
@@ -112,13 +102,7 @@ def draw_frequency_study(study: xr.Dataset) -> Figure:
 
 @apply_style
 def draw_damping_study(study: xr.Dataset) -> Figure:
-    """Draw received signals for several damping factors (Fig. 7).
-
-    Parameters
-    ----------
-    study
-        What `calcidem.app.studies.frequency_and_damping.damping_study` gives.
-    """
+    """Draw received signals for several damping factors (Fig. 7)."""
     contents = study["content"].to_numpy()
     factors = study["damping"].to_numpy()
     figure = new_figure(height=0.7 + 2.9 * len(contents), width=FIGURE_WIDTH + 0.4)
@@ -158,13 +142,7 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
 
 @apply_style
 def draw_sobol(indices: xr.Dataset) -> Figure:
-    """Draw first and total Sobol indices of each parameter, with their intervals, a panel for each output and content.
-
-    Parameters
-    ----------
-    indices
-        What `calcidem.app.studies.sensitivity.sobol.indices_of_points` gives.
-    """
+    """Draw first and total Sobol indices of each parameter, a panel for each output and content."""
     names = [str(name) for name in indices["parameter"].to_numpy()]
     contents = indices["content"].to_numpy()
     figure = new_figure(height=0.9 + 3 * (0.5 + 0.22 * len(names)), width=1.6 + 1.7 * len(contents))

@@ -121,13 +121,7 @@ def _received_peak_index(arrival: Arrival) -> int:
 
 @apply_style
 def draw_signals(arrivals: Sequence[Arrival]) -> Figure:
-    """Draw the signals of several samples below one another, each with its arrivals.
-
-    Parameters
-    ----------
-    arrivals
-        From the least to the most cemented.
-    """
+    """Draw the signals of samples, from the least to the most cemented, below one another, each with its arrivals."""
     figure = new_figure(height=0.8 + 1.45 * len(arrivals))
     panels = figure.subplots(len(arrivals), 1, squeeze=False)[:, 0]
     handles: dict[str, Artist] = {}

@@ -12,13 +12,7 @@ _GPA = 1e-9
 
 @apply_style
 def draw_stiffness(fields: xr.Dataset) -> Figure:
-    """Draw the local shear modulus of the first seed at some contents, its scatter, and its scale of fluctuation.
-
-    Parameters
-    ----------
-    fields
-        As `calcidem.app.campaign.opened.Campaign.stiffness` gives it.
-    """
+    """Draw the local shear modulus of the first seed at some contents, its scatter, and its scale of fluctuation."""
     contents = fields["content"].to_numpy()
     shown = contents[np.unique(np.linspace(0, len(contents) - 1, _MOST_MAPS).round().astype(int))]
     figure = new_figure(height=4.6)

@@ -176,17 +176,7 @@ def draw_scale_bar(axes: Axes, x: float, y: float, length: float, text: str) -> 
 
 
 def render(figure: Figure, file_format: str, colours: int | None = None) -> bytes:
-    """Give the bytes of a figure as "png" (150 dpi), "svg" or "pdf"; equal figures give equal bytes.
-
-    Parameters
-    ----------
-    figure
-        The figure.
-    file_format
-        Which.
-    colours
-        Of a PNG, at most 256; by default as many as it has.
-    """
+    """Give the bytes of a figure as "png" (150 dpi), "svg" or "pdf"; equal figures give equal bytes."""
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(file_format, {})
     buffer = BytesIO()
     with mpl.rc_context(_STYLE):

@@ -56,18 +56,9 @@ def draw_range(
     published: Sequence[tuple[float, PublishedVelocity]] = (),
     measured: Sequence[Target] = (),
 ) -> Figure:
-    """Draw Vs against content with its intervals (Fig. 10).
+    """Draw Vs against content with its intervals (Fig. 10), published velocities and laboratory samples.
 
-    Parameters
-    ----------
-    cells
-        vs (m/s), vs_error and path_departure along (seed, content), NaN where missing.
-    distributions
-        Of each content.
-    published
-        Means and standard deviations to show beside, each with its content in percent.
-    measured
-        Means and standard deviations of laboratory samples to lay over.
+    ``cells`` has vs (m/s), vs_error and path_departure along (seed, content), NaN where missing.
     """
     rows = [row for row in distributions if row.vs.n]
     axes, placed = new_panel(height=4.6)
@@ -174,13 +165,7 @@ def _draw_measured(axes: Axes, measured: Sequence[Target]) -> None:
 
 @apply_style
 def draw_comparison(comparison: xr.Dataset) -> Figure:
-    """Draw mean and scatter of Vs of several campaigns, and their differences from the first.
-
-    Parameters
-    ----------
-    comparison
-        From `calcidem.analysis.comparison.compare_velocities`.
-    """
+    """Draw mean and scatter of Vs of several campaigns, and their differences from the first (`compare_velocities`)."""
     figure = new_figure(height=5.2)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.5, 1.0])
     contents = comparison["content"].to_numpy()
@@ -218,17 +203,7 @@ def _draw_bars(axes: Axes, at: NDArray[np.float64], row: xr.Dataset, name: str, 
 def draw_histograms(
     vs: xr.DataArray, distributions: Sequence[ContentDistribution], measured: Sequence[Target] = ()
 ) -> Figure:
-    """Draw the distribution of Vs at each content with its normal fit (Fig. 11).
-
-    Parameters
-    ----------
-    vs
-        m/s along (seed, content).
-    distributions
-        Of each content; those without velocities are left out.
-    measured
-        Laboratory means to mark at these contents.
-    """
+    """Draw the distribution of Vs (m/s) at each content with its normal fit (Fig. 11), and laboratory means."""
     rows = [row for row in distributions if row.vs.n]
     columns = min(_HISTOGRAM_COLUMNS, len(rows))
     lines = math.ceil(len(rows) / columns)
@@ -277,15 +252,7 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
 
 @apply_style
 def draw_methods(cells: xr.Dataset, measured: Sequence[Target] = ()) -> Figure:
-    """Draw mean Vs by three methods of reading the arrival against content (compare Fig. 6).
-
-    Parameters
-    ----------
-    cells
-        vs_peak, vs_first_arrival and vs_cross_correlation in m/s along (seed, content), NaN where missing.
-    measured
-        Means and standard deviations of laboratory samples to lay over.
-    """
+    """Draw mean Vs (m/s) by three ways of reading against content (compare Fig. 6), and laboratory means."""
     figure = new_figure(height=4.6)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1.0])
     content = cells["content"].to_numpy()
@@ -314,13 +281,7 @@ def draw_methods(cells: xr.Dataset, measured: Sequence[Target] = ()) -> Figure:
 
 @apply_style
 def draw_narrowing(narrowings: Mapping[float, xr.Dataset]) -> Figure:
-    """Draw how the 95 % intervals narrow with the number of seeds.
-
-    Parameters
-    ----------
-    narrowings
-        For each content in percent, what `planning.narrowing` gives.
-    """
+    """Draw how the 95 % intervals narrow with the number of seeds, see `planning.narrowing`, for each content."""
     figure = new_figure(height=3.1)
     panels = figure.subplots(1, 3)
     colours = mpl.colormaps[CONTENT_MAP](np.linspace(0.05, 0.85, len(narrowings)))

@@ -8,15 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
-import numpy as np
-
 from calcidem.app.studies.accuracy.findings import MeasuredErrors
-from calcidem.app.studies.accuracy.reference import measure_and_time
+from calcidem.app.studies.accuracy.reference import measure_and_time, relative_deviation
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED, with_wave
 from calcidem.app.studies.accuracy.study import ROUNDS
 from calcidem.dem.wave.domain import domain_of
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 
@@ -80,20 +77,9 @@ def explain(
     measured: MeasuredErrors | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Explanation]:
-    """Measure what each alternative saves and costs.
+    """Measure what each alternative saves and costs; at most ``lanes`` seeds, which share a batch.
 
-    Parameters
-    ----------
-    experiment
-        Of the campaign.
-    contents, seeds
-        Cells to measure; at most ``lanes`` seeds, which share a batch.
-    lanes
-        Width of the kernel.
-    measured
-        Errors against a converged reference.
-    progress
-        Told what is being measured.
+    ``measured`` has errors against a converged reference; ``progress`` is told what is being measured.
     """
     rows = []
     for content in contents:
@@ -107,52 +93,53 @@ def _with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanati
     """Row with the errors of both ways, if they were measured."""
     if measured is None or not row.alternative.setting:
         return row
-    own = measured.of(DEFAULT, row.content)
-    return replace(row, error=own, other_error=measured.of(row.alternative.setting, row.content))
+    own, other = (measured.worst.get((name, row.content)) for name in (DEFAULT, row.alternative.setting))
+    return replace(row, error=own, other_error=other)
 
 
 def _alternatives_of(experiment: Experiment, content: float) -> list[Alternative]:
     """What can be said about the scenes of one content."""
-    found = [*_displacement_alternatives(experiment), _whole_domain(experiment)]
-    found += [_early_stop(experiment), _precision(experiment)]
-    bonds = None if content > 0.0 else with_wave(experiment, keep=("bonds",))
-    why = "no contact is cemented" if bonds else "some contacts are cemented"
-    found.append(Alternative("bonds", needed=content > 0.0, why=why, opposite=bonds))
-    return [*found, _local_damping(experiment), _wall_or_disks(experiment)]
-
-
-def _displacement_alternatives(experiment: Experiment) -> list[Alternative]:
-    """How displacements and contact laws are treated."""
     wave = experiment.wave
-    if wave.regime != "linear":
-        why = f'the configuration asks for regime = "{wave.regime}"'
+    stop, double, wall = experiment.early_stop, wave.precision == "float64", wave.transmitter == "wall"
+    other = "float32" if double else "float64"
+    settles = "the reading looks no further than its horizon, so more steps change no bit of it"
+    early = Alternative(
+        "steps after the pick", False, settles, replace(experiment, early_stop=not stop), f"early_stop {not stop}"
+    )
+    asked = f"the configuration asks for {wave.precision}"
+    precision = Alternative(
+        "double precision", double, asked, with_wave(experiment, precision=other), f"precision {other}"
+    )
+    cemented = content > 0.0
+    why = "some contacts are cemented" if cemented else "no contact is cemented"
+    bonds = Alternative("bonds", cemented, why, None if cemented else with_wave(experiment, keep=("bonds",)))
+    if wave.damping == 0.0:
+        damping = Alternative("local damping", needed=False, why="alpha of the sample is 0", opposite=None)
+    else:  # it slows the front of a wave, see docs/accuracy.md
+        why = f"alpha of the sample is {wave.damping:g}: without it Vs is another one"
+        damping = Alternative("local damping", True, why, with_wave(experiment, damping=0.0), UNDAMPED)
+    why = "the configuration asks for a wall that rubs" if wall else "disks that are driven neither slip nor spin"
+    transmitter = with_wave(experiment, transmitter="driven" if wall else "wall")
+    driven = Alternative("driven disks", not wall, why, transmitter)
+    return [*_displacements(experiment), _whole_domain(experiment), early, precision, bonds, damping, driven]
+
+
+def _displacements(experiment: Experiment) -> list[Alternative]:
+    """How displacements and contact laws are treated."""
+    regime, slip, turns = experiment.wave.regime, "slip, opening and Hertz stiffening", "new normals and overlaps"
+    if regime != "linear":
+        why = f'the configuration asks for regime = "{regime}"'
         return [
-            Alternative("slip, opening and Hertz stiffening", needed=True, why=why, opposite=None),
-            Alternative("new normals and overlaps", needed=wave.regime == "finite", why=why, opposite=None),
+            Alternative(slip, needed=True, why=why, opposite=None),
+            Alternative(turns, needed=regime == "finite", why=why, opposite=None),
         ]
-    small = "the pulse moves the grains by a small part of their overlaps"
-    finite = with_wave(experiment, regime="finite")
+    tiny = "the pulse moves the grains by a small part of their overlaps"
+    small, finite = (with_wave(experiment, regime=other) for other in ("small", "finite"))
+    search = with_wave(finite, keep=("search",))
     return [
-        Alternative(
-            "slip, opening and Hertz stiffening",
-            needed=False,
-            why=f"{small}, so contacts keep their stiffness",
-            opposite=with_wave(experiment, regime="small"),
-            setting="regime small",
-        ),
-        Alternative(
-            "new normals and overlaps",
-            needed=False,
-            why=f"{small}, and far less of the radii",
-            opposite=finite,
-            setting="regime finite",
-        ),
-        Alternative(
-            "contact search",
-            needed=False,
-            why=f"{small}, so no new contacts form",
-            opposite=with_wave(finite, keep=("search",)),
-        ),
+        Alternative(slip, False, f"{tiny}, so contacts keep their stiffness", small, "regime small"),
+        Alternative(turns, False, f"{tiny}, and far less of the radii", finite, "regime finite"),
+        Alternative("contact search", False, f"{tiny}, so no new contacts form", search),
     ]
 
 
@@ -163,49 +150,8 @@ def _whole_domain(experiment: Experiment) -> Alternative:
     if share == 0.0:
         why = "the layers at floor and lid are thin or damp by less than 1, or the sample settles as a whole"
         return Alternative("disks out of reach", needed=True, why=why, opposite=None)
-    return Alternative(
-        "disks out of reach",
-        needed=False,
-        why=f"{share:.0%} of the disks lie deep in the damping layers or touch nothing: no signal gets there",
-        opposite=with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)),
-    )
-
-
-def _local_damping(experiment: Experiment) -> Alternative:
-    """Local damping of the sample, which slows the front of a wave (docs/accuracy.md)."""
-    alpha = experiment.wave.damping
-    if alpha == 0.0:
-        return Alternative("local damping", needed=False, why="alpha of the sample is 0", opposite=None)
-    why = f"alpha of the sample is {alpha:g}: without it Vs is another one"
-    return Alternative("local damping", True, why, with_wave(experiment, damping=0.0), UNDAMPED)
-
-
-def _wall_or_disks(experiment: Experiment) -> Alternative:
-    """Disks that the pulse drives, instead of a wall that rubs along them."""
-    wall = experiment.wave.transmitter == "wall"
-    why = "the configuration asks for a wall that rubs" if wall else "disks that are driven neither slip nor spin"
-    return Alternative("driven disks", not wall, why, with_wave(experiment, transmitter="driven" if wall else "wall"))
-
-
-def _early_stop(experiment: Experiment) -> Alternative:
-    """The steps after the pick is settled."""
-    why = "the reading looks no further than its horizon, so more steps change no bit of it"
-    return Alternative(
-        "steps after the pick",
-        needed=False,
-        why=why,
-        opposite=replace(experiment, early_stop=not experiment.early_stop),
-        setting=f"early_stop {not experiment.early_stop}",
-    )
-
-
-def _precision(experiment: Experiment) -> Alternative:
-    """Single or double precision."""
-    double = experiment.wave.precision == "float64"
-    other = with_wave(experiment, precision="float32" if double else "float64")
-    why = f"the configuration asks for {experiment.wave.precision}"
-    setting = f"precision {other.wave.precision}"
-    return Alternative("double precision", needed=double, why=why, opposite=other, setting=setting)
+    why = f"{share:.0%} of the disks lie deep in the damping layers or touch nothing: no signal gets there"
+    return Alternative("disks out of reach", False, why, with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
 
 
 def _measure_alternative(
@@ -214,16 +160,11 @@ def _measure_alternative(
     """Measure one alternative on one content."""
     if alternative.opposite is None:
         return Explanation(content, alternative, None, None)
-    own_seconds, other_seconds = [], []
-    own: tuple[Measurement, ...] = ()
-    other: tuple[Measurement, ...] = ()
+    ratios, pairs = [], []
     for _ in range(ROUNDS):
-        own, seconds = measure_and_time(experiment, content, seeds, lanes)
-        own_seconds.append(seconds)
+        own, own_seconds = measure_and_time(experiment, content, seeds, lanes)
         other, seconds = measure_and_time(alternative.opposite, content, seeds, lanes)
-        other_seconds.append(seconds)
-    differences = [
-        abs(b.vs / a.vs - 1.0) for a, b in zip(own, other, strict=True) if a.vs is not None and b.vs is not None
-    ]
-    ratio = median(np.array(other_seconds) / np.array(own_seconds))
-    return Explanation(content, alternative, float(ratio), max(differences, default=None))
+        ratios.append(seconds / own_seconds)
+        pairs = [(b.vs, a.vs) for a, b in zip(own, other, strict=True)]
+    changes = [abs(change) for pair in pairs if (change := relative_deviation(*pair)) is not None]
+    return Explanation(content, alternative, median(ratios), max(changes, default=None))

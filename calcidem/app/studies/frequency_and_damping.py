@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from calcidem.app.campaign.patterns import stored_experiment
+from calcidem.app.studies.tables import markdown_table, number
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, interpret_record, measure
@@ -34,27 +35,12 @@ def _frequency_study(
     seeds: Sequence[int] = (1, 2, 3, 4),
     check: Callable[[], None] = lambda: None,
 ) -> xr.Dataset:
-    """Measure the same samples with several excitation frequencies (Figs. 6 and 9 of the paper).
+    """Measure the same samples, at most 32 of a content (%), with several frequencies, Hz (Figs. 6 and 9 of the paper).
 
-    Parameters
-    ----------
-    experiment
-        What all samples share; its frequencies are replaced.
-    contents
-        Percent of the sand's mass.
-    frequencies
-        Hz, positive.
-    seeds
-        Samples of each content, at most 32.
-    check
-        Called every fraction of a second; may raise to end the study.
-
-    Returns
-    -------
-    xarray.Dataset
-        `vs_peak`, `vs_first_arrival`, `vs_cross_correlation` (m/s) and `received_frequency` (Hz) along (content,
-        frequency, seed), NaN where nothing trustworthy was read; `campaign_frequency` (Hz) along content: what
-        the experiment itself would send; the attribute `distance` (m) between transmitter and receiver.
+    ``check`` is called every fraction of a second; it may raise to end the study. Given are `vs_peak`,
+    `vs_first_arrival`, `vs_cross_correlation` (m/s) and `received_frequency` (Hz) along (content, frequency, seed), NaN
+    where nothing trustworthy was read; `campaign_frequency` (Hz) along content: what the experiment itself would send;
+    the attribute `distance` (m) between transmitter and receiver.
     """
     shape = (len(contents), len(frequencies), len(seeds))
     values = {name: np.full(shape, np.nan) for name in (*(f"vs_{m}" for m in _METHODS), "received_frequency")}
@@ -85,29 +71,11 @@ def _damping_study(
     periods: float = 6.0,
     check: Callable[[], None] = lambda: None,
 ) -> xr.Dataset:
-    """Measure one sample of each content with several local damping factors (Fig. 7 of the paper).
+    """Measure one sample of each content (%) with several local damping factors, 0 to 1 (Fig. 7 of the paper).
 
-    Parameters
-    ----------
-    experiment
-        What all samples share; its damping is replaced, that of the boundary layers kept.
-    contents
-        Percent of the sand's mass.
-    factors
-        Local damping factors, 0 to 1.
-    seed
-        Which sample.
-    periods
-        Length of the records in periods of the pulse.
-    check
-        Called every fraction of a second; may raise to end the study.
-
-    Returns
-    -------
-    xarray.Dataset
-        `received` (velocity of the receiver, m/s) along (content, damping, sample), `time`
-        (s) along (content, sample), and `vs_peak` (m/s) along (content, damping), NaN where nothing trustworthy
-        was read.
+    Damping of the boundary layers is kept; records are so many ``periods`` of the pulse long. Given are `received`
+    (velocity of the receiver, m/s) along (content, damping, sample), `time` (s) along (content, sample), and `vs_peak`
+    (m/s) along (content, damping), NaN where nothing trustworthy was read.
     """
     time = np.stack([np.linspace(0.0, periods / experiment.frequency(content), _RECORD_POINTS) for content in contents])
     received = np.zeros((len(contents), len(factors), _RECORD_POINTS))
@@ -153,21 +121,8 @@ def _pulse_frequency(signal: Floats, sampling_interval: float, moment: float, re
     """Give the frequency of the pulse that peaks at a moment: one over twice its width at half height.
 
     For ``v0 (1 - cos 2 pi f t)`` this is exactly f. A spectrum would not do: a pulse of one sign has its largest
-    amplitude at frequency zero.
-
-    Parameters
-    ----------
-    signal
-        Any unit, shape (t,).
-    sampling_interval
-        Between its samples, s.
-    moment, reach
-        Time of the peak after the first sample, and how far from it the largest value may be, s.
-
-    Returns
-    -------
-    float
-        Hz; NaN if the signal does not fall to half its peak on both sides.
+    amplitude at frequency zero. Intervals and times are in s: ``moment`` is that of the peak after the first sample,
+    ``reach`` how far from it the largest value may be. NaN if the signal does not fall to half its peak on both sides.
     """
     near, wide = round(moment / sampling_interval), max(1, round(reach / sampling_interval))
     begin = max(0, near - wide)
@@ -203,12 +158,13 @@ def study_table(study: xr.Dataset, varied: str) -> str:
     """Mean of Vs from peak to peak (m/s) against the content and what was varied, as a table in Markdown."""
     means = study["vs_peak"].mean([name for name in study["vs_peak"].dims if name == "seed"])
     unit = "Hz" if varied == "frequency" else "1"
-    lines = [f"| content, % | {' | '.join(f'{value:g} {unit}' for value in study[varied].values)} |"]
-    lines.append("|---" * (1 + study.sizes[varied]) + "|")
-    for content in study["content"].values:
-        row = means.sel(content=content).values
-        lines.append(f"| {content:g} | {' | '.join('-' if np.isnan(vs) else f'{vs:.0f}' for vs in row)} |")
-    return "\n".join(lines) + "\n"
+    return markdown_table(
+        ("content, %", *(f"{value:g} {unit}" for value in study[varied].values)),
+        [
+            (f"{content:g}", *(number(None if np.isnan(vs) else vs, ".0f") for vs in means.sel(content=content).values))
+            for content in study["content"].values
+        ],
+    )
 
 
 _STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": _frequency_study, "damping": _damping_study}

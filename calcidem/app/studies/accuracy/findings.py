@@ -6,13 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.studies.accuracy.amplitudes import AmplitudeRow
-from calcidem.app.studies.accuracy.equilibrium import EquilibriumRow
+from calcidem.app.studies.accuracy.questions import AmplitudeRow, EquilibriumRow, Scatter
 from calcidem.app.studies.accuracy.reference import Convergence
-from calcidem.app.studies.accuracy.scatter import Scatter
 from calcidem.app.studies.accuracy.study import Study
-
-_DIGITS = 5
 
 _PACKAGED = Path(__file__).with_name("measured.json")
 """Excerpt of what ``calcidem accuracy examples/paper-small-pulse.toml`` found, see benchmarks/accuracy/publish.py."""
@@ -58,25 +54,20 @@ class MeasuredErrors:
     source: Path
     worst: dict[tuple[str, float], float]
 
-    def of(self, setting: str, content: float) -> float | None:
-        """Error of a setting at a content, None if it was not measured."""
-        return self.worst.get((setting, content))
-
 
 def findings_json(findings: Findings) -> str:
-    """Everything as JSON, to five digits."""
-    return json.dumps(_round_numbers(asdict(findings)), separators=(",", ":"))
+    """Everything as JSON: numbers to five digits, null for what is no finite number."""
 
+    def rounded(value: object) -> object:
+        if isinstance(value, dict):
+            return {f"{key:g}" if isinstance(key, float) else str(key): rounded(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [rounded(item) for item in value]
+        if isinstance(value, float):
+            return float(f"{value:.5g}") if np.isfinite(value) else None
+        return value
 
-def _round_numbers(value: object) -> object:
-    """Return the same with all numbers to five digits, and null for what is no finite number."""
-    if isinstance(value, dict):
-        return {f"{key:g}" if isinstance(key, float) else str(key): _round_numbers(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_round_numbers(item) for item in value]
-    if isinstance(value, float):
-        return float(f"{value:.{_DIGITS}g}") if np.isfinite(value) else None
-    return value
+    return json.dumps(rounded(asdict(findings)), separators=(",", ":"))
 
 
 def measured_errors(campaign_hash: str, packing_hash: str, path: Path | None = None) -> MeasuredErrors | None:
@@ -84,10 +75,8 @@ def measured_errors(campaign_hash: str, packing_hash: str, path: Path | None = N
 
     Parameters
     ----------
-    campaign_hash
-        Identity of that physics.
-    packing_hash
-        `Packing.content_hash` of that packing.
+    campaign_hash, packing_hash
+        Identity of that physics, and `Packing.content_hash`.
     path
         JSON of `calcidem accuracy`; by default the packaged one, if it is about both.
 
@@ -99,9 +88,9 @@ def measured_errors(campaign_hash: str, packing_hash: str, path: Path | None = N
     source = path or _PACKAGED
     try:
         found = json.loads(source.read_text())
-        hashes, cells = (found["campaign_hash"], found["packing_hash"]), found["study"]["cells"]
+        hashes = found["campaign_hash"], found["packing_hash"]
         worst: dict[tuple[str, float], float] = {}
-        for cell in cells:
+        for cell in found["study"]["cells"]:
             if cell["vs_error"] is not None:
                 key = (cell["setting"], cell["content"])
                 worst[key] = max(abs(cell["vs_error"]), worst.get(key, 0.0))

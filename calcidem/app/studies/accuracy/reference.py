@@ -46,23 +46,6 @@ class ReferenceCell:
     halving: float | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reference:
-    """Reference of all cells of a content.
-
-    Attributes
-    ----------
-    measurements, cells
-        Measurement of each cell, and what is said of it.
-    seconds
-        Processor time of a cell.
-    """
-
-    measurements: tuple[Measurement, ...]
-    cells: tuple[ReferenceCell, ...]
-    seconds: float
-
-
 @dataclass(frozen=True, slots=True)
 class CellError:
     """How far one cell of one setting is from the reference.
@@ -122,69 +105,64 @@ class Convergence:
     orders: tuple[float, ...]
 
 
-def find_reference(
-    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int, coarsest: float = COARSEST
-) -> Reference:
-    """Measure a content exactly: the step of each cell is halved until its Vs changes by less than `HALVING`.
-
-    A cell that is still moving at `_FINEST` stays with that, and says by how much.
-    """
-    step, waiting = coarsest, list(seeds)
-    before, _ = _measure_by_seed(experiment, step, content, waiting, lanes)
-    done: dict[int, tuple[Measurement, ReferenceCell, float]] = {}
-    while waiting:
-        step /= 2.0
-        now, seconds = _measure_by_seed(experiment, step, content, waiting, lanes)
-        for seed in waiting:
-            change = relative_deviation(now[seed].vs, before[seed].vs)
-            if change is None or abs(change) < HALVING or step <= _FINEST:
-                done[seed] = now[seed], ReferenceCell(seed, content, now[seed].vs, step, change), seconds
-        waiting = [seed for seed in waiting if seed not in done]
-        before = now
-    rows = [done[seed] for seed in seeds]
-    return Reference(tuple(row[0] for row in rows), tuple(row[1] for row in rows), float(np.mean([r[2] for r in rows])))
-
-
-def _measure_by_seed(
-    experiment: Experiment, step: float, content: float, seeds: Sequence[int], lanes: int
-) -> tuple[dict[int, Measurement], float]:
-    """Measurements with a step, and processor time of a cell, s."""
-    found, seconds = measure_and_time(
-        reference_experiment(experiment, step), content, seeds, fitting_lanes(seeds, lanes)
-    )
-    return {cell.seed: cell for cell in found}, seconds
-
-
-def measure_and_time(
-    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int
-) -> tuple[tuple[Measurement, ...], float]:
-    """Measure, and give the processor time of a cell, s; what had to compile its kernels is measured a second time.
-
-    Processor time leaves out what other programs take of a shared machine, unlike the wall time of a `Measurement`.
-    """
-    compiled = seconds_compiling()
-    found, seconds = _measure_once(experiment, content, seeds, lanes)
-    return (found, seconds) if seconds_compiling() == compiled else _measure_once(experiment, content, seeds, lanes)
-
-
-def _measure_once(
-    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int
-) -> tuple[tuple[Measurement, ...], float]:
-    """Measure, and give the processor time of a cell, s."""
-    began = process_time()
-    found = measure_all(experiment, content, seeds, lanes=lanes)
-    return found, (process_time() - began) / len(seeds)
-
-
 def fitting_lanes(seeds: Sequence[int], lanes: int) -> int:
     """Width of the kernel that these seeds fill: the smallest power of two, at most ``lanes``."""
     return min(lanes, 1 << (len(seeds) - 1).bit_length())
 
 
-def cell_error(
-    setting: str, found: Measurement, amplitude: float, exact: Measurement, exact_amplitude: float
-) -> CellError:
-    """Compare a cell with the reference of the same cell; amplitudes of the pulses in m/s."""
+def measure_cells(
+    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int
+) -> dict[tuple[int, float], Measurement]:
+    """Measurements by seed and content, in a kernel of the width that the seeds fill."""
+    found = measure_all(experiment, content, seeds, lanes=fitting_lanes(seeds, lanes))
+    return {(cell.seed, content): cell for cell in found}
+
+
+def measure_and_time(
+    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int
+) -> tuple[tuple[Measurement, ...], float]:
+    """Measure, and give the processor time of a cell, s; what had to compile its kernels is measured again.
+
+    Processor time leaves out what other programs take of a shared machine, unlike the wall time of a `Measurement`.
+    """
+    while True:
+        compiled, began = seconds_compiling(), process_time()
+        found = measure_all(experiment, content, seeds, lanes=lanes)
+        seconds = (process_time() - began) / len(seeds)
+        if seconds_compiling() == compiled:
+            return found, seconds
+
+
+def find_reference(
+    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int, coarsest: float = COARSEST
+) -> tuple[tuple[Measurement, ...], tuple[ReferenceCell, ...], float]:
+    """Measure a content exactly: the step of each cell is halved until its Vs changes by less than `HALVING`.
+
+    A cell that is still moving at `_FINEST` stays with that, and says by how much. Given are the measurements, what is
+    said of each, and the mean processor time of a cell, s.
+    """
+    step, waiting = coarsest, list(seeds)
+    before = measure_cells(reference_experiment(experiment, step), content, waiting, lanes)
+    done: dict[int, tuple[Measurement, ReferenceCell, float]] = {}
+    while waiting:
+        step /= 2.0
+        width = fitting_lanes(waiting, lanes)
+        found, seconds = measure_and_time(reference_experiment(experiment, step), content, waiting, width)
+        now = {(cell.seed, content): cell for cell in found}
+        for seed in waiting:
+            cell = now[seed, content]
+            change = relative_deviation(cell.vs, before[seed, content].vs)
+            if change is None or abs(change) < HALVING or step <= _FINEST:
+                done[seed] = cell, ReferenceCell(seed, content, cell.vs, step, change), seconds
+        waiting = [seed for seed in waiting if seed not in done]
+        before = now
+    measurements, cells, times = zip(*(done[seed] for seed in seeds), strict=True)
+    return measurements, cells, float(np.mean(times))
+
+
+def cell_error(setting: str, found: Measurement, exact: Measurement) -> CellError:
+    """Compare a cell with the reference of the same cell."""
+    arrivals = (one.result.reading and one.result.reading.first_arrival for one in (exact, found))
     return CellError(
         setting=setting,
         seed=found.seed,
@@ -192,8 +170,8 @@ def cell_error(
         vs=found.vs,
         reference_vs=exact.vs,
         vs_error=relative_deviation(found.vs, exact.vs),
-        arrival_error=relative_deviation(_first_arrival(exact), _first_arrival(found)),
-        signal_error=signal_distance(found.record, amplitude, exact.record, exact_amplitude),
+        arrival_error=relative_deviation(*arrivals),
+        signal_error=signal_distance(found.record, exact.record),
         expected=found.result.error and found.result.error.expected,
         bound=found.result.error and found.result.error.bound,
     )
@@ -204,23 +182,25 @@ def relative_deviation(found: float | None, exact: float | None) -> float | None
     return None if found is None or exact is None else found / exact - 1.0
 
 
-def _first_arrival(measurement: Measurement) -> float | None:
-    """Velocity by the first arrival, m/s."""
-    return None if measurement.result.reading is None else measurement.result.reading.first_arrival
-
-
-def signal_distance(found: WaveRecord, amplitude: float, exact: WaveRecord, exact_amplitude: float) -> float:
-    """Normalised L2 distance of two received signals, each over its amplitude, on the time that both cover.
+def signal_distance(found: WaveRecord, exact: WaveRecord) -> float:
+    """Normalised L2 distance of two received signals, each over its pulse's amplitude, on the time that both cover.
 
     ``||a - b|| / ||b||`` at the samples of the coarser record; the finer one is interpolated by a cubic spline.
     """
-    times = [record.section.times for record in (found, exact)]
-    coarser = max(times, key=lambda time: float(time[1] - time[0]))
-    begin, end = max(time[0] for time in times), min(time[-1] for time in times)
-    common = coarser[(coarser >= begin) & (coarser <= end)]
-    first = _at_times(common, times[0], found.section.received / amplitude)
-    second = _at_times(common, times[1], exact.section.received / exact_amplitude)
+    sections = found.section, exact.section
+    times = [section.times for section in sections]
+    common = _common_times(times, max(times, key=lambda time: float(time[1] - time[0])))
+    first, second = (
+        _at_times(common, time, section.received / section.amplitude)
+        for time, section in zip(times, sections, strict=True)
+    )
     return float(np.linalg.norm(first - second) / np.linalg.norm(second))
+
+
+def _common_times(times: Sequence[Floats], chosen: Floats) -> Floats:
+    """Those of the chosen times that all cover."""
+    begin, end = max(time[0] for time in times), min(time[-1] for time in times)
+    return chosen[(chosen >= begin) & (chosen <= end)]
 
 
 def _at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:
@@ -240,23 +220,12 @@ def measure_convergence(
     regime: Regime = "linear",
     lanes: int = 8,
 ) -> Convergence:
-    """Measure the order at one content.
+    """Measure the order at one content; records end when a wave of two thirds of ``velocity`` (m/s) was received.
 
     Local damping pushes against the sign of the velocity half a step before, and that sign turns over at some instant
     within a step: an error of first order. So is the increment of a shear force in a contact that sticks while its
     stiffness changes, as in the small and finite regimes. The rest is of second order, which shows in the linear regime
     without damping.
-
-    Parameters
-    ----------
-    experiment, content, seeds
-        What to measure.
-    velocity
-        Shear-wave velocity, m/s; records end when a wave of two thirds of it has been received.
-    damped, regime
-        See `Convergence`.
-    lanes
-        Width of the kernel.
     """
     even = with_wave(
         experiment,
@@ -267,9 +236,8 @@ def measure_convergence(
         **({} if damped else {"damping": 0.0, "boundary_damping": 0.0}),
     )
     even = replace(even, early_stop=False, installation="preserve")
-    width = fitting_lanes(seeds, lanes)
-    runs = [measure_all(with_wave(even, step_fraction=step), content, seeds, lanes=width) for step in CONVERGENCE_STEPS]
-    records = [[run[cell].record for run in runs] for cell in range(len(seeds))]
+    runs = [measure_cells(with_wave(even, step_fraction=step), content, seeds, lanes) for step in CONVERGENCE_STEPS]
+    records = [[run[seed, content].record for run in runs] for seed in seeds]
     changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in records], axis=0)
     orders = np.log2(changes[:-1] / changes[1:])
     return Convergence(content, damped, regime, tuple(changes.tolist()), tuple(orders.tolist()))
@@ -283,8 +251,7 @@ def _signal_changes(records: Sequence[WaveRecord], smoothing: float) -> Floats:
     sections = [record.section for record in records]
     signals = [smooth(section.received, smoothing * section.period) for section in sections]
     times = [section.times[: len(signal)] for section, signal in zip(sections, signals, strict=True)]
-    begin, end = max(time[0] for time in times), min(time[-1] for time in times)
-    common = times[0][(times[0] >= begin) & (times[0] <= end)]
+    common = _common_times(times, times[0])
     signals = [_at_times(common, time, signal) for time, signal in zip(times, signals, strict=True)]
     size = np.linalg.norm(signals[-1])
     return np.array([np.linalg.norm(fine - coarse) / size for coarse, fine in itertools.pairwise(signals)])

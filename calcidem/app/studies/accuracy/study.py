@@ -11,15 +11,15 @@ from scipy.stats import spearmanr
 from calcidem.app.studies.accuracy.reference import (
     COARSEST,
     CellError,
-    Reference,
     ReferenceCell,
     cell_error,
     find_reference,
     fitting_lanes,
     measure_and_time,
 )
-from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
+from calcidem.app.studies.accuracy.settings import Setting, settings
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement
 
 ROUNDS = 3
 _SLOW = 3.0  # settings that take this many times the default's time are timed only once
@@ -68,7 +68,7 @@ class Study:
     cells
         Every cell of every setting.
     summaries
-        One for each setting, over all contents.
+        One for each setting, over all contents; the experiment's own first.
     references
         One for each cell.
     reference_seconds
@@ -82,11 +82,6 @@ class Study:
     references: tuple[ReferenceCell, ...]
     reference_seconds: float
     seconds: Mapping[str, Mapping[float, float]]
-
-    @property
-    def halving(self) -> float:
-        """Largest relative change of Vs by the last halving of the reference's step."""
-        return max((abs(cell.halving) for cell in self.references if cell.halving is not None), default=0.0)
 
 
 def run_study(  # noqa: PLR0913 - what a study does differently from the default, by keyword
@@ -106,10 +101,8 @@ def run_study(  # noqa: PLR0913 - what a study does differently from the default
     ----------
     experiment
         Whose own settings are the default.
-    contents
-        Percent.
-    seeds
-        Samples at each content.
+    contents, seeds
+        Percent, and samples at each content.
     compared
         Settings to compare, the experiment's own first; all of `settings.settings` by default.
     coarsest
@@ -123,37 +116,41 @@ def run_study(  # noqa: PLR0913 - what a study does differently from the default
     """
     compared = tuple(settings(experiment) if compared is None else compared)
     width = fitting_lanes(seeds, lanes)
-    exact: dict[float, Reference] = {}
     cells: list[CellError] = []
+    references: list[ReferenceCell] = []
+    reference_seconds: list[float] = []
     seconds: dict[str, dict[float, float]] = defaultdict(dict)
     for content in contents:
         progress(f"{content:g} %: reference")
-        exact[content] = find_reference(experiment, content, seeds, width, coarsest)
+        exact, exact_cells, taken = find_reference(experiment, content, seeds, width, coarsest)
+        references += exact_cells
+        reference_seconds.append(taken)
         progress(f"{content:g} %: {len(compared)} settings")
-        found, times = _compare_settings(compared, content, exact[content], width, rounds, progress)
+        found, times = _compare_settings(compared, exact, width, rounds, progress)
         cells += found
         for name, value in times.items():
             seconds[name][content] = value
     return Study(
         cells=tuple(cells),
-        summaries=_summaries_of(cells, compared, seconds),
-        references=tuple(cell for row in exact.values() for cell in row.cells),
-        reference_seconds=float(np.mean([row.seconds for row in exact.values()])),
-        seconds={name: dict(row) for name, row in seconds.items()},
+        summaries=tuple(
+            _summary_of(one, [cell for cell in cells if cell.setting == one.name], seconds.get(one.name, {}))
+            for one in compared
+        ),
+        references=tuple(references),
+        reference_seconds=float(np.mean(reference_seconds)),
+        seconds=dict(seconds),
     )
 
 
 def _compare_settings(
     compared: Sequence[Setting],
-    content: float,
-    exact: Reference,
+    exact: Sequence[Measurement],
     lanes: int,
     rounds: int,
     progress: Callable[[str], None],
 ) -> tuple[list[CellError], dict[str, float]]:
     """Errors of all settings at one content, and their processor time of a cell, s."""
-    seeds = [cell.seed for cell in exact.cells]
-    amplitude = compared[0].experiment.wave.amplitude
+    seeds, content = [cell.seed for cell in exact], exact[0].content
     cells: list[CellError] = []
     times: dict[str, list[float]] = {}
     for round_ in range(rounds):
@@ -167,41 +164,29 @@ def _compare_settings(
                 continue
             times.setdefault(setting.name, []).append(taken)
             if round_ == 0:
-                cells += [
-                    cell_error(setting.name, cell, setting.experiment.wave.amplitude, other, amplitude)
-                    for cell, other in zip(found, exact.measurements, strict=True)
-                ]
+                cells += [cell_error(setting.name, cell, other) for cell, other in zip(found, exact, strict=True)]
     return cells, {name: median(values) for name, values in times.items()}
 
 
-def _summaries_of(
-    cells: Iterable[CellError], compared: Iterable[Setting], seconds: Mapping[str, Mapping[float, float]]
-) -> tuple[Summary, ...]:
-    """Summaries of the settings, in their order."""
-    rows = defaultdict(list)
-    for cell in cells:
-        rows[cell.setting].append(cell)
-    return tuple(
-        _summary_of(setting.name, rows[setting.name], list(seconds.get(setting.name, {}).values()), setting.numerical)
-        for setting in compared
-    )
-
-
-def _summary_of(name: str, cells: Sequence[CellError], seconds: Sequence[float], numerical: bool) -> Summary:
+def _summary_of(setting: Setting, cells: Sequence[CellError], seconds: Mapping[float, float]) -> Summary:
     """Summary of the cells of one setting; ``seconds`` are processor times of a cell at each content."""
     errors = [abs(cell.vs_error) for cell in cells if cell.vs_error is not None]
     arrivals = [abs(cell.arrival_error) for cell in cells if cell.arrival_error is not None]
+
+    def middle(values: Sequence[float]) -> float:
+        return float(np.median(values)) if values else np.inf
+
     return Summary(
-        setting=name,
-        numerical=numerical,
+        setting=setting.name,
+        numerical=setting.numerical,
         cells=len(errors),
         lost=sum(cell.vs is None and cell.reference_vs is not None for cell in cells),
-        median=float(np.median(errors)) if errors else np.inf,
+        median=middle(errors),
         worst=max(errors, default=np.inf),
-        arrival=float(np.median(arrivals)) if arrivals else np.inf,
-        signal=float(np.median([cell.signal_error for cell in cells])) if cells else np.inf,
+        arrival=middle(arrivals),
+        signal=middle([cell.signal_error for cell in cells]),
         covered=covered_share(cells),
-        seconds=float(np.mean(seconds)) if seconds else np.inf,
+        seconds=float(np.mean(list(seconds.values()))) if seconds else np.inf,
     )
 
 
@@ -237,8 +222,3 @@ def pareto(summaries: Iterable[Summary]) -> tuple[Summary, ...]:
         if not front or row.median < front[-1].median:
             front.append(row)
     return tuple(front)
-
-
-def default_of(study: Study) -> Summary:
-    """Summary of the experiment's own setting."""
-    return next(row for row in study.summaries if row.setting == DEFAULT)

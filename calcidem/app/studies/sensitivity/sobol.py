@@ -14,6 +14,7 @@ from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.parameters import ParameterRange, check_ranges, with_values
 from calcidem.app.studies.sensitivity.plan import read_plan
+from calcidem.app.studies.tables import markdown_table
 from calcidem.app.studies.trials import check_cells, trial_workers
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import CampaignMismatchError
@@ -209,16 +210,16 @@ def sobol_table(indices: xr.Dataset) -> str:
 
     Below it stands which parameters are negligible, and of which the intervals are too wide to say so.
     """
-    contents = [f"{content:g} %" for content in indices["content"].to_numpy()]
-    lines = [f"| {' | '.join(['output', 'parameter', *contents])} |", f"|{'---|' * (2 + len(contents))}"]
+    contents = indices["content"].to_numpy()
+    rows = []
     for output, label in OUTPUTS.items():
-        ranges = [_range_entry(indices.sel(output=output, content=content)) for content in indices["content"]]
-        lines.append(f"| {' | '.join([label, 'range over all points', *ranges])} |")
+        chosen = indices.sel(output=output)
+        rows.append((label, "range over all points", *(_range_entry(chosen.sel(content=each)) for each in contents)))
         for name in indices["parameter"].to_numpy().tolist():
-            chosen = indices.sel(output=output, parameter=name)
-            entries = [_index_entry(chosen.sel(content=content)) for content in indices["content"]]
-            lines.append(f"| {' | '.join([label, str(name), *entries])} |")
-    return "\n".join([*lines, "", *_verdicts(indices), ""])
+            one = chosen.sel(parameter=name)
+            rows.append((label, str(name), *(_index_entry(one.sel(content=each)) for each in contents)))
+    table = markdown_table(("output", "parameter", *(f"{content:g} %" for content in contents)), rows)
+    return "\n".join([table, "", *_verdicts(indices), ""])
 
 
 def _range_entry(chosen: xr.Dataset) -> str:

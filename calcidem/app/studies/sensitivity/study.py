@@ -10,6 +10,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
 from calcidem.app.report.wording import ABSENT
 from calcidem.app.studies.sensitivity.plan import REFERENCE, Variant
+from calcidem.app.studies.tables import markdown_table
 from calcidem.storage.errors import UnknownCampaignError
 
 
@@ -55,8 +56,7 @@ def sensitivity_table(variants: Sequence[Variant], changes: Mapping[str, Sequenc
     deviations with its 95 % interval, in bold where the interval excludes 1.
     """
     contents = [change.content for change in changes.get(REFERENCE, ())]
-    header = ["choice", "value", *(f"{content:g} %" for content in contents)]
-    lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
+    rows = []
     former = ""
     for variant in variants:
         found = {change.content: change for change in changes.get(variant.name, ())}
@@ -66,8 +66,8 @@ def sensitivity_table(variants: Sequence[Variant], changes: Mapping[str, Sequenc
         former = variant.choice
         entries = [_table_entry(found.get(content), is_reference=variant.name == REFERENCE) for content in contents]
         value = variant.value if variant.against == REFERENCE else f"{variant.value} (against {variant.against})"
-        lines.append(f"| {' | '.join([choice, value, *entries])} |")
-    return "\n".join(lines) + "\n"
+        rows.append((choice, value, *entries))
+    return markdown_table(("choice", "value", *(f"{content:g} %" for content in contents)), rows) + "\n"
 
 
 def _table_entry(change: Change | None, *, is_reference: bool) -> str:

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calcidem.app.studies.stability.limits import acceleration_matrix, inertia_of
-from calcidem.app.studies.stability.scenes import REGIMES, Extreme, content_of, experiment_of_scene
+from calcidem.app.studies.stability.scenes import REGIMES, Extreme, scene_at_rest
 from calcidem.dem.engine.leapfrog import State, duplicate
 from calcidem.dem.engine.readout import energies
-from calcidem.dem.engine.scene import Regime, Scene
+from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.state import advance, choose_features, start
-from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
 _LONG = 100_000  # steps
 _LOOKS = 20  # at the energy during them
 _MOTION = 1.0e-2  # of the disks in a time of the stability limit, over the mean overlap: no contact opens or slips
+_PRESSED = Extreme(confinement=1e6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,38 +44,23 @@ class Endurance:
     restarted: bool
 
 
-def endurance(steps: int = _LONG) -> tuple[Endurance, ...]:
+def endurance() -> tuple[Endurance, ...]:
     """Long runs in all regimes of a lattice with a third of its cement."""
     return tuple(
         Endurance(
-            regime, steps, _energy_drift(regime, steps), _residual_motion(regime, steps), _restart_keeps_bits(regime)
+            regime, _LONG, _energy_drift(regime, _LONG), _residual_motion(regime, _LONG), _restart_keeps_bits(regime)
         )
         for regime in REGIMES
     )
 
 
-def _pressed_lattice(regime: Regime) -> Extreme:
-    """Lattice that is pressed well."""
-    return Extreme(regime=regime, confinement=1e6)
-
-
-def _scene_at_rest(regime: Regime, damping: float) -> Scene:
-    """The lattice without a pulse: walls at rest, bonds at a third of the contacts."""
-    extreme = _pressed_lattice(regime)
-    experiment = experiment_of_scene(extreme)
-    bonded = experiment.ordering(extreme.seed).at(content_of(extreme, experiment)).bonded
-    bonds = lane_bonds(experiment.packing, experiment.cement, [bonded], 1, "preserve")
-    return replace(wave_scene(experiment.packing, experiment.sand, experiment.wave, bonds), damping=damping)
-
-
 def _moving_state(regime: Regime) -> State:
-    """That scene without damping and with random velocities, so small that no contact opens or slips."""
-    scene = _scene_at_rest(regime, 0.0)
+    """The pressed lattice without damping and with random velocities, so small that no contact opens or slips."""
+    scene, packing = scene_at_rest(replace(_PRESSED, regime=regime), 0.0)
     features = replace(choose_features(scene, regime, account=True), servo=False)
     limit = float(start(scene, features=features).critical_time_step[0])
-    speed = _MOTION * experiment_of_scene(_pressed_lattice(regime)).packing.report.mean_overlap / limit
-    velocity = speed * np.random.default_rng(1).standard_normal((scene.count, 2))
-    return start(scene, features=features, velocity=velocity)
+    speed = _MOTION * packing.report.mean_overlap / limit
+    return start(scene, features=features, velocity=speed * np.random.default_rng(1).standard_normal((scene.count, 2)))
 
 
 def _energy_drift(regime: Regime, steps: int) -> float:
@@ -85,8 +70,7 @@ def _energy_drift(regime: Regime, steps: int) -> float:
     """
     state = advance(_moving_state(regime), 1)
     balance = _linear_invariant(state) if regime == "linear" else lambda state: energies(state).imbalance
-    inertia = inertia_of(state)
-    begin, kinetic = balance(state), 0.5 * float(inertia @ state.motion.velocity[:, :, 0].ravel() ** 2)
+    begin, kinetic = balance(state), 0.5 * float(inertia_of(state) @ state.motion.velocity[:, :, 0].ravel() ** 2)
     largest = 0.0
     for _ in range(_LOOKS):
         state = advance(state, steps // _LOOKS)
@@ -110,10 +94,9 @@ def _linear_invariant(state: State) -> Callable[[State], float]:
 
 def _residual_motion(regime: Regime, steps: int) -> float:
     """Largest displacement in a balanced scene that is left alone, over the mean overlap."""
-    scene = _scene_at_rest(regime, 0.3)
+    scene, packing = scene_at_rest(replace(_PRESSED, regime=regime), 0.3)
     state = start(scene, features=replace(choose_features(scene, regime), servo=False))
-    moved = np.abs(advance(state, steps).motion.displacement[:, :2]).max()
-    return float(moved) / experiment_of_scene(_pressed_lattice(regime)).packing.report.mean_overlap
+    return float(np.abs(advance(state, steps).motion.displacement[:, :2]).max()) / packing.report.mean_overlap
 
 
 def _restart_keeps_bits(regime: Regime, steps: int = 1000) -> bool:
@@ -121,5 +104,4 @@ def _restart_keeps_bits(regime: Regime, steps: int = 1000) -> bool:
     state = _moving_state(regime)
     half = advance(state, steps // 2)
     again = advance(pickle.loads(pickle.dumps(half)), steps - steps // 2)  # noqa: S301 - what was just written
-    whole = advance(state, steps)
-    return bool(np.array_equal(whole.motion.velocity, again.motion.velocity))
+    return bool(np.array_equal(advance(state, steps).motion.velocity, again.motion.velocity))

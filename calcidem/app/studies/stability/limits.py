@@ -7,29 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.app.studies.stability.scenes import REGIMES, Extreme, content_of, experiment_of_scene
+from calcidem.app.studies.stability.scenes import REGIMES, Extreme, content_of, experiment_of_scene, scene_at_rest
 from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
 _FACTORS = (0.99, 1.01, 1.05, 1.2, 2.0)  # step over the true limit
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Critical time steps of a scene.
-
-    Attributes
-    ----------
-    predicted
-        By the per-particle bound, s.
-    true
-        From the largest eigenvalue, s.
-    """
+    """Critical time steps of a scene, s: by the per-particle bound, and from the largest eigenvalue."""
 
     predicted: float
     true: float
@@ -70,11 +60,7 @@ def limits(scene: Extreme) -> Limits:
 
     The scene's damping is taken for all disks, so that the true limit is ``2 / (omega_max sqrt(1 + alpha))``.
     """
-    even = replace(scene, regime="linear")
-    experiment = experiment_of_scene(replace(even, step_fraction=0.8))
-    bonded = experiment.ordering(scene.seed).at(content_of(scene, experiment)).bonded
-    bonds = lane_bonds(experiment.packing, experiment.cement, [bonded], 1, "preserve")
-    damped = replace(wave_scene(experiment.packing, experiment.sand, experiment.wave, bonds), damping=scene.damping)
+    damped, _ = scene_at_rest(replace(scene, regime="linear", step_fraction=0.8), scene.damping)
     predicted = float(start(damped, features=choose_features(damped, "linear")).critical_time_step[0])
     undamped = replace(damped, damping=0.0)
     fastest = fastest_mode(start(undamped, features=choose_features(undamped, "linear")))
@@ -111,30 +97,20 @@ def acceleration_matrix(state: State) -> Floats:
     return matrix
 
 
-def detections(factors: tuple[float, ...] = _FACTORS) -> tuple[Detection, ...]:
+def detections() -> tuple[Detection, ...]:
     """Force steps around the true limit in all regimes of the plain lattice."""
-    return tuple(_force_step(factor, regime) for factor in factors for regime in REGIMES)
+    return tuple(_force_step(factor, regime) for factor in _FACTORS for regime in REGIMES)
 
 
 def _force_step(factor: float, regime: Regime) -> Detection:
     """Transmit a pulse through the plain lattice with a step that no configuration allows."""
     scene = Extreme(regime=regime, damping=0.0)
     experiment = experiment_of_scene(scene)
-    undamped = replace(experiment.wave, boundary_damping=0.0)
-    return _run_with_step(
-        replace(experiment, wave=undamped),
-        content_of(scene, experiment),
-        scene.seed,
-        factor,
-        factor * limits(scene).true,
-    )
-
-
-def _run_with_step(experiment: Experiment, content: float, seed: int, factor: float, step: float) -> Detection:
-    """Send a pulse through one sample of an experiment with any step, s."""
-    bonded = experiment.ordering(seed).at(content).bonded
+    experiment = replace(experiment, wave=replace(experiment.wave, boundary_damping=0.0))
+    content = content_of(scene, experiment)
+    bonded = experiment.ordering(scene.seed).at(content).bonded
     recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), 1, check=lambda: None)
-    recorder.state = replace(recorder.state, time_step=recorder.state.time_step * 0.0 + step)
+    step = recorder.state.time_step * 0.0 + factor * limits(scene).true
+    recorder.state = replace(recorder.state, time_step=step)
     record = recorder.run(lambda _: False, lambda: None)[0]
-    steps = record.steps if record.problem else None
-    return Detection(factor, experiment.wave.regime, steps, record.problem, recorder.steps_per_look)
+    return Detection(factor, regime, record.steps if record.problem else None, record.problem, recorder.steps_per_look)

@@ -14,8 +14,7 @@ from scipy.stats import qmc
 
 from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.scene import Preload, Regime
-from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.engine.scene import Preload, Regime, Scene
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule
@@ -23,42 +22,17 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
 _RADIUS = 1.25e-3  # m, of the largest disks
 _DISKS_ACROSS, _DISKS_UP = 6, 10
 _SMALLEST_RATIO = 2.5  # a disk smaller than this part of its neighbours fits into the pore between four of them
 _SMALL_DISKS = 0.2  # of the pores that hold one
 REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
-RANGES = {
-    "step_fraction": (0.5, 1.1),
-    "contrast": (0.0, 6.0),
-    "damping": (0.0, 1.0),
-    "amplitude": (-9.0, 1.0),
-    "frequency": (-1.0, 0.0),
-    "size_ratio": (-0.5, 1.3),
-    "content": (0.0, 1.0),
-    "confinement": (0.0, 8.0),
-    "missing": (-0.6, 0.3),
-    "strength": (-2.0, 6.0),
-}
-"""Lower and upper end of every quantity of `Extreme`; powers of ten for those of `_POWERS`."""
-PLAUSIBLE = {
-    "step_fraction": (0.5, 1.0),
-    "contrast": (0.0, 4.5),
-    "damping": (0.0, 0.5),
-    "amplitude": (-7.5, -4.5),
-    "frequency": (-0.75, -0.2),
-    "size_ratio": (-0.5, 0.5),
-    "content": (0.0, 0.5),
-    "confinement": (3.3, 5.3),
-    "missing": (-0.6, 0.01),
-    "strength": (1.0, 6.0),
-}
-"""The same for scenes that mostly have a velocity, so that there is something to be wrong about."""
-BOXES = {"extreme": RANGES, "plausible": PLAUSIBLE}
+BOXES = ("extreme", "plausible")
+"""What scenes are drawn from, see `Quantity`."""
 _PICK = PickRule(largest_error=1.0)
 """The boxes are short against the wave: it is judged whether the reading depends on the step, not what it is of."""
-_POWERS = {"contrast", "amplitude", "frequency", "size_ratio", "confinement", "strength"}
 _FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
 
 STRESSES = (1.0e2, 5.0e3, 5.0e5)  # on a small packing, Pa
@@ -121,6 +95,71 @@ class Extreme:
 
 
 @dataclass(frozen=True, slots=True)
+class Quantity:
+    """What the maps know of a number of `Extreme`.
+
+    Attributes
+    ----------
+    label
+        On the axis of a map.
+    walk
+        Values of a map; all other numbers stay as in ``base``.
+    extreme, plausible
+        Lower and upper end of what is drawn at random, over everything and over scenes that mostly have a velocity, so
+        that there is something to be wrong about; none is not drawn.
+    powers
+        Whether these are powers of ten.
+    """
+
+    label: str
+    walk: tuple[float, ...]
+    extreme: tuple[float, float] | None = None
+    plausible: tuple[float, float] | None = None
+    powers: bool = False
+    base: Extreme = Extreme()
+
+
+QUANTITIES = {
+    "step_fraction": Quantity(
+        "time step / its predicted limit", (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2), (0.5, 1.1), (0.5, 1.0)
+    ),
+    "contrast": Quantity(
+        "stiffness of bonds / of contacts", (1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6), (0.0, 6.0), (0.0, 4.5), powers=True
+    ),
+    "damping": Quantity("local damping factor", (0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.9, 1.0), (0.0, 1.0), (0.0, 0.5)),
+    "amplitude": Quantity(
+        "velocity of the pulse $v_0$ (m/s)",
+        (1e-9, 1e-7, 1e-5, 1e-3, 1e-1, 1.0, 10.0),
+        (-9.0, 1.0),
+        (-7.5, -4.5),
+        powers=True,
+    ),
+    "frequency": Quantity(
+        "frequency / cut-off of the contacts",
+        (0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0),
+        (-1.0, 0.0),
+        (-0.75, -0.2),
+        powers=True,
+    ),
+    "size_ratio": Quantity(
+        "largest / smallest radius", (1.0, 3.0, 5.0, 10.0, 20.0), (-0.5, 1.3), (-0.5, 0.5), powers=True
+    ),
+    "content": Quantity("share of the capacity for cement", (0.0, 0.1, 0.3, 0.6, 0.9, 1.0), (0.0, 1.0), (0.0, 0.5)),
+    "confinement": Quantity("confining stress (Pa)", (1.0, 1e2, 1e4, 1e6, 1e8), (0.0, 8.0), (3.3, 5.3), powers=True),
+    "missing": Quantity("share of the disks taken away", (0.0, 0.02, 0.05, 0.1, 0.2, 0.3), (-0.6, 0.3), (-0.6, 0.01)),
+    "strength": Quantity(
+        "strength of bonds / stress of the pulse",
+        (1e-2, 0.1, 0.3, 0.5, 1.0, 3.0, 1e2, 1e4),
+        (-2.0, 6.0),
+        (1.0, 6.0),
+        powers=True,
+        base=Extreme(amplitude=1e-3),  # a pulse that can break bonds
+    ),
+    "floating": Quantity("number of floating disks", (0, 1, 2, 3), base=Extreme(content=1.0, contrast=1.0)),
+}
+
+
+@dataclass(frozen=True, slots=True)
 class Packed:
     """One sample of a small packing.
 
@@ -146,10 +185,13 @@ class Packed:
 
 
 def draw_scenes(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, ...]:
-    """Latin hypercube over all quantities of one of the `BOXES`, with regimes taking turns."""
+    """Latin hypercube over all quantities that one of the `BOXES` draws, with regimes taking turns."""
+    ends = {name: getattr(quantity, box) for name, quantity in QUANTITIES.items()}
+    ranges = {name: both for name, both in ends.items() if both is not None}
+    powers = {name for name, quantity in QUANTITIES.items() if quantity.powers}
     return tuple(
         Extreme(**values, regime=REGIMES[number % len(REGIMES)], seed=number)
-        for number, values in enumerate(draw_quantities(BOXES[box], _POWERS, count, seed))
+        for number, values in enumerate(draw_quantities(ranges, powers, count, seed))
     )
 
 
@@ -213,10 +255,21 @@ def content_of(extreme: Extreme, experiment: Experiment) -> float:
     return extreme.content * experiment.ordering(extreme.seed).maximum_content
 
 
+def scene_at_rest(extreme: Extreme, damping: float) -> tuple[Scene, Packing]:
+    """The cemented scene without a pulse, with one damping factor for all disks, and its packing."""
+    experiment = experiment_of_scene(extreme)
+    packing = experiment.packing
+    bonded = experiment.ordering(extreme.seed).at(content_of(extreme, experiment)).bonded
+    bonds = lane_bonds(packing, experiment.cement, [bonded], 1, "preserve")
+    return replace(wave_scene(packing, experiment.sand, experiment.wave, bonds), damping=damping), packing
+
+
 def _lattice(extreme: Extreme, sand: Sand) -> Packing:
     """Square lattice of disks in equilibrium under the confining stress; small disks and gaps sown in at random."""
     generator = np.random.default_rng(extreme.seed)
-    overlap = _overlap_under(extreme.confinement, sand)
+    # Hertz: the force is stress times diameter.
+    coefficient = float(sand.hertz_coefficient(np.array(_RADIUS), np.array(_RADIUS)))
+    overlap = float((extreme.confinement * 2.0 * _RADIUS / coefficient) ** (2.0 / 3.0))
     spacing = 2.0 * _RADIUS - overlap
     # A wall is twice as stiff as a disk is in R~, so that the same force presses it less.
     to_wall = _RADIUS - overlap / 2.0 ** (1.0 / 3.0)
@@ -232,7 +285,12 @@ def _lattice(extreme: Extreme, sand: Sand) -> Packing:
         x, y = np.append(x, x[hosts] + apart), np.append(y, y[hosts] + apart)
         radius = np.append(radius, np.full(len(hosts), small))
     inside = (x < spacing * (_DISKS_ACROSS - 1) + 1.1 * to_wall) & (y < spacing * (_DISKS_UP - 1) + 1.1 * to_wall)
-    x, y, radius = _with_floaters(extreme.floating, x[inside], y[inside], radius[inside], to_wall, spacing)
+    # Floating ones lie in a row in the pore in the middle, and overlap by rounding alone: they touch without pushing.
+    count, own = extreme.floating, _FLOATER * _RADIUS
+    along = 2.0 * own * (1.0 - 1e-12) * (np.arange(count) - 0.5 * (count - 1))
+    middle = to_wall + spacing * np.array([_DISKS_ACROSS // 2 - 0.5, _DISKS_UP // 2 - 0.5])
+    x, y = np.append(x[inside], middle[0] + along), np.append(y[inside], np.full(count, middle[1]))
+    radius = np.append(radius[inside], np.full(count, own))
     pairs = near_pairs(np.column_stack([x, y]), radius, 0.0)
     return Packing(
         x,
@@ -241,45 +299,19 @@ def _lattice(extreme: Extreme, sand: Sand) -> Packing:
         width=spacing * (_DISKS_ACROSS - 1) + 2.0 * to_wall,
         height=spacing * (_DISKS_UP - 1) + 2.0 * to_wall,
         preload=Preload(pairs, np.zeros(len(pairs))),
-        report=_report_of(extreme, overlap),
+        report=PackingReport(
+            porosity=0.1,
+            coordination_number=6.0,
+            coordination_number_without_rattlers=6.0,
+            rattlers=0,
+            wall_stress=(extreme.confinement,) * 4,
+            mean_overlap=overlap,
+            largest_overlap=overlap,
+            unbalanced_ratio=0.0,
+            steps=0,
+            seconds=0.0,
+        ),
     )
-
-
-def _with_floaters(
-    count: int, x: Floats, y: Floats, radius: Floats, to_wall: float, spacing: float
-) -> tuple[Floats, Floats, Floats]:
-    """Disks and a row of floating ones in the pore in the middle of the lattice."""
-    own = _FLOATER * _RADIUS
-    # They overlap by rounding alone, so that they touch without pushing.
-    along = 2.0 * own * (1.0 - 1e-12) * (np.arange(count) - 0.5 * (count - 1))
-    middle = to_wall + spacing * np.array([_DISKS_ACROSS // 2 - 0.5, _DISKS_UP // 2 - 0.5])
-    return (
-        np.append(x, middle[0] + along),
-        np.append(y, np.full(count, middle[1])),
-        np.append(radius, np.full(count, own)),
-    )
-
-
-def _report_of(extreme: Extreme, overlap: float) -> PackingReport:
-    """Report of a lattice: what the wave stage reads of it."""
-    return PackingReport(
-        porosity=0.1,
-        coordination_number=6.0,
-        coordination_number_without_rattlers=6.0,
-        rattlers=0,
-        wall_stress=(extreme.confinement,) * 4,
-        mean_overlap=overlap,
-        largest_overlap=overlap,
-        unbalanced_ratio=0.0,
-        steps=0,
-        seconds=0.0,
-    )
-
-
-def _overlap_under(stress: float, sand: Sand) -> float:
-    """Overlap of the contacts of a lattice that a stress (Pa) presses, m: force = stress times diameter, Hertz."""
-    coefficient = float(sand.hertz_coefficient(np.array(_RADIUS), np.array(_RADIUS)))
-    return float((stress * 2.0 * _RADIUS / coefficient) ** (2.0 / 3.0))
 
 
 def small_packing(stress: float, friction: float, seed: int = 1) -> Packing:

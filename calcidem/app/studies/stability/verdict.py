@@ -3,13 +3,13 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
 
 from calcidem.app.studies.accuracy.reference import signal_distance
 from calcidem.app.studies.stability.own_scenes import OWN_TOLERANCE, OwnScene, error_of_run
 from calcidem.app.studies.stability.scenes import (
     CONTENTS,
     FRICTIONS,
+    QUANTITIES,
     REGIMES,
     STRESSES,
     Extreme,
@@ -28,23 +28,6 @@ _TOLERANCE = 0.05  # relative error of Vs beyond which a number is wrong, unless
 _FINER = 4  # times smaller step, and denser samples, of the run that decides
 _ALIKE = 0.1
 """Distance of two signals (`signal_distance`) up to which a pick that only one of them gives is a close call."""
-
-WALKS: dict[str, tuple[float, ...]] = {
-    "step_fraction": (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2),
-    "contrast": (1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6),
-    "damping": (0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.9, 1.0),
-    "amplitude": (1e-9, 1e-7, 1e-5, 1e-3, 1e-1, 1.0, 10.0),
-    "frequency": (0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0),
-    "size_ratio": (1.0, 3.0, 5.0, 10.0, 20.0),
-    "content": (0.0, 0.1, 0.3, 0.6, 0.9, 1.0),
-    "confinement": (1.0, 1e2, 1e4, 1e6, 1e8),
-    "missing": (0.0, 0.02, 0.05, 0.1, 0.2, 0.3),
-    "strength": (1e-2, 0.1, 0.3, 0.5, 1.0, 3.0, 1e2, 1e4),
-    "floating": (0, 1, 2, 3),
-}
-"""Values of each quantity; all others stay as `Extreme` has them, except those of `_BASES`."""
-_BASES = {"floating": Extreme(content=1.0, contrast=1.0), "strength": Extreme(amplitude=1e-3)}
-"""Scenes to start from: floating disks that are bonded, and a pulse that can break bonds."""
 
 
 class StabilityVerdict(StrEnum):
@@ -112,9 +95,13 @@ def _judge_experiment(
     scene: Extreme | Packed, make: Callable[[], tuple[Experiment, float]], regime: Regime | None = None
 ) -> Judgement:
     """Run what ``make`` gives: an experiment, and a content in percent; ``regime`` of the finer run if another one."""
+
+    def measured(experiment: Experiment) -> Measurement:
+        return measure(experiment, content, [scene.seed], lanes=1)[0]
+
     try:
         experiment, content = make()
-        found = _measure_sample(experiment, content, scene)
+        found = measured(experiment)
     except ValueError as error:
         return Judgement(scene, StabilityVerdict.REFUSED, str(error))
     if found.result.outcome != Outcome.DONE or found.vs is None:
@@ -127,54 +114,32 @@ def _judge_experiment(
         regime=regime or scene.regime,
     )
     try:
-        reference = _measure_sample(replace(experiment, wave=finer), content, scene)
+        exact = measured(replace(experiment, wave=finer))
     except ValueError as error:  # a packing that creeps too much for the regime that decides
         return Judgement(scene, StabilityVerdict.REFUSED, f"without a reference: {error}")
-    return _compare_with_finer(scene, experiment, found, reference)
+    if exact.vs is None:
+        distance = signal_distance(found.record, exact.record)
+        reason, error_of_vs = f"{exact.result.reason} with a smaller step, signals {distance:.2g} apart", None
+        right = distance < _ALIKE
+    else:
+        reason, error_of_vs = found.record.retry, found.vs / exact.vs - 1.0
+        # What a regime leaves out is no less than its bound says; 5 % are for what a step does to a reading.
+        tolerance = 0.0 if experiment.wave.regime == "linear" and isinstance(scene, Packed) else _TOLERANCE
+        right = abs(error_of_vs) <= max(tolerance, found.result.error.bound if found.result.error else 0.0)
+    verdict = StabilityVerdict.STABLE if right else StabilityVerdict.WRONG
+    return Judgement(scene, verdict, reason, found.vs, error_of_vs)
 
 
-def _measure_sample(experiment: Experiment, content: float, scene: Extreme | Packed) -> Measurement:
-    """Measure the scene's one sample."""
-    return measure(experiment, content, [scene.seed], lanes=1)[0]
-
-
-def _compare_with_finer(
-    scene: Extreme | Packed, experiment: Experiment, found: Measurement, exact: Measurement
-) -> Judgement:
-    """Hold a velocity against that of a far smaller step."""
-    if found.vs is None or exact.vs is None:
-        amplitude = experiment.wave.amplitude
-        distance = signal_distance(found.record, amplitude, exact.record, amplitude)
-        verdict = StabilityVerdict.STABLE if distance < _ALIKE else StabilityVerdict.WRONG
-        return Judgement(
-            scene, verdict, f"{exact.result.reason} with a smaller step, signals {distance:.2g} apart", found.vs
-        )
-    error = found.vs / exact.vs - 1.0
-    # What a regime leaves out is no less than its bound says; 5 % are for what a step does to a reading.
-    tolerance = 0.0 if experiment.wave.regime == "linear" and isinstance(scene, Packed) else _TOLERANCE
-    right = abs(error) <= max(tolerance, found.result.error.bound if found.result.error else 0.0)
-    return Judgement(
-        scene, StabilityVerdict.STABLE if right else StabilityVerdict.WRONG, found.record.retry, found.vs, error
-    )
-
-
-def walks(
-    names: Iterable[str] = tuple(WALKS), progress: Callable[[str], None] = lambda _: None
-) -> dict[str, tuple[Judgement, ...]]:
-    """Judge the scenes of each walk in all regimes."""
+def walks(progress: Callable[[str], None] = lambda _: None) -> dict[str, tuple[Judgement, ...]]:
+    """Judge scenes along each quantity, in all regimes."""
     found = {}
-    for name in names:
+    for name, quantity in QUANTITIES.items():
         progress(name)
-        found[name] = tuple(
-            judge_scene(_scene_with(name, value, regime)) for value in WALKS[name] for regime in REGIMES
-        )
+        scenes = [
+            replace(quantity.base, **{name: value, "regime": regime}) for value in quantity.walk for regime in REGIMES
+        ]
+        found[name] = tuple(judge_scene(scene) for scene in scenes)
     return found
-
-
-def _scene_with(name: str, value: float, regime: Regime) -> Extreme:
-    """Return the plain scene with one quantity changed."""
-    changes: dict[str, Any] = {name: value, "regime": regime}
-    return replace(_BASES.get(name, Extreme()), **changes)
 
 
 def packing_map(
