@@ -60,7 +60,7 @@ def measure_path(
 ) -> PathFeatures:
     """Compute the eight features of a path of one contact or more, for the weights of the search.
 
-    ``longest_bonded_run`` is the mean over all shortest paths. `ValueError` if the two weights are equal, where C_d,n is
+    ``longest_bonded_run`` is the mean over all shortest paths. `ValueError` if both weights are equal, where C_d,n is
     undefined.
     """
     contacts = len(path.bonded)
