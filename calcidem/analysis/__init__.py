@@ -12,5 +12,5 @@ simulates, so the same code serves a campaign, a table from a paper and somebody
 - `fits`: Vs = a C^b + c with intervals, leave-one-seed-out error and prediction;
 - `predictor`: Vs of samples that were not simulated, with intervals;
 - `planning`: how many seeds are needed; `measured`: laboratory velocities beside a campaign's;
-- `published`, `published_check`: the reproduced study's tables, and whether they agree with themselves.
+- `published`: the reproduced study's tables.
 """

@@ -2,7 +2,7 @@
 
 "Sand Stiffness Variability Induced by Stochastic Distributions of Calcite Precipitates: A Monte Carlo-DEM
 Study", Tables 1 to 4 and section 3.2.1. They stand in `published.toml` beside this file as they were printed;
-whether they agree with one another is the business of `calcidem.analysis.published_check`.
+whether they agree with one another is the business of docs/reproduction/published_check.py.
 """
 
 import tomllib

@@ -23,6 +23,8 @@ Values = TypeVar("Values", float, NDArray[np.float64], "xr.DataArray")
 def small_strain_modulus(vs: Values, density: float | None = None) -> Values:
     """Shear modulus G0 = rho Vs^2 (Eq. 1), Pa; the density of the sample, kg/m^3, is that of Table 1, 1659, by default.
 
+    Examples
+    --------
     >>> small_strain_modulus(200.0)
     66360000.0
     """
@@ -33,6 +35,8 @@ def small_strain_modulus(vs: Values, density: float | None = None) -> Values:
 def damping_ratio(local_damping: float) -> float:
     """Damping ratio D = alpha / pi of local damping (section 3.1.2).
 
+    Examples
+    --------
     >>> round(damping_ratio(0.3), 4)
     0.0955
     """

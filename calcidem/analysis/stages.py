@@ -31,7 +31,7 @@ STAGES = (
     Stage("IV", 7.0, 9.0),
 )
 """The ranges whose end points give the growth rates that the paper prints. Its text draws other borders
-(0.66, 2.55 and 6 %), and with those its rates do not come out; see `calcidem.analysis.published_check`."""
+(0.66, 2.55 and 6 %), and with those its rates do not come out; see docs/reproduction/published_check.py."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,12 +5,12 @@ from collections.abc import Callable
 
 import numpy as np
 import xarray as xr
+from published_check import check_verdicts
 from scipy import stats
 
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.normality import jarque_bera_power
 from calcidem.analysis.published import published_study
-from calcidem.analysis.published_check import check_verdicts
 from calcidem.app.campaign.opened import open_campaign
 
 SIGNIFICANCE = 0.05

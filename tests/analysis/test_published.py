@@ -1,12 +1,17 @@
+import sys
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from calcidem.analysis.published import is_published_sand, published_study
-from calcidem.analysis.published_check import StatementCheck, check_study, check_verdicts
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import read_configuration
+
+sys.path.append(str(Path(__file__).parents[2] / "docs" / "reproduction"))
+
+from published_check import StatementCheck, check_study, check_verdicts
 
 
 def finding(place: str, words: str) -> StatementCheck:

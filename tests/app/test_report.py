@@ -21,7 +21,7 @@ from calcidem.app.report import cell_data
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.cell_figures import draw_cell
-from calcidem.app.report.comparison import disagreement_table, published_table
+from calcidem.app.report.comparison import published_table
 from calcidem.app.report.folder import write_files
 from calcidem.app.report.one_cell import describe_cell
 from calcidem.app.report.page import write_report
@@ -128,7 +128,6 @@ def test_another_sand_is_not_held_beside_the_paper(page: str, small_database: Pa
         analysis = campaign.analyse()
         assert parameter_table(campaign.config) is None
         assert published_table(analysis) is None
-        assert disagreement_table(analysis) is None
         assert growth_table(analysis) is None
 
 
@@ -216,14 +215,11 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
 
 
 def test_published_table_stands_beside_the_published_sand() -> None:
-    """The tutorial's contents have published rows, and what disagrees among these is listed."""
+    """The tutorial's contents have published rows."""
     with open_campaign(TUTORIAL) as campaign:
-        analysis = campaign.analyse()
-        table, findings = published_table(analysis), disagreement_table(analysis)
+        table = published_table(campaign.analyse())
     assert table is not None
-    assert findings is not None
     assert [row[0] for row in table.rows] == ["0.66", "2.55", "5", "9"]
-    assert any("Table 3, 0.34 %" in finding[0] for finding in findings.rows)
 
 
 def test_studies_are_shown_when_given(small_database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

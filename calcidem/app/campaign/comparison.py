@@ -47,17 +47,10 @@ class CampaignComparison:
         return flat.to_dataframe().reset_index().astype(whole)
 
     def draw(self, ax: "Axes | None" = None) -> "Figure":
-        """Draw means, scatter and differences.
+        """Draw means, scatter and differences, and give the whole figure.
 
-        Parameters
-        ----------
-        ax
-            Axes whose place the two panels take, of a figure made by `plt.subplots`; None for a figure of its own.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The whole figure.
+        ``ax`` are axes whose place the two panels take, of a figure made by `plt.subplots`; None for a figure of its
+        own.
         """
         from calcidem.analysis.figures.style import drawn_in  # noqa: PLC0415 - matplotlib takes half a second
         from calcidem.analysis.figures.velocities import draw_comparison  # noqa: PLC0415
@@ -74,21 +67,10 @@ class CampaignComparison:
 
 
 def compare(campaigns: Sequence[Campaign | str | os.PathLike[str]], level: float = 0.95) -> CampaignComparison:
-    """Compare campaigns with the first of them: means, scatter and differences of Vs, with intervals.
+    """Compare campaigns with the first of them: means, scatter and differences of Vs, with intervals at a level.
 
-    Parameters
-    ----------
-    campaigns
-        Two or more: opened campaigns, files, or database URLs.
-    level
-        Level of all intervals, between 0 and 1.
-
-    Raises
-    ------
-    QueryError
-        If there are fewer than two.
-    StoreError
-        If a database cannot be read or has several campaigns.
+    They are opened campaigns, files, or database URLs. `QueryError` for fewer than two, `StoreError` if a database
+    cannot be read or has several campaigns.
 
     Examples
     --------

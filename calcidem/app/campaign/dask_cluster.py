@@ -17,10 +17,7 @@ _TIME_TO_CLOSE = 3.0
 def dask_executor(address: str) -> Iterator[Executor]:
     """Connect to a scheduler, and cancel in the end the batches that its workers have not begun.
 
-    Raises
-    ------
-    LaunchError
-        If no scheduler answers at the address, or Dask is not installed.
+    `LaunchError` if no scheduler answers at the address, or Dask is not installed.
     """
     try:
         from distributed import Client  # noqa: PLC0415 - an extra of the package

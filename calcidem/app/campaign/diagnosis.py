@@ -103,25 +103,11 @@ def diagnose(
     selection: Selection = ALL_CELLS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Diagnosis, ...]:
-    """Explain why cells have no velocity, and propose remedies.
+    """Say of the selected cells without a velocity why they have none, and what may help.
 
-    Parameters
-    ----------
-    store
-        With a campaign chosen.
-    selection
-        Only cells of these seeds and contents.
-    progress
-        Called with the cell that is being computed.
-
-    Raises
-    ------
-    UnknownCellError
-        If there is no such content.
-    CampaignMismatchError
-        If a cell has to be computed again, and was computed with another version of the physics.
-    StoreError
-        If the campaign lacks data from which its cells are computed.
+    ``progress`` is told what is being computed. `UnknownCellError` if there is no such content; `CampaignMismatchError`
+    if a cell has to be computed again, and was computed with another version of the physics; `StoreError` if the
+    campaign lacks what its cells are computed from.
     """
     examiner = _Examiner(store, progress)
     cells = store.results(Selection(selection.seeds, selection.contents, UNREAD), with_arrays=True)

@@ -30,10 +30,7 @@ def refuse_other_physics(record: CampaignRecord) -> None:
 def choose_campaign(store: Store, configuration: Configuration) -> bool:
     """Choose the configuration's campaign in a store; return whether the store has it.
 
-    Raises
-    ------
-    CampaignMismatchError
-        If the store has another campaign of that name, or this campaign under another name.
+    `CampaignMismatchError` if it has another campaign of that name, or this campaign under another name.
     """
     name = configuration.campaign.name
     for record in store.campaigns():

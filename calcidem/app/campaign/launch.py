@@ -106,10 +106,7 @@ class Launch:
     def run(self) -> int:
         """Run calcidem under an MPI launcher and return its exit code.
 
-        Raises
-        ------
-        LaunchError
-            If there is no launcher, or this process was started by one, or this is not Linux.
+        `LaunchError` if there is no launcher, or this process was started by one, or this is not Linux.
         """
         refuse_ranks_off_linux()
         if launcher() is not None:
@@ -262,13 +259,7 @@ def _starter_command() -> list[str]:
 
 
 def find_mpirun() -> str:
-    """Path of the MPI launcher.
-
-    Raises
-    ------
-    LaunchError
-        If there is none.
-    """
+    """Path of the MPI launcher; `LaunchError` if there is none."""
     own = os.environ.get(_MPIRUN_VARIABLE)
     beside_python = Path(sys.executable).with_name("mpirun")
     found = shutil.which(own) if own else str(beside_python) if beside_python.exists() else shutil.which("mpirun")

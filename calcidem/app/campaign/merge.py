@@ -88,27 +88,11 @@ class Merged:
 def merge_databases(
     sources: list[str], out: Path, prefer: str | None = None, campaign_name: str | None = None
 ) -> Merged:
-    """Join the campaign of some databases in a new file, which appears only once it is complete.
+    """Join the campaign of some databases or URLs, only read, in a new file, which appears only once it is complete.
 
-    Parameters
-    ----------
-    sources
-        SQLite files or database URLs; they are only read.
-    out
-        File to make.
-    prefer
-        The source whose value is taken where sources disagree on a done cell.
-    campaign_name
-        Which one, if the databases have several.
-
-    Raises
-    ------
-    FileExistsError
-        If the file is there already.
-    MergeConflictError
-        If sources disagree on a done cell and none is preferred.
-    StoreError
-        `CampaignMismatchError` if configurations or packings differ, and others if a database can't be read.
+    ``prefer`` is the source whose value is taken where sources disagree on a done cell. `FileExistsError` if the file
+    is there already, `MergeConflictError` if sources disagree and none is preferred, `CampaignMismatchError` if
+    configurations or packings differ, and other `StoreError` if a database can't be read.
     """
     if out.exists():
         raise FileExistsError(f"{out} exists already; give another file name for the merged database.")

@@ -106,17 +106,8 @@ class Sample:
 def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Campaign":
     """Open a campaign for reading; a run may write it meanwhile.
 
-    Parameters
-    ----------
-    path_or_url
-        SQLite file or database URL.
-    name
-        Which campaign, where the database has several.
-
-    Raises
-    ------
-    StoreError
-        If the database can't be read or has no such campaign.
+    Give the name where the SQLite file or database URL has several. `StoreError` if it can't be read or has no such
+    campaign.
 
     Examples
     --------
@@ -131,12 +122,8 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
 def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLike[str]) -> "Campaign":
     """Open the campaign of a configuration in a database: the only one there is, or the one of its name.
 
-    Raises
-    ------
-    CampaignMismatchError
-        If it is of another configuration; the message names the hashes of both.
-    StoreError
-        If the database can't be read or has no such campaign.
+    `CampaignMismatchError`, with the hashes of both, if it is of another configuration; `StoreError` as
+    `open_campaign`.
     """
     store = open_store(path_or_url, read_only=True)
     try:
@@ -201,13 +188,7 @@ class Campaign(Closable):
         return cell_matrices(self.store, ("vs_error",))["vs_error"]
 
     def to_xarray(self, columns: Sequence[str] | None = None) -> xr.Dataset:
-        """Return scalar quantities of every cell (`calcidem.storage.dataset.campaign_dataset`).
-
-        Parameters
-        ----------
-        columns : sequence of str, optional
-            Quantities, by default all.
-        """
+        """Return these quantities of every cell, by default all (`calcidem.storage.dataset.campaign_dataset`)."""
         return campaign_dataset(self.store, columns)
 
     def to_dataframe(
@@ -241,31 +222,12 @@ class Campaign(Closable):
         where: str | None = None,
         with_arrays: bool = False,
     ) -> Iterator[CellResult]:
-        """Give the outcomes of the selected cells as frozen records, by seed, then content.
+        """Give the outcomes of the selected cells as frozen records, by seed, then content, as they are consumed.
 
-        Parameters
-        ----------
-        content : float or collection of float, optional
-            Percent.
-        seed : int or collection of int, optional
-        status : str or collection of str, optional
-            Such as ``"done"``.
-        where : str, optional
-            Filter such as ``"vs > 1500 and clusters >= 40"`` over `calcidem.storage.records.QUANTITY_BY_NAME`.
-        with_arrays : bool
-            Whether the records bring sections and cement patterns along.
-
-        Returns
-        -------
-        iterator of CellResult
-            Fetched as it is consumed.
-
-        Raises
-        ------
-        UnknownCellError
-            For a content that the campaign does not have.
-        QueryError
-            For an unknown status, or a filter that is none.
+        Contents are in percent, statuses such as ``"done"``; ``where`` is a filter such as ``"vs > 1500 and clusters >=
+        40"`` over `calcidem.storage.records.QUANTITY_BY_NAME`; ``with_arrays`` brings sections and cement patterns
+        along. `UnknownCellError` for a content that the campaign does not have, `QueryError` for an unknown status, or
+        a filter that is none.
 
         Examples
         --------
@@ -277,23 +239,11 @@ class Campaign(Closable):
         return with_patterns(self.store, found) if with_arrays else found
 
     def cell(self, *, seed: int, content: float) -> CellResult:
-        """Return the whole outcome of one cell, with its arrays.
-
-        Raises
-        ------
-        UnknownCellError
-            If the cell has no outcome.
-        """
+        """Return the whole outcome of one cell, with its arrays; `UnknownCellError` if it has none."""
         return next(with_patterns(self.store, [self.store.cell(seed=seed, content=content)]))
 
     def recorded_section(self, *, seed: int, content: float) -> RecordedSection:
-        """Return the section of a cell as it is stored.
-
-        Raises
-        ------
-        UnknownCellError
-            If it was not kept.
-        """
+        """Return the section of a cell as it is stored; `UnknownCellError` if it was not kept."""
         found = self.store.cell(seed=seed, content=content)
         found.refuse_damage()
         if found.section is None:
@@ -307,12 +257,7 @@ class Campaign(Closable):
         """Return the space-time section of a cell: velocities [m/s] along (time, place, component).
 
         ``time`` is in s after the pulse began, ``place`` the path from the transmitter in m, the last of which is the
-        receiver, and ``component`` is ``across`` the path or ``along`` it.
-
-        Raises
-        ------
-        UnknownCellError
-            If it was not kept.
+        receiver, and ``component`` is ``across`` the path or ``along`` it. `UnknownCellError` if it was not kept.
 
         Examples
         --------
@@ -334,13 +279,7 @@ class Campaign(Closable):
         )
 
     def packing(self, index: int = 0) -> PackingRecord:
-        """Return a packing of the campaign.
-
-        Raises
-        ------
-        UnknownCellError
-            If there is none of that index (yet).
-        """
+        """Return a packing of the campaign; `UnknownCellError` if there is none of that index (yet)."""
         return self.store.packing(index)
 
     def packing_indices(self) -> tuple[int, ...]:
@@ -384,20 +323,12 @@ class Campaign(Closable):
         return head + found.to_html(float_format=lambda value: f"{value:.1f}")
 
     def summary(self, level: float = 0.95) -> xr.Dataset:
-        """Return the distribution of Vs at each content.
+        """Return the distribution of Vs at each content, with intervals at a level.
 
-        Parameters
-        ----------
-        level
-            Level of all intervals, between 0 and 1.
-
-        Returns
-        -------
-        xarray.Dataset
-            Along content, intervals along bound too: n, missing, failed, mean, standard deviation (m/s), skewness,
-            kurtosis, Jarque-Bera, confidence and prediction intervals, and the errors of the velocities: medians of
-            the relative standard errors, what part of the deviation is reading error (m/s), and the number of cells
-            whose path_vs departs from vs (`calcidem.analysis.error_budget`).
+        Along content, intervals along bound too: n, missing, failed, mean, standard deviation (m/s), skewness,
+        kurtosis, Jarque-Bera, confidence and prediction intervals, and the errors of the velocities: medians of the
+        relative standard errors, what part of the deviation is reading error (m/s), and the number of cells whose
+        path_vs departs from vs (`calcidem.analysis.error_budget`).
 
         Examples
         --------
@@ -416,10 +347,7 @@ class Campaign(Closable):
     def small_strain_modulus(self, density: float | None = None) -> xr.DataArray:
         """Return the shear moduli G0 = rho Vs^2 (Eq. 1) along (seed, content) in Pa, NaN where a cell isn't done.
 
-        Parameters
-        ----------
-        density
-            Overall density of the sample, kg/m^3; by default the 1659 of the paper's soil.
+        The density of the sample, kg/m^3, is by default the 1659 of the paper's soil.
 
         Examples
         --------
@@ -438,10 +366,7 @@ class Campaign(Closable):
     def static_speed(self, *, seed: int, content: float) -> StaticSpeed:
         """Compute the speed of long shear waves of a sample, m/s, from the stiffness of its inner part, and its error.
 
-        Raises
-        ------
-        UnknownCellError
-            If the cell has no outcome, or its cement is not known.
+        `UnknownCellError` if the cell has no outcome, or its cement is not known.
 
         Examples
         --------
@@ -499,13 +424,7 @@ class Campaign(Closable):
             raise UnknownCellError(f"Content {content:g} %: {error}.", "Compute with run.store_sections.") from error
 
     def cemented(self, *, seed: int, content: float) -> tuple[Experiment, Flags]:
-        """Return the experiment of a cell, and which of its packing's pairs (C,) are cemented.
-
-        Raises
-        ------
-        UnknownCellError
-            If the cell has no outcome, or its cement is not known.
-        """
+        """Return the experiment of a cell, and which of its packing's pairs (C,) are cemented; errors as `sample`."""
         index, cement = self._cement(seed, content)
         experiment = self.experiment(index)
         return experiment, _contact_kinds(experiment.packing, cement) != CementKind.NONE
@@ -519,26 +438,14 @@ class Campaign(Closable):
         features: Mapping[str, float] | None = None,
         level: float = 0.95,
     ) -> Prediction:
-        """Predict Vs of a sample, and an interval, from the campaign's samples of that content; nothing is simulated.
+        """Predict Vs of a sample, and an interval, from the campaign's samples of that content (%).
 
-        Parameters
-        ----------
-        content
-            One of the campaign's, percent.
-        seed
-            Whose cement is drawn; if the campaign has this seed, it takes no part in the fit.
-        pattern, features
-            Instead of a seed: the cement, or features by their names, those of the path in
-            `calcidem.analysis.features.FEATURES`, `column_share` and `cemented_share`, the shares of the contacts
-            that are cemented, at the height of the receiver and of all. A seed or a pattern predicts by these two.
-            Without any of the three the content alone predicts.
-        level
-            Probability with which Vs falls into the interval.
-
-        Raises
-        ------
-        QueryError
-            If the campaign has too few velocities at the content, or pattern or features do not fit it.
+        Nothing is simulated. If the campaign has the seed whose cement is drawn, it takes no part in the fit. Instead
+        of a seed, the cement may be given, or features by their names: those of the path in
+        `calcidem.analysis.features.FEATURES`, `column_share` and `cemented_share`, the shares of the contacts that are
+        cemented, at the height of the receiver and of all. A seed or a pattern predicts by these two. Without any of
+        the three the content alone predicts. `QueryError` if the campaign has too few velocities at the content, or
+        pattern or features do not fit it.
 
         Examples
         --------
@@ -553,18 +460,10 @@ class Campaign(Closable):
         return predict_velocity(self.analyse(), content, features, level, without_seed=seed)
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
-        """Return the contact graph of a sample.
+        """Return the contact graph of a sample as a `networkx.Graph`; errors as `sample`.
 
-        Returns
-        -------
-        networkx.Graph
-            Every grain is a vertex with `role` (transmitter, receiver or interior), every contact an edge with
-            `bonded` and `weight` by its physical meaning (Eq. 8 of the paper).
-
-        Raises
-        ------
-        UnknownCellError
-            If the cell has no outcome, or its cement is not known.
+        Every grain is a vertex with `role` (transmitter, receiver or interior), every contact an edge with `bonded` and
+        `weight` by its physical meaning (Eq. 8 of the paper).
 
         Examples
         --------
@@ -580,12 +479,8 @@ class Campaign(Closable):
     def sample(self, *, seed: int, content: float) -> Sample:
         """Rebuild a sample as it was before the pulse: the same disks, forces and cement, to the last bit.
 
-        Raises
-        ------
-        UnknownCellError
-            If the cell has no outcome, or its cement is not known.
-        StoreError
-            If the database was not made by a run, so that its configuration or its packing is incomplete.
+        `UnknownCellError` if the cell has no outcome, or its cement is not known; `StoreError` if the database was not
+        made by a run, so that its configuration or its packing is incomplete.
 
         Examples
         --------
@@ -604,15 +499,7 @@ class Campaign(Closable):
         return Sample(seed, content, packing, kind, wave_scene(packing, sand, experiment.wave, bonds))
 
     def experiment(self, packing_index: int = 0) -> Experiment:
-        """Return what the cells of a packing share, for `calcidem.dem.wave.measurement.measure`.
-
-        Raises
-        ------
-        UnknownCellError
-            If there is no such packing.
-        StoreError
-            If the database was not made by a run, so that its configuration or its packing is incomplete.
-        """
+        """Return what the cells of a packing share, for `calcidem.dem.wave.measurement.measure`; errors as `sample`."""
         return stored_experiment(self.store, packing_index)
 
     def diagnose(
@@ -661,11 +548,7 @@ class Campaign(Closable):
     def analyse(self, most_samples: int | None = None) -> CampaignAnalysis:
         """Return the analysis of the campaign as it is now, each part of it computed at its first use.
 
-        Parameters
-        ----------
-        most_samples
-            If there are more cells than this, only the samples of the first seeds are read and analysed for their
-            paths.
+        If there are more cells than ``most_samples``, only the samples of the first seeds are analysed for their paths.
         """
         return CampaignAnalysis(self.store, most_samples, with_patterns)
 
@@ -688,10 +571,7 @@ class Campaign(Closable):
 def _contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.uint8]:
     """Return what each of ``packing.pairs`` carries, (C,), see `calcidem.dem.sample.cement.CementKind`.
 
-    Raises
-    ------
-    ValueError
-        If the pattern cements two disks that do not touch.
+    `ValueError` if the pattern cements two disks that do not touch.
     """
     count = len(packing.radius)
     contacts, cemented = (pair_keys(pairs, count) for pairs in (packing.pairs, cement.contacts))
@@ -703,21 +583,9 @@ def _contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.ui
 
 
 def write_sample(sample: Sample, file: Path) -> Path:
-    """Write a sample in the format that the file's ending names.
+    """Write a sample in one step: ``.vtu`` for ParaView, ``.csv`` for its disks alone.
 
-    Parameters
-    ----------
-    sample
-        From `Campaign.sample`.
-    file
-        ``.vtu`` for ParaView, ``.csv`` for its disks alone; replaced in one step.
-
-    Raises
-    ------
-    ValueError
-        For another ending.
-    StoreError
-        If the library for VTK isn't installed.
+    `ValueError` for another ending, `StoreError` if the library for VTK isn't installed.
     """
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
@@ -757,13 +625,10 @@ def _write_vtu(sample: Sample, file: Path) -> None:
 def load_paper_campaign() -> xr.Dataset:
     """Return every number of the 1,972 samples of the paper's campaign, as computed by calcidem.
 
-    Returns
-    -------
-    xarray.Dataset
-        Along (seed, content): Vs by three readings (m/s), their errors, path features, error, time step and so on,
-        each with unit and meaning. NaN stands for a sample without readable arrival, of which there are 31. Sections
-        and cement patterns are left out. The configuration is in the attribute ``calcidem_config``, versions and
-        machine are in ``calcidem_runs``.
+    Along (seed, content): Vs by three readings (m/s), their errors, path features, error, time step and so on, each
+    with unit and meaning. NaN stands for a sample without readable arrival, of which there are 31. Sections and cement
+    patterns are left out. The configuration is in the attribute ``calcidem_config``, versions and machine are in
+    ``calcidem_runs``.
 
     Examples
     --------

@@ -35,27 +35,10 @@ def provide_packing(
 ) -> Packing:
     """The packing of a campaign: of its database, of calcidem itself, or of the cache; made only if none has it.
 
-    A packing whose stored state is damaged is replaced by one of the same content, and by no other.
-
-    Parameters
-    ----------
-    configuration
-        Of the campaign.
-    store
-        Its database with the campaign chosen, if there is one already.
-    tell
-        Takes sentences for the user.
-    check
-        Called every fraction of a second while it is made; may raise to end that.
-    watch
-        Told as often how far that is.
-
-    Raises
-    ------
-    PackingError
-        If it has to be made and does not come to rest.
-    CampaignMismatchError
-        If the stored one is damaged and what is found or made is another one.
+    A packing whose stored state is damaged is replaced by one of the same content, and by no other. ``check`` is called
+    every fraction of a second while it is made, and may raise to end that; ``watch`` is told as often how far that is.
+    `PackingError` if it has to be made and does not come to rest, `CampaignMismatchError` if the stored one is damaged
+    and what is found or made is another one.
     """
     if store is None or 0 not in store.packing_indices():
         return _find_packing(configuration, tell, check, watch)

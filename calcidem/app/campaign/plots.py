@@ -74,15 +74,7 @@ class CampaignPlots:
     def __init__(
         self, analysis: CampaignAnalysis, cemented: Callable[..., tuple[Experiment, npt.NDArray[np.bool_]]]
     ) -> None:
-        """Draw figures of a campaign.
-
-        Parameters
-        ----------
-        analysis
-            Of the campaign.
-        cemented
-            Gives the experiment of a cell, and which contacts are cemented (`Campaign.cemented`).
-        """
+        """Draw figures of a campaign; ``cemented`` is `Campaign.cemented`."""
         self.analysis = analysis
         self._cemented = cemented
 
@@ -182,28 +174,12 @@ class CampaignPlots:
         frames: int = 90,
         watch: Callable[[int, int], None] = lambda _done, _all: None,
     ) -> Path:
-        """Compute one cell's wave again, and write it as moving pictures.
+        """Compute one cell's wave again, and write it as moving pictures: .gif, or .mp4 where ffmpeg is installed.
 
         Colour is the velocity of the disks along y, lines are cemented contacts; below are the signals and readings of
-        the cell, with a line for the moment shown.
-
-        Parameters
-        ----------
-        file
-            With the ending .gif, or .mp4 where ffmpeg is installed.
-        seed, content
-            Which cell; content in percent.
-        frames
-            How many, at most; 15 are shown in a second.
-        watch
-            Told how much is done, of how much.
-
-        Raises
-        ------
-        OutputRefusedError
-            For another ending, or without ffmpeg.
-        UnknownCellError
-            If the cell has no outcome, or its cement is not known.
+        the cell, with a line for the moment shown. There are at most so many frames, of which 15 are shown in a second;
+        ``watch`` is told how much is done, of how much. `OutputRefusedError` for another ending, or without ffmpeg;
+        `UnknownCellError` if the cell has no outcome, or its cement is not known.
         """
         path = Path(file)
         writer = movie_writer(path)

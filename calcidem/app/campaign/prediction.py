@@ -40,27 +40,11 @@ def predict_velocity(
     level: float = 0.95,
     without_seed: int | None = None,
 ) -> Prediction:
-    """Predict Vs of a sample.
+    """Predict Vs of a sample of a content (%) of a campaign, with an interval.
 
-    Parameters
-    ----------
-    analysis
-        Of the campaign to whose samples of this content the predictor is fitted.
-    content
-        Of the campaign, percent.
-    features
-        Those of the sample that are known, by their names in `calcidem.analysis.features.FEATURES`, or in
-        `CEMENT_FEATURES`; with none the content alone is left.
-    level
-        Probability of the interval.
-    without_seed
-        Seed that takes no part, since it is the one to predict.
-
-    Raises
-    ------
-    QueryError
-        If a name is unknown, a value far from those of all samples, or the campaign has too few velocities at the
-        content.
+    Features of the sample that are known are given by their names in `calcidem.analysis.features.FEATURES`, or in
+    `CEMENT_FEATURES`; with none the content alone is left. The seed to predict takes no part. `QueryError` if a name is
+    unknown, a value far from those of all samples, or the campaign has too few velocities at the content.
     """
     names = tuple(features)
     if strange := sorted(set(names) - set(_FEATURE_NAMES)):
@@ -120,13 +104,7 @@ def _known_of(names: Sequence[str], shares: _Shares) -> tuple[str, ...]:
 
 
 def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPattern:
-    """Draw the cement of a seed at a content in percent.
-
-    Raises
-    ------
-    QueryError
-        If the sample cannot hold so much.
-    """
+    """Draw the cement of a seed at a content in percent; `QueryError` if the sample cannot hold so much."""
     try:
         cement = experiment.ordering(seed).at(content)
     except CementCapacityError as error:
@@ -135,13 +113,7 @@ def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPat
 
 
 def pattern_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, float]:
-    """`CEMENT_FEATURES` of a cement pattern, by their names.
-
-    Raises
-    ------
-    QueryError
-        If the pattern cements grains that do not touch.
-    """
+    """`CEMENT_FEATURES` of a pattern, by their names; `QueryError` if it cements grains that do not touch."""
     try:
         return dict(zip(CEMENT_FEATURES, _shares_of(graph, pattern), strict=True))
     except ValueError as error:

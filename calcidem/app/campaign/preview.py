@@ -36,12 +36,8 @@ _SHORTEST_WAVE = 6.0
 def preview_lines(configuration: Configuration) -> Iterator[str]:
     """Check a configuration against its database and packing, if there are any, and describe what a run would compute.
 
-    Raises
-    ------
-    ConfigurationError
-        If the packing can't hold what is planned.
-    StoreError
-        If the database can't be read, or has another campaign of that name, or this one under another.
+    `ConfigurationError` if the packing can't hold what is planned; `StoreError` if the database can't be read, or has
+    another campaign of that name, or this one under another.
     """
     plan, address = configuration.campaign, parse_address(configuration.database)
     is_new = address.path is not None and not address.path.exists()

@@ -142,10 +142,7 @@ def _follow(session: Session) -> tuple[int, SweepEnd | None]:
 def _end_in_haste(stop_request: StopRequest) -> None:
     """End the making of the packing if a signal asks for an end at once.
 
-    Raises
-    ------
-    SweepInterrupted
-        Errors that end a run which the same command continues.
+    `SweepInterrupted` is to be taken for the end of a run that goes on with the same command.
     """
     if stop_request.hurry():
         raise SweepInterrupted

@@ -110,26 +110,10 @@ def try_remedies(
 ) -> Iterator[RemedyTrial]:
     """Compute cells without a velocity again with each of their remedies, beside readable ones of the same content.
 
-    Parameters
-    ----------
-    store
-        With a campaign chosen; nothing is written to it.
-    diagnoses
-        Of its cells, from `diagnose`.
-    count
-        How many of these cells, spread over the contents. Of several values of a key the most extreme is tried.
-    progress
-        Called with the cell that is being computed.
-
-    Yields
-    ------
-    RemedyTrial
-        Content by content, for each remedy that needs no other packing.
-
-    Raises
-    ------
-    CampaignMismatchError
-        If the campaign was computed with another version of the physics.
+    Nothing is written to the store. So many of the diagnosed cells, spread over the contents, are tried; of several
+    values of a key the most extreme. ``progress`` is told what is being computed. Given are trials content by content,
+    for each remedy that needs no other packing. `CampaignMismatchError` if the campaign was computed with another
+    version of the physics.
     """
     refuse_other_physics(store.record)
     experiment = stored_experiment(store)

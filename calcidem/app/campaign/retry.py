@@ -15,23 +15,11 @@ _RETRIABLE = (CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.QUARANTINED, C
 
 
 def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) -> tuple[CellKey, ...]:
-    """Make the cells of a configuration that have these outcomes pending again, and give them.
+    """Make the cells of a configuration that have these outcomes (`_RETRIABLE`) pending again, and give them.
 
-    Their history is kept, but workers that were lost to them no longer count against them.
-
-    Parameters
-    ----------
-    configuration
-        Of a campaign that is in its database.
-    outcomes
-        Of `_RETRIABLE`.
-
-    Raises
-    ------
-    StoreError
-        `LeaseHeldError` while a run writes the campaign, since it would not notice; `StoreUnavailableError` if the
-        database or the campaign does not exist; `CampaignMismatchError` if it is another one; `DamagedStoreError` if
-        nothing can be changed in the file.
+    Their history is kept, but workers that were lost to them no longer count against them. `LeaseHeldError` while a run
+    writes the campaign, since it would not notice; `StoreUnavailableError` if the database or the campaign does not
+    exist; `CampaignMismatchError` if it is another one; `DamagedStoreError` if nothing can be changed in the file.
     """
     path = parse_address(configuration.database).path
     if path is not None and not path.exists():

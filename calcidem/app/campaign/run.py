@@ -97,6 +97,8 @@ def run(
 
     On all cores:
 
+    Examples
+    --------
     >>> from concurrent.futures import ProcessPoolExecutor
     >>> with ProcessPoolExecutor() as pool, calcidem.run("quick.toml", executor=pool) as campaign:  # doctest: +SKIP
     ...     print(campaign.summary())
@@ -276,10 +278,7 @@ class CampaignRun:
 def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> LeaseGrant:
     """Become the only master, after one on another machine has been silent until its lease ended.
 
-    Raises
-    ------
-    LeaseHeldError
-        If another one lives: on this machine, or it is heard of meanwhile.
+    `LeaseHeldError` if another one lives: on this machine, or it is heard of meanwhile.
     """
     first = None
     while True:
@@ -303,12 +302,7 @@ def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> Lease
 def _refuse_before_writing(configuration: Configuration) -> None:
     """Refuse a configuration that its database, or the packing there, does not fit, before any byte is written.
 
-    Raises
-    ------
-    CampaignMismatchError
-        As `choose_campaign`.
-    ConfigurationError
-        If the packing cannot hold what is planned.
+    Errors are those of `choose_campaign`, and `ConfigurationError` if the packing cannot hold what is planned.
     """
     if not _exists(configuration.database):
         return

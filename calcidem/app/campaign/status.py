@@ -145,13 +145,7 @@ class CampaignStatus:
 
 
 def read_status(database: str | os.PathLike[str], campaign_name: str | None = None) -> CampaignStatus:
-    """Progress of a stored campaign at this moment.
-
-    Raises
-    ------
-    StoreError
-        If the database can't be read or has no such campaign.
-    """
+    """Progress of a stored campaign now; `StoreError` if the database can't be read or has no such campaign."""
     with read_campaign(database, campaign_name) as store:
         # The seconds are those of attempts: a cell whose attempt is damaged is not damaged itself.
         columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"]) | store.table(("seconds",))
@@ -159,17 +153,7 @@ def read_status(database: str | os.PathLike[str], campaign_name: str | None = No
 
 
 def campaign_status(store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> CampaignStatus:
-    """Gather the progress of a campaign, in a few short queries.
-
-    Parameters
-    ----------
-    store
-        With a campaign chosen.
-    columns
-        `STATUS_QUANTITIES` of its planned cells, as `Store.table` gives them.
-    troubles
-        Its failed and repeated cells.
-    """
+    """Gather how far a campaign is, in a few short queries, from `STATUS_QUANTITIES` of its planned cells."""
     contents = np.array(sorted(set(columns["content"].tolist())))
     rows = [columns["content"] == content for content in contents]
     seconds = [_mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]

@@ -112,10 +112,7 @@ class StoreSink:
     def _with_patience(self, write: Callable[[], T]) -> T:
         """Write, and wait for another process that has locked the database: no computed cell is dropped.
 
-        Raises
-        ------
-        StoreLockedError
-            If it keeps the lock for more than ten minutes.
+        `StoreLockedError` if it keeps the lock for more than ten minutes.
         """
         deadline = time.monotonic() + _MOST_PATIENCE
         with self.busy:

@@ -37,12 +37,7 @@ def cache_folder() -> Path:
 def readable_packing(store: Store, index: int) -> Packing:
     """The stored packing; where it is damaged the same one, by its content hash, of calcidem or of the cache.
 
-    Raises
-    ------
-    DamagedStoreError
-        If it is damaged, and there is no copy.
-    UnknownCellError
-        If there is none of that index.
+    `DamagedStoreError` if nobody else has it, `UnknownCellError` if there is none of that index.
     """
     try:
         return stored_packing(store.packing(index))
@@ -77,10 +72,7 @@ def packing_to_bytes(packing: Packing) -> bytes:
 def packing_from_bytes(archive: bytes) -> Packing:
     """Packing that `packing_to_bytes` was given, bit for bit.
 
-    Raises
-    ------
-    DamagedPackingError
-        If the bytes have been changed or cut off, or are something else.
+    `DamagedPackingError` if the bytes have been changed or cut off, or are something else.
     """
     if not archive:
         raise DamagedPackingError("it is empty")
@@ -130,10 +122,7 @@ def packing_record(packing: Packing, *, index: int, packing_hash: str) -> Packin
 def stored_packing(record: PackingRecord) -> Packing:
     """Packing of a record, bit for bit the one that was stored.
 
-    Raises
-    ------
-    DamagedStoreError
-        If the record's state is missing or damaged, or of another packing than the rest of the record.
+    `DamagedStoreError` if the record's state is missing or damaged, or of another packing than the rest of the record.
     """
     try:
         packing = packing_from_bytes(record.state)

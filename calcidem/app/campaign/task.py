@@ -217,15 +217,7 @@ def _describe_graph(
 
 
 def _graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
-    """Summarise the graph of one sample.
-
-    Parameters
-    ----------
-    graph
-        Contacts of the packing.
-    bonded
-        Which of them are cemented, shape (m,).
-    """
+    """Summarise the graph of a sample with these cemented contacts (m,)."""
     first, second = graph.pairs[bonded].T
     count = graph.grain_count
     cement = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))

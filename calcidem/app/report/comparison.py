@@ -1,4 +1,4 @@
-"""Tables that hold the campaign beside the published study, and the study beside itself."""
+"""Tables that hold the campaign beside the published study and beside measured velocities."""
 
 import math
 
@@ -9,8 +9,7 @@ from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.registry import published_velocities
 from calcidem.analysis.measured import misfits, root_mean_square_misfit
 from calcidem.analysis.published import PublishedVelocity, is_published_sand, published_study
-from calcidem.analysis.published_check import check_study, check_verdicts
-from calcidem.app.report.wording import ABSENT, Table, decimal, probability, with_bounds
+from calcidem.app.report.wording import ABSENT, Table, decimal, with_bounds
 
 _SIGNIFICANCE = 0.05
 _MANY_ERRORS = 2.0
@@ -22,11 +21,10 @@ def published_table(analysis: CampaignAnalysis) -> Table | None:
     if not published:
         return None
     here = {round(row.content, 6): row.vs for row in analysis.distributions}
-    verdicts = {check.content: check for check in check_verdicts()}
     rows: list[tuple[str, ...]] = []
     marked: set[int] = set()
     for content, row in published:
-        vs, verdict = here[round(content, 6)], verdicts[content]
+        vs = here[round(content, 6)]
         p_value = vs.normality.p_small_sample
         if _differs(vs, row):
             marked.add(len(rows))
@@ -40,14 +38,13 @@ def published_table(analysis: CampaignAnalysis) -> Table | None:
                 decimal(row.standard_deviation),
                 _normal(None if math.isnan(p_value) else p_value >= _SIGNIFICANCE),
                 _normal(row.normal),
-                f"{_normal(verdict.computed_normal)} (p {probability(verdict.test.p_asymptotic)})",
             )
         )
     return Table(
         "This campaign and the published one. Marked: the two means differ by more than their errors explain "
         "(Welch's test at 5 %, with the published standard deviation and number of samples). Normal: not rejected by "
-        "the Jarque-Bera test at 5 %. The last column tests the printed skewness and kurtosis; where it differs from "
-        "the verdict printed beside them, the published table disagrees with itself.",
+        "the Jarque-Bera test at 5 %. Some printed verdicts do not follow from the printed skewness and kurtosis, see "
+        "docs/reproduction.md.",
         (
             "content (%)",
             "mean (m/s)",
@@ -57,7 +54,6 @@ def published_table(analysis: CampaignAnalysis) -> Table | None:
             "published",
             "normal here",
             "printed as normal",
-            "normal by printed moments",
         ),
         tuple(rows),
         frozenset(marked),
@@ -100,20 +96,6 @@ def measured_table(analysis: CampaignAnalysis) -> Table | None:
         ),
         rows,
         frozenset(i for i, one in enumerate(found) if abs(one.standard_errors) > _MANY_ERRORS),
-    )
-
-
-def disagreement_table(analysis: CampaignAnalysis) -> Table | None:
-    """What in the published study does not agree with its own numbers; None for campaigns on other sands."""
-    if not is_published_sand(analysis.config):
-        return None
-    findings = [finding for finding in check_study() if not finding.agrees]
-    rows = tuple((finding.place, finding.printed, finding.computed) for finding in findings)
-    return Table(
-        f"{len(findings)} of {len(check_study())} checked statements of the published study do not follow from "
-        "its own printed numbers. Nothing is corrected here.",
-        ("place", "printed", "computed from what is printed"),
-        rows,
     )
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.app.report.comparison import disagreement_table, measured_table, published_table
+from calcidem.app.report.comparison import measured_table, published_table
 from calcidem.app.report.provenance import configuration_table, packing_table, parameter_table, run_table
 from calcidem.app.report.results import (
     cost_table,
@@ -32,7 +32,6 @@ TABLES: Mapping[str, Callable[[CampaignAnalysis], Table | None]] = {
     "two_velocities": departure_table,
     "measured": measured_table,
     "published": published_table,
-    "published_disagreements": disagreement_table,
     "parameters": lambda analysis: parameter_table(analysis.config),
     "packing": packing_table,
     "runs": lambda analysis: run_table(analysis.store.runs()),
@@ -75,7 +74,7 @@ PAGE_SECTIONS = (
         ("features", "laws"),
     ),
     SectionPlan("errors", "Errors and run time", ("narrowing",), ("errors_and_cost", "two_velocities")),
-    SectionPlan("published", "The published study", (), ("published",), ("published_disagreements",)),
+    SectionPlan("published", "The published study", (), ("published",)),
     SectionPlan("provenance", "What was run", (), ("parameters", "packing", "runs"), ("configuration",)),
 )
 

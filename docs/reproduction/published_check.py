@@ -1,4 +1,4 @@
-"""Whether the printed numbers of the reproduced study agree with one another.
+"""Whether the printed numbers of the reproduced study agree: `python docs/reproduction/published_check.py`.
 
 The printed moments, means and weights go through the same code as a campaign's own, and what comes out is
 compared with the numbers printed beside them. Nothing is corrected: a disagreement is reported, and both sides
@@ -82,13 +82,7 @@ class StatementCheck:
 
 
 def check_verdicts(study: PublishedStudy | None = None) -> tuple[VerdictCheck, ...]:
-    """Test each row of Table 3 for normality and compare with its mark.
-
-    Parameters
-    ----------
-    study
-        The printed numbers; those of the package by default.
-    """
+    """Test each row of Table 3 for normality and compare with its mark."""
     study = study or published_study()
     return tuple(
         VerdictCheck(content, row.normal, jarque_bera_from_moments(study.seeds, row.skewness, row.kurtosis))
@@ -97,13 +91,7 @@ def check_verdicts(study: PublishedStudy | None = None) -> tuple[VerdictCheck, .
 
 
 def check_study(study: PublishedStudy | None = None) -> tuple[StatementCheck, ...]:
-    """Make every comparison, those that agree included.
-
-    Parameters
-    ----------
-    study
-        The printed numbers; those of the package by default.
-    """
+    """Make every comparison, those that agree included."""
     study = study or published_study()
     return (
         *_compare_verdicts(study),
@@ -314,3 +302,17 @@ def _compare_calcite(study: PublishedStudy) -> StatementCheck:
         "clusters counts twice",
         agrees=most <= capacity,
     )
+
+
+def main() -> None:
+    """Print what does not agree."""
+    findings = check_study()
+    wrong = [finding for finding in findings if not finding.agrees]
+    print(f"{len(wrong)} of {len(findings)} statements do not follow from the printed numbers:")
+    print("| place | printed | computed from what is printed |\n|---|---|---|")
+    for finding in wrong:
+        print(f"| {finding.place} | {finding.printed} | {finding.computed} |")
+
+
+if __name__ == "__main__":
+    main()
