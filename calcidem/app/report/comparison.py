@@ -8,7 +8,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.registry import published_velocities
 from calcidem.analysis.measured import misfits, root_mean_square_misfit
-from calcidem.analysis.published import PublishedVelocity, is_published_sand, published_study
+from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.app.report.wording import ABSENT, Table, decimal, with_bounds
 
 _SIGNIFICANCE = 0.05
