@@ -12,25 +12,10 @@ from calcidem.storage.sql.store import Store
 
 
 def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]:
-    """Arrange quantities of the store's campaign by seed and content, with CF attributes.
+    """Arrange quantities of the store's campaign (`QUANTITY_BY_NAME`, neither seed nor content), with CF attributes.
 
-    Parameters
-    ----------
-    store : Store
-        With a campaign chosen.
-    names : sequence of str
-        From `calcidem.storage.records.QUANTITY_BY_NAME`, neither seed nor content.
-
-    Returns
-    -------
-    dict of str to DataArray
-        Dimensions (seed, content), both ascending. Numbers are float64 with NaN where missing, texts "" where missing;
-        ``status`` is int8 (`STATUS_CODES`).
-
-    Raises
-    ------
-    QueryError
-        For an unknown quantity.
+    Each is along (seed, content), both ascending. Numbers are float64 with NaN where missing, texts "" where missing;
+    ``status`` is int8 (`STATUS_CODES`). `QueryError` for an unknown quantity.
     """
     columns = store.table((*INDEX_NAMES, *names))
     seeds, row = np.unique(columns["seed"].astype(np.int64), return_inverse=True)
@@ -54,26 +39,10 @@ def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]
 
 
 def campaign_dataset(store: Store, names: Sequence[str] | None = None) -> xr.Dataset:
-    """Return scalar quantities of every cell, self-describing and with the provenance of the campaign.
+    """Return `cell_matrices` of every cell, by default all, self-describing and with the provenance of the campaign.
 
-    Parameters
-    ----------
-    store : Store
-        With a campaign chosen.
-    names : sequence of str, optional
-        Quantities, by default all.
-
-    Returns
-    -------
-    Dataset
-        Of `cell_matrices`; ``status`` is a CF flag variable.
-
-    Raises
-    ------
-    UnknownCampaignError
-        If no cell is planned.
-    QueryError
-        For an unknown quantity.
+    ``status`` is a CF flag variable. `UnknownCampaignError` if no cell is planned, `QueryError` for an unknown
+    quantity.
     """
     wanted = QUANTITY_BY_NAME if names is None else names
     matrices = cell_matrices(store, [name for name in wanted if name not in INDEX_NAMES])

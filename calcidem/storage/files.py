@@ -24,20 +24,10 @@ def write_atomically(path: str | os.PathLike[str], *, replaces_netcdf: bool = Fa
     """Give a temporary file that takes the place of `path` once the block has ended without error and it is on disk.
 
     It is in the folder of `path`, since a file can be renamed in one step only within a file system; its name is one
-    that no other process, on this machine or another, writes at the same time. After an error `path` is unchanged.
-
-    Parameters
-    ----------
-    path : str or path
-    replaces_netcdf : bool
-        Whether a NetCDF file may be replaced: for callers that have checked its content.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder doesn't exist.
-    OutputRefusedError
-        If a database, or a NetCDF file, has that name.
+    that no other process, on this machine or another, writes at the same time. After an error what was at `path` is as
+    it was. ``replaces_netcdf`` is for who writes a NetCDF file, and has looked at what is in the one that is there.
+    `FileNotFoundError` if the folder doesn't exist, `OutputRefusedError` if a database, or a NetCDF file, has that
+    name.
     """
     target = Path(path).absolute()
     refuse_to_replace(target, replaces_netcdf=replaces_netcdf)
@@ -95,11 +85,8 @@ def _flush_to_disk(path: Path) -> None:
 def spreadsheet_value(value: object) -> object:
     """Give a value for a CSV file; text that a spreadsheet would take for a formula gets an apostrophe before it.
 
-    Spreadsheets show such text without the apostrophe and do not evaluate it. Numbers stay as they are.
-
-    References
-    ----------
-    OWASP, CSV Injection.
+    Spreadsheets show such text without the apostrophe and do not evaluate it (OWASP, CSV Injection). Numbers stay as
+    they are.
     """
     if not isinstance(value, str) or not value.startswith(_BEGIN_A_FORMULA):
         return value

@@ -16,19 +16,10 @@ _NOT_TO_BE_READ = {"file", "file_sha256", "sand_density"}
 
 
 def change_configuration(origin: Configuration | str | os.PathLike[str], values: Mapping[str, object]) -> Configuration:
-    """Read a configuration again with other values, all checks included.
+    """Read a configuration, or the TOML file that it is in, again with other values, all checks included.
 
-    Parameters
-    ----------
-    origin
-        A configuration, or the TOML file that it is in.
-    values
-        Values by section and key, such as ``{"wave.amplitude": 1e-4}``.
-
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong.
+    They are by section and key, such as ``{"wave.amplitude": 1e-4}``. `ConfigurationError` with everything that is
+    wrong.
     """
     if not isinstance(origin, Configuration):
         document = parse_file(Path(origin))

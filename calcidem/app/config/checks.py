@@ -246,14 +246,7 @@ def _longest_step(configuration: Configuration, content: float) -> float:
 def limit_of_mean_disks(configuration: Configuration, *, cemented: bool, single: bool = False) -> float:
     """Stability limit of disks of the mean size, s, by a bound for each disk by itself, which is on the safe side.
 
-    Parameters
-    ----------
-    configuration
-        Of the campaign.
-    cemented
-        Whether their contacts are.
-    single
-        Whether a disk has one contact, and not the six of a hexagonal lattice.
+    Their contacts are cemented or not. A disk has one contact if ``single``, and else the six of a hexagonal lattice.
     """
     diameter = float(np.mean(configuration.packing.diameter))
     normal, shear, twist = _contact_stiffness(configuration, cemented=cemented)

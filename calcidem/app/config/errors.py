@@ -77,15 +77,7 @@ def quote(value: object) -> str:
 
 
 def phrase(error: ErrorDetails, accepted: str = "") -> str:
-    """Put one error of pydantic into words: problem and remedy.
-
-    Parameters
-    ----------
-    error
-        An entry of ``ValidationError.errors()``.
-    accepted
-        What the field accepts, see `fields.accepted_values`.
-    """
+    """Put one of ``ValidationError.errors()`` into words: problem and remedy, see `fields.accepted_values`."""
     what, cure = _BY_ERROR_TYPE.get(error["type"], ("" if accepted else error["msg"], ""))
     entry = next((f"entry {word + 1} " for word in error["loc"] if isinstance(word, int)), "") if what else ""
     return "; ".join(filter(None, (entry + what, f"give {accepted}" if accepted else cure)))

@@ -21,21 +21,9 @@ def take_own_disks(
 ) -> tuple[Configuration, list[Problem]]:
     """Look at the file of ``[packing]``, and put what it settles into the configuration.
 
-    Parameters
-    ----------
-    configuration
-        With ``packing_draw.file``.
-    given
-        The section as it was given.
-    folder
-        To which the file's name is relative.
-
-    Returns
-    -------
-    configuration
-        With the size of the box and of the disks, where the file is as it should be.
-    problems
-        What is wrong with the file or contradicts it.
+    ``given`` is the section as it was given; the file's name is relative to ``folder``. Given are the configuration
+    with the size of the box and of the disks, where the file is as it should be, and what is wrong with the file or
+    contradicts it.
     """
     problems = [
         Problem(

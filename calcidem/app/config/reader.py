@@ -68,19 +68,9 @@ TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sh
 
 
 def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any] | None = None) -> Configuration:
-    """Read and check a configuration.
+    """Read and check a configuration in a TOML file; `ConfigurationError` with everything that is wrong.
 
-    Parameters
-    ----------
-    path
-        TOML file.
-    overrides
-        Values of section ``[run]`` that replace those of the file; None leaves the file's.
-
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong.
+    ``overrides`` are values of section ``[run]`` that replace those of the file; None leaves the file's.
     """
     document = parse_file(Path(path))
     given = {key: value for key, value in (overrides or {}).items() if value is not None}

@@ -373,17 +373,7 @@ class Configuration:
     def from_physics(cls, physics: Mapping[str, Any]) -> Self:
         """Rebuild what cells are computed with, but not what the packing is made from nor which cells are planned.
 
-        Parameters
-        ----------
-        physics
-            Of a stored campaign, see `physics`.
-
-        Raises
-        ------
-        StoreError
-            If a section is missing.
-        ValueError
-            If a section holds what this calcidem refuses.
+        `StoreError` if a section of `physics` is missing, `ValueError` if one holds what this calcidem refuses.
         """
         sections = ("root_seed", "sand", "cement", "pattern", "wave", "pick")
         if missing := [name for name in sections if name not in physics]:

@@ -12,13 +12,8 @@ from calcidem.storage.records import CampaignRecord
 def stored_text(record: CampaignRecord, disks: str) -> str:
     """Text of a configuration with the identity of a stored campaign.
 
-    Parameters
-    ----------
-    record
-        Of the campaign.
-    disks
-        CSV file with the disks at rest: it stands for a file of disks that the campaign was made from, which no
-        database has. With it the identity is another one.
+    ``disks`` is a CSV file with the disks at rest: it stands for a file of disks that the campaign was made from, which
+    no database has. With it the identity is another one.
     """
     physics, seeds = record.parameters, record.seeds
     plan = {

@@ -90,22 +90,11 @@ class _Rows:
 
 
 def read_foreign_disks(file: Path, columns: Sequence[str] = (), timestep: int | None = None) -> ForeignDisks:
-    """Read the disks of a file; its content shows the format.
+    """Read the disks of a file, text or text compressed with gzip, whose format its content tells.
 
-    Parameters
-    ----------
-    file
-        Text, or such text compressed with gzip.
-    columns
-        Names of the columns from the left, in place of those in the file; what is called otherwise than x, y, z,
-        radius, diameter, type or id is left alone.
-    timestep
-        Which snapshot of a LAMMPS dump; by default the last one.
-
-    Raises
-    ------
-    PackingFileError
-        Naming file, line and cure.
+    ``columns`` are names of the columns from the left, in place of those in the file; what is called otherwise than x,
+    y, z, radius, diameter, type or id is left alone. Of a LAMMPS dump the snapshot of a timestep is read, by default
+    the last one. `PackingFileError` names file, line and cure.
     """
     try:
         content = file.read_bytes()

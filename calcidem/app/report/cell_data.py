@@ -51,12 +51,7 @@ class _CellData:
 def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
     """Gather records of all cells, signals and samples of as many seeds as fit, and then sections of as many.
 
-    Parameters
-    ----------
-    analysis
-        Of the campaign.
-    room
-        Bytes of the page that all blocks together may take; records and packings are always there.
+    All blocks together may take ``room`` bytes of the page; records and packings are always there.
     """
     blocks: dict[str, str] = {}
     remarks: list[str] = []

@@ -12,15 +12,7 @@ from calcidem.app.campaign.opened import open_campaign
 def draw_cell(
     database: str | os.PathLike[str], seed: int, content: float, folder: Path, *, campaign_name: str | None = None
 ) -> list[Path]:
-    """Draw one cell as far as it has what the figures need; return the files written.
-
-    Parameters
-    ----------
-    database, seed, content, campaign_name
-        As for `calcidem.app.report.one_cell.describe_cell`.
-    folder
-        For the figures.
-    """
+    """Draw one cell into a folder as far as it has what the figures need; return the files written."""
     files: list[Path] = []
     with open_campaign(database, campaign_name) as campaign:
         plots = campaign.plot

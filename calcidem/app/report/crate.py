@@ -87,34 +87,11 @@ def write_crate(
     authors: Sequence[str] = (),
     watch: Callable[[int, int], None] = lambda _, __: None,
 ) -> Path:
-    """Write a campaign with its configuration, packing, report and description.
+    """Write a campaign with its configuration, packing, report and description, and give the path of the crate.
 
-    Parameters
-    ----------
-    database
-        SQLite file or database URL.
-    out
-        Zip file, replaced if it is there, or a folder that is not there yet.
-    campaign_name
-        Which campaign, where the database has several.
-    licence
-        Under which others may use the data: an SPDX identifier, or an address of its text.
-    authors
-        Names.
-    watch
-        Told how many parts of the report are made.
-
-    Returns
-    -------
-    pathlib.Path
-        Of the crate.
-
-    Raises
-    ------
-    OutputRefusedError
-        If the crate's name is taken, or rocrate is not installed.
-    StoreError
-        If the database can't be read.
+    That is a zip file, replaced if it is there, or a folder that is not there yet. The licence is an SPDX identifier,
+    or an address of its text; ``watch`` is told how many parts of the report are made. `OutputRefusedError` if the
+    crate's name is taken, or rocrate is not installed; `StoreError` if the database can't be read.
     """
     _refuse_missing_library()
     target, is_zip = Path(out), Path(out).suffix == ".zip"
@@ -212,17 +189,10 @@ def _software(run: RunRecord) -> dict[str, object]:
 
 @contextmanager
 def open_crate(path: str | os.PathLike[str]) -> Iterator[Campaign]:
-    """Open the campaign of a crate, rebuilt from its files in a folder that is gone afterwards.
+    """Open the campaign of a crate, a folder or zip file, rebuilt from its files in a folder that is gone afterwards.
 
-    Parameters
-    ----------
-    path
-        Folder or zip file.
-
-    Raises
-    ------
-    DamagedStoreError
-        If it is no crate of calcidem, a file is not the one that was described, or two files contradict each other.
+    `DamagedStoreError` if it is no crate of calcidem, a file is not the one that was described, or two files contradict
+    each other.
     """
     crate = Path(path)
     with TemporaryDirectory() as name:

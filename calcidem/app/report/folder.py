@@ -29,22 +29,8 @@ _NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
 def write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
     """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
-    Parameters
-    ----------
-    analysis
-        Of the campaign.
-    out
-        Folder; made if missing, files of the same names are replaced.
-
-    Returns
-    -------
-    dict
-        What could not be made, by name, with the reason.
-
-    Raises
-    ------
-    OSError
-        If the folder can't be written.
+    It is made if missing; files of the same names are replaced. Given is what could not be made, by name, with the
+    reason. `OSError` if the folder can't be written.
     """
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)

@@ -11,23 +11,9 @@ from calcidem.storage.store import Selection
 def describe_cell(
     database: str | os.PathLike[str], seed: int, content: float, *, campaign_name: str | None = None
 ) -> Table:
-    """Give all quantities of one cell as a table.
+    """Give all quantities of one cell as a table; content in percent.
 
-    Parameters
-    ----------
-    database
-        SQLite file or database URL.
-    seed, content
-        Which cell; content in percent.
-    campaign_name
-        Which campaign, where the database has several.
-
-    Raises
-    ------
-    UnknownCellError
-        If the cell has no outcome.
-    StoreError
-        If the database can't be read.
+    `UnknownCellError` if the cell has no outcome, `StoreError` if the database can't be read.
     """
     with read_campaign(database, campaign_name) as store:
         store.cell(seed=seed, content=content)  # raises a clear error if there is none

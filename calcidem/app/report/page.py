@@ -113,36 +113,13 @@ def write_report(
     measured: tuple[Target, ...] = (),
     watch: Callable[[int, int], None] = lambda _, __: None,
 ) -> Path:
-    """Write the report of a campaign.
+    """Write the report of a campaign as one HTML file, replaced only when the new one is complete; give its path.
 
-    Parameters
-    ----------
-    database
-        SQLite file or database URL; a run may write it meanwhile.
-    out
-        HTML file; replaced only when the new one is complete.
-    campaign_name
-        Which campaign, where the database has several.
-    studies
-        Results of `calcidem.app.studies.frequency_and_damping` to show, named "frequency" and "damping".
-    files
-        Folder to which all figures, tables and numbers are written, too.
-    measured
-        Laboratory velocities to lay over figures of Vs, with a table of the misfit.
-    watch
-        Told after each section how many of how many parts are made; the last part is the cells.
-
-    Returns
-    -------
-    pathlib.Path
-        The file.
-
-    Raises
-    ------
-    StoreError
-        If the database can't be read.
-    OSError
-        If the file can't be written.
+    A run may go on writing the database. Results of `calcidem.app.studies.frequency_and_damping`, named "frequency" and
+    "damping", are shown, too; all figures, tables and numbers go to a folder of ``files``; laboratory velocities are
+    laid over figures of Vs, with a table of the misfit. ``watch`` is told after each section how many of how many parts
+    are made; the last part is the cells. `StoreError` if the database can't be read, `OSError` if the file can't be
+    written.
     """
     target = Path(out)
     with read_campaign(database, campaign_name) as store:

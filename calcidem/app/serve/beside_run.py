@@ -15,21 +15,9 @@ _TIME_TO_TELL = 3.0
 
 @contextmanager
 def page_beside_run(database: str | os.PathLike[str], campaign: str, say: Callable[[str], None]) -> Iterator[None]:
-    """Show a campaign, which may not have begun, in the browser while the block runs.
+    """Show a campaign, which may not have begun, in the browser while the block runs; say the address.
 
-    Parameters
-    ----------
-    database
-        SQLite file or database URL.
-    campaign
-        Its name.
-    say
-        Told the address.
-
-    Raises
-    ------
-    PageAddressError
-        If the page can't be opened.
+    `PageAddressError` if the page can't be opened.
     """
     address = take_address()
     descriptor = address.listener.fileno()

@@ -279,17 +279,8 @@ class LivePage:
     def serve(self, ready: Callable[[], None] = lambda: None, *, wait: bool = False) -> None:
         """Serve the page until SIGINT or SIGTERM.
 
-        Parameters
-        ----------
-        ready
-            Called as soon as signals end the server in order.
-        wait
-            Whether databases and campaigns may be missing yet.
-
-        Raises
-        ------
-        StoreError
-            If a database can't be read, and there is no waiting for it.
+        ``ready`` is called as soon as signals end the server in order. With ``wait`` databases and campaigns may be
+        missing yet; else a `StoreError` if a database can't be read.
         """
         feeds = [CampaignFeed(number, *campaign, wait=wait) for number, campaign in enumerate(self.campaigns)]
         for feed in feeds if not wait else ():

@@ -63,37 +63,16 @@ _ARRAYS_COPIED_AT_ONCE = 1000
 
 
 def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collection[str] = ()) -> Path:
-    """Write everything the store has about its campaign into one compressed NetCDF-4 file.
+    """Write everything the store has about its campaign into one compressed NetCDF-4 file, and give its path.
 
-    Plain ``xarray.open_dataset`` finds in it the Dataset of `calcidem.storage.dataset.campaign_dataset`; the
-    groups ``packings`` and ``attempts`` and those of `ARRAY_RECORDS` hold the rest. An existing file
-    is replaced in one step when the new one is complete and on disk; until then, and after any error, it
-    stays as it was.
+    Plain ``xarray.open_dataset`` finds in it the Dataset of `calcidem.storage.dataset.campaign_dataset`; the groups
+    ``packings`` and ``attempts`` and those of `ARRAY_RECORDS` hold the rest. Groups of arrays may be left out: with
+    them a cell takes about 50 kB, without them 1 kB. An existing file is replaced in one step when the new one is
+    complete and on disk; until then, and after any error, it stays as it was.
 
-    Parameters
-    ----------
-    store : Store
-        With a campaign chosen.
-    path : str or path
-    without : collection of str
-        Groups of arrays to leave out, of `ARRAY_RECORDS`: with them a cell takes about 50 kB,
-        without them 1 kB.
-
-    Returns
-    -------
-    Path
-        Of the file written.
-
-    Raises
-    ------
-    ValueError
-        If a group to leave out is none of these.
-    UnknownCampaignError
-        If no cell is planned.
-    OutputRefusedError
-        If a database has that name, or a NetCDF file that is not this campaign's.
-    DiskError
-        If the file can't be written.
+    `ValueError` if a group to leave out is none of these, `UnknownCampaignError` if no cell is planned,
+    `OutputRefusedError` if a database has that name, or a NetCDF file that is not this campaign's, `DiskError` if the
+    file can't be written.
     """
     unknown = sorted(set(without) - set(ARRAY_RECORDS))
     if unknown:

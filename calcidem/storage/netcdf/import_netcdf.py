@@ -58,20 +58,9 @@ def import_netcdf(
 ) -> CampaignRecord:
     """Rebuild the campaign of an exported file: plan, runs, packings, attempts, outcomes and their arrays.
 
-    Importing into a store that has the campaign already adds what is missing and leaves done cells as they
-    are; runs are added each time. All of it is one transaction: after any error the store is as it was.
-
-    Parameters
-    ----------
-    path : str or path
-    store : Store
-    identify : callable
-        Checks the state of a packing and adds the content hash, which is beyond the store.
-
-    Returns
-    -------
-    CampaignRecord
-        As stored.
+    Importing into a store that has the campaign already adds what is missing and leaves done cells as they are; runs
+    are added each time. All of it is one transaction: after any error the store is as it was. ``identify`` checks the
+    state of a packing and adds the content hash, which is beyond the store.
 
     Raises
     ------
@@ -187,14 +176,7 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
 
 
 def _read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptRecord]:
-    """Read the group ``attempts``.
-
-    Parameters
-    ----------
-    file : netCDF4.Dataset
-    run_numbers : dict of int to int
-        From the numbers of runs in the file to those in the store.
-    """
+    """Read the group ``attempts``; ``run_numbers`` are from those of runs in the file to those in the store."""
     records = _Records(file, "attempts", "attempt", AttemptRecord)
     for row, key in enumerate(records.keys()):
         values = records.values(row)

@@ -30,18 +30,9 @@ _ERRORS_OF_READING = (OSError, RuntimeError, AttributeError, LookupError, TypeEr
 def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False) -> None:
     """Refuse a file that makes the library for NetCDF loop or crash; what the library itself refuses is not judged.
 
-    Parameters
-    ----------
-    path : str or path
-    names_only : bool
-        Whether the file is only to be opened, and nothing but its attributes to be read.
-
-    Raises
-    ------
-    StoreUnavailableError
-        If it is no file, such as a pipe, which would be waited for.
-    DamagedStoreError
-        If opening or reading it does not come to an end.
+    With ``names_only`` the file is only to be opened, and nothing but its attributes to be read.
+    `StoreUnavailableError` if it is no file, such as a pipe, which would be waited for; `DamagedStoreError` if opening
+    or reading it does not come to an end.
     """
     file = Path(path).absolute()
     if not file.is_file():

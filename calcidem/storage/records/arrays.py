@@ -44,21 +44,10 @@ def _same(first: object, second: object) -> bool:
 
 
 def freeze_array(owner: str, name: str, values: object, dtype: DTypeLike, shape: tuple[int | None, ...]) -> Any:  # noqa: ANN401 - the element type is the caller's `dtype`
-    """Return `values` as a contiguous read-only copy, checked.
+    """Return `values` as a contiguous read-only copy of a shape, None for any length along an axis.
 
-    Parameters
-    ----------
-    owner, name : str
-        Class and field, for the error message.
-    values : array_like
-    dtype : dtype
-    shape : tuple of int or None
-        Expected shape; None allows any length along that axis.
-
-    Raises
-    ------
-    ValueError
-        For another shape, for NaN or infinity, and for values that `dtype` can't hold.
+    Errors name the field of the owner: `ValueError` for another shape, for NaN or infinity, and for values that `dtype`
+    can't hold.
     """
     given = np.asarray(values)
     array = np.array(given, dtype=dtype, order="C", copy=True)
@@ -75,14 +64,9 @@ def freeze_array(owner: str, name: str, values: object, dtype: DTypeLike, shape:
 
 
 def normalize_numbers(record: object) -> None:
-    """Turn NumPy scalars in a record's fields into Python numbers and refuse NaN and infinity.
+    """Turn NumPy scalars in a record's fields into Python numbers; `ValueError` for NaN and infinity.
 
     Database drivers don't know NumPy's scalars, and a missing number is None.
-
-    Raises
-    ------
-    ValueError
-        Naming the field.
     """
     for name in _field_names(type(record)):  # type: ignore[arg-type]  # a class is hashable, whatever its objects are
         value = getattr(record, name)

@@ -23,18 +23,9 @@ def canonical_hash(config: Mapping[str, Any]) -> str:
 
 
 def config_difference(stored: str, given: str, *, shared_only: bool = False) -> list[str]:
-    """List what differs between two configurations in JSON text.
+    """List what differs between two configurations in JSON text, a line for each nested key.
 
-    Parameters
-    ----------
-    stored, given : str
-    shared_only : bool
-        Whether keys that only one of the two has are left out.
-
-    Returns
-    -------
-    list of str
-        One line per nested key, such as ``packing.friction: 0.2 -> 0.5``.
+    With ``shared_only`` keys that only one of the two has are left out.
 
     Examples
     --------

@@ -33,14 +33,9 @@ _NOTHING = -(2**63)  # stands for a missing whole number until its word is left 
 
 
 def row_checksums(table: Table, columns: Mapping[str, Sequence[Any]]) -> list[int]:
-    """Return the checksums of some rows.
+    """Return the checksums of some rows from their values by column, and `seed` and `content` of their cells.
 
-    Parameters
-    ----------
-    table : Table
-    columns : mapping of str to sequence
-        Values of the rows by column, and `seed` and `content` of their cells: a row that turns up at another cell is
-        damaged.
+    So a row that turns up at another cell is damaged.
     """
     length = len(next(iter(columns.values())))
     total = np.zeros(length, dtype=np.uint64)

@@ -231,18 +231,8 @@ def bring_log_into_file(engine: Engine) -> None:
 def transaction(engine: Engine, address: Address, *, write: bool) -> Iterator[Connection]:
     """Open a connection with one transaction: committed at the end, rolled back on any error.
 
-    Parameters
-    ----------
-    engine : Engine
-    address : Address
-        For error messages.
-    write : bool
-        Whether it is going to write; SQLite then waits for the lock at the beginning.
-
-    Raises
-    ------
-    StoreError
-        The translation of whatever the database reported.
+    For writing, SQLite waits for the lock at the beginning. `StoreError` is the translation of whatever the database
+    reported; it names the address.
     """
     bound = engine.execution_options(**{_WRITES: True}) if write else engine
     try:
@@ -282,15 +272,7 @@ def _kind(original: BaseException | None) -> type[StoreError] | None:
 def measure_commits(path: Path, count: int) -> tuple[str, float]:
     """Try a SQLite database as a campaign uses it: write a number of small transactions into a new file.
 
-    Returns
-    -------
-    str, float
-        Journal mode, such as ``"wal"``, and transactions a second.
-
-    Raises
-    ------
-    StoreError
-        If that can't be done there.
+    Given are the journal mode, such as ``"wal"``, and transactions a second. `StoreError` if that can't be done there.
     """
     address = parse_address(path)
     engine = make_engine(address, read_only=False)

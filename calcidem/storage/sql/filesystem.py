@@ -9,19 +9,10 @@ _NETWORK_FILESYSTEMS = (
 
 
 def filesystem_type(path: Path, mountinfo: str | None = None) -> str | None:
-    """Return the type of the file system that holds a path, such as ``"ext4"``.
+    """Type of the file system that holds a path, such as ``"ext4"``; None where it can't be told (no /proc).
 
-    Parameters
-    ----------
-    path : Path
-        Need not exist yet.
-    mountinfo : str, optional
-        Text in the format of ``/proc/self/mountinfo`` (proc(5)); by default that file's.
-
-    Returns
-    -------
-    str or None
-        None where it is unknown (no /proc).
+    The path need not exist yet. ``mountinfo`` is text in the format of ``/proc/self/mountinfo`` (proc(5)), by default
+    that file's.
     """
     if mountinfo is None:
         try:

@@ -132,25 +132,10 @@ class Acknowledged:
 
 
 def claim_lease(connection: Connection, campaign_id: int, *, former_is_dead: bool) -> tuple[LeaseGrant, datetime]:
-    """Write the lease's row for this process.
+    """Write the lease's row for this process in a writing transaction; give the grant and its first heartbeat.
 
-    Parameters
-    ----------
-    connection : Connection
-        In a writing transaction.
-    campaign_id : int
-    former_is_dead : bool
-        Whether a former holder on this machine is known to be gone because this process has its file lock.
-
-    Returns
-    -------
-    LeaseGrant, datetime
-        And the first heartbeat.
-
-    Raises
-    ------
-    LeaseHeldError
-        If the holder may be alive.
+    ``former_is_dead`` says that a former holder on this machine is gone, because this process has its file lock.
+    `LeaseHeldError` if the holder may be alive.
     """
     now = datetime.now(UTC)
     host, taken_over_from = socket.gethostname(), None

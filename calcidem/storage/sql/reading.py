@@ -211,12 +211,8 @@ class StoreReader(OpenDatabase):
     ) -> Iterator[CellResult]:
         """Outcomes of the selected cells, by seed, then content; fetched as they are consumed.
 
-        Parameters
-        ----------
-        selection : Selection
-        with_arrays : bool or collection of str
-            Whether to load paths, sections and cement patterns, some 50 kB a cell, or which of them (`ARRAY_RECORDS`).
-            The others are None, and are neither read nor compared with their checksums.
+        With arrays, paths, sections and cement patterns are loaded, some 50 kB a cell, or those named of
+        `ARRAY_RECORDS`. The others are None, and are neither read nor compared with their checksums.
         """
         wanted = (ARRAY_RECORDS if with_arrays else ()) if isinstance(with_arrays, bool) else with_arrays
         cells = self._chunks(selection)
@@ -232,12 +228,8 @@ class StoreReader(OpenDatabase):
     def arrays(self, selection: Selection = ALL_CELLS) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
         """Arrays beside the outcomes of the selected cells, of those that have some, by seed, then content.
 
-        The numbers of the cells are neither read nor compared with their checksums, unlike by `results`.
-
-        Returns
-        -------
-        iterator of (CellKey, dict or str)
-            Records by name (`ARRAY_RECORDS`), or what of them is no longer what was stored, as a clause.
+        The numbers of the cells are neither read nor compared with their checksums, unlike by `results`. Of each cell
+        there are records by name (`ARRAY_RECORDS`), or what of them is no longer what was stored, as a clause.
         """
         for chunk in self._chunks(selection, RESULT.c.arrays != ""):
             statement = join_results(select(CELL.c.id, *_BY_KEY, RESULT.c.arrays)).where(RESULT.c.cell_id.is_not(None))
@@ -276,31 +268,14 @@ class StoreReader(OpenDatabase):
         sort: Sequence[str] = (),
         limit: int | None = None,
     ) -> dict[str, NDArray[Any]]:
-        """Return columns of the selected planned cells in one query.
+        """Return columns (`QUANTITY_BY_NAME`) of the selected planned cells in one query.
 
-        Rows are compared with the checksum of their brief quantities if only these and no damaged cells are requested.
-
-        Parameters
-        ----------
-        names : sequence of str
-            From `calcidem.storage.records.QUANTITY_BY_NAME`.
-        selection : Selection
-        sort : sequence of str
-            Quantities to sort by, ``-`` before a name for descending; missing values come last. What is equal is
-            in the order of seed, then content.
-        limit : int, optional
-            Give this number of cells at most.
-
-        Returns
-        -------
-        dict of str to (cells,) array
-            Object arrays for texts (None where missing), int64 for seeds, and float64 for all other numbers (NaN where
-            missing), in the units of the quantities.
-
-        Raises
-        ------
-        QueryError
-            For an unknown quantity, a filter that can't be understood, or a negative limit.
+        Rows are compared with the checksum of their brief quantities if neither others nor damaged cells are asked for.
+        They are sorted by these quantities, ``-`` before a name for descending, missing values last; what is equal is
+        in the order of seed, then content. A limit gives the first so many cells only. Each column is (cells,): objects
+        for texts (None where missing), int64 for seeds, and float64 for all other numbers (NaN where missing), in the
+        units of the quantities. `QueryError` for an unknown quantity, a filter that can't be understood, or a negative
+        limit.
         """
         if unknown := [name for name in (*names, *(n.removeprefix("-") for n in sort)) if name not in QUANTITY_BY_NAME]:
             raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")

@@ -48,21 +48,11 @@ _NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE, CellS
 
 
 def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> "Store":
-    """Open a store, creating its database unless `read_only`.
+    """Open the file of a SQLite database, or an URL such as ``postgresql://user@host/database``; create it if need be.
 
-    Parameters
-    ----------
-    path_or_url : str or path
-        File of a SQLite database, or an URL such as ``postgresql://user@host/database``.
-    read_only : bool
-        Refuse every write, and create nothing.
-
-    Raises
-    ------
-    StoreError
-        `ForeignDatabaseError`, `NewerSchemaError`, `OlderSchemaError`, `StoreUnavailableError`,
-        `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a database that is refused is left
-        as it was.
+    With `read_only` every write is refused, and nothing created. Errors are `ForeignDatabaseError`, `NewerSchemaError`,
+    `OlderSchemaError`, `StoreUnavailableError`, `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a
+    database that is refused is left as it was.
     """
     return Store(parse_address(path_or_url), read_only=read_only)
 
@@ -206,16 +196,8 @@ class Store(StoreReader):
     def begin_campaign(self, campaign: CampaignRecord) -> CampaignRecord:
         """Create the campaign, or continue the one with the same hash and extend its plan.
 
-        Returns
-        -------
-        CampaignRecord
-            As stored: with the seeds and contents of all plans so far.
-
-        Raises
-        ------
-        CampaignMismatchError
-            If the name is taken by a campaign with another hash, or the hash belongs to other values; the message lists
-            the differences, one nested key a line.
+        It is given as stored. `CampaignMismatchError` if the name is taken by a campaign with another hash, or the hash
+        belongs to other values; the message lists the differences, one nested key a line.
         """
         with self._writing() as connection:
             is_it = or_(CAMPAIGN.c.hash == campaign.hash, CAMPAIGN.c.name == campaign.name)
@@ -334,16 +316,8 @@ class Store(StoreReader):
     def save_packing(self, packing: PackingRecord, *, replace_state: bool = False) -> None:
         """Store a packing under its index; the same one is left as it is, but gets a content hash that it lacks.
 
-        Parameters
-        ----------
-        packing : PackingRecord
-        replace_state : bool
-            Whether its state takes the place of a stored one, which is damaged.
-
-        Raises
-        ------
-        CampaignMismatchError
-            If the index has another packing; the message names the content hashes of both.
+        With ``replace_state`` its state takes the place of a stored one, which is damaged. `CampaignMismatchError`,
+        naming the content hashes of both, if the index has another packing.
         """
         row = {name: getattr(packing, name) for name in covered_columns(PACKING) if name not in {"number", "grains"}}
         grains = pack_arrays({name: getattr(packing, name) for name in ("x", "y", "radius")})
@@ -364,17 +338,9 @@ class Store(StoreReader):
             connection.execute(update(PACKING).where(is_it).values(seal(PACKING, [kept])[0]))
 
     def record_results(self, results: Iterable[CellResult | PackedResult], *, replace_done: bool = False) -> int:
-        """Store outcomes in one transaction (rules 4 and 5).
+        """Store outcomes in one transaction (rules 4 and 5), and give how many; the others were kept out by rule 5.
 
-        Returns
-        -------
-        int
-            Number of stored outcomes; rule 5 refused the others.
-
-        Raises
-        ------
-        UnknownCellError
-            If a cell is not planned.
+        `UnknownCellError` if a cell is not planned.
         """
         stored, recorded = 0, datetime.now(UTC)
         with self._writing() as connection:
@@ -473,24 +439,9 @@ class Store(StoreReader):
     def retry(
         self, statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT, keys: Iterable[CellKey] | None = None
     ) -> tuple[CellKey, ...]:
-        """Make settled cells pending again, and forget the losses counted for them.
+        """Make settled cells with these outcomes pending again, of the keys if some are given, and give their keys.
 
-        Parameters
-        ----------
-        statuses : collection of CellStatus
-            Which outcomes; done is refused.
-        keys : iterable of CellKey, optional
-            Only these cells.
-
-        Returns
-        -------
-        tuple of CellKey
-            The cells that are pending again.
-
-        Raises
-        ------
-        ValueError
-            If `statuses` contains done, pending or running.
+        The losses counted for them are forgotten. `ValueError` if `statuses` contains done, pending or running.
         """
         wrong = _NEVER_RETRIED & set(statuses)
         if wrong:

@@ -294,12 +294,8 @@ def prepare_schema(connection: Connection, address: Address, *, read_only: bool)
     """Create the tables of an empty database, or columns that it lacks, within the connection's transaction.
 
     A reader changes nothing: it refuses an empty database. Returned is a statement that each connection has to execute
-    before it reads, if there is one.
-
-    Raises
-    ------
-    ForeignDatabaseError, NewerSchemaError, OlderSchemaError
-        As `is_empty`; also if a server's table lacks quantities, which only a writer can add there, or has others.
+    before it reads, if there is one. Errors are those of `is_empty`, also if a server's table lacks quantities, which
+    only a writer can add there, or has others.
     """
     if not read_only and connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
         connection.execute(select(func.pg_advisory_xact_lock(_CREATION_LOCK)))
@@ -359,12 +355,8 @@ def _newer(address: Address, what: str) -> NewerSchemaError:
 def is_empty(connection: Connection, address: Address) -> bool:
     """Whether a database has no tables yet; one that is not of this schema is refused.
 
-    Raises
-    ------
-    ForeignDatabaseError
-        If it has tables but not calcidem's mark.
-    OlderSchemaError, NewerSchemaError
-        If an earlier or a later calcidem wrote it.
+    `ForeignDatabaseError` if it has tables but not calcidem's mark, `OlderSchemaError` or `NewerSchemaError` if an
+    earlier or a later calcidem wrote it.
     """
     inspector = inspect(connection)
     tables = inspector.get_table_names()

@@ -43,16 +43,9 @@ _EXAMPLE = 'Write for example "vs > 1500 and status == \'done\'", "content in (4
 def parse_where(text: str) -> ColumnElement[bool]:
     """Turn a filter expression into a condition for a query.
 
-    Parameters
-    ----------
-    text : str
-        Comparisons (``< <= > >= == = !=``, ``in``, ``not in``, ``is None``, ``is not None``) of quantities
-        with numbers or quoted words, joined by ``and``, ``or``, ``not`` and parentheses.
-
-    Raises
-    ------
-    QueryError
-        If the text is anything else or names an unknown quantity.
+    It compares quantities (``< <= > >= == = !=``, ``in``, ``not in``, ``is None``, ``is not None``) with numbers or
+    quoted words, joined by ``and``, ``or``, ``not`` and parentheses. `QueryError` if the text is anything else or names
+    an unknown quantity.
     """
     if len(text) > _LONGEST_FILTER:
         raise QueryError(f"The filter has {len(text)} characters.", f"Write it in at most {_LONGEST_FILTER}.")
