@@ -14,7 +14,7 @@ from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.measured import read_targets
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation, FrequencyTable
-from calcidem.app.studies.calibrate import FitPlan, calibrate, fit_to_targets
+from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
 from calcidem.app.studies.kept_trials import KeptTrials
 from calcidem.app.studies.parameters import ParameterRange, parse_range, start_value, text_with_values, with_values
 from calcidem.app.studies.trials import trial_workers
@@ -98,7 +98,7 @@ def test_the_stated_deviations_are_those_of_repeated_fits() -> None:
     """Fits to exact targets with other seeds scatter as each of them says, and so do the correlations."""
     targets = [Target(0.5, 300.0), Target(5.0, 600.0)]
     found = [
-        fit_to_targets(synthetic(60, random), FitPlan(targets, SYNTHETIC, range(60)), (2.0, 3.0))
+        _fit_to_targets(synthetic(60, random), FitPlan(targets, SYNTHETIC, range(60)), (2.0, 3.0))
         for random in range(300)
     ]
     logs = np.log([[fit.values["a"], fit.values["b"]] for fit in found])
@@ -114,7 +114,7 @@ def test_deviations_of_targets_widen_those_of_the_parameters() -> None:
     measure = synthetic(40, 1, contents=1)
     truth = measure([{"a": 3.0}])[0]
     exact, sampled = (
-        fit_to_targets(measure, FitPlan([Target(0.5, truth.mean(), samples=samples)], SYNTHETIC[:1], range(40)), [2.0])
+        _fit_to_targets(measure, FitPlan([Target(0.5, truth.mean(), samples=samples)], SYNTHETIC[:1], range(40)), [2.0])
         for samples in (None, 40)
     )
     assert sampled.deviations["a"] == pytest.approx(2**0.5 * exact.deviations["a"], rel=1e-3)
@@ -125,7 +125,7 @@ def test_scatter_alone_decides_what_only_scatter_shows() -> None:
     measure = synthetic(30, 2, contents=1)
     truth = measure([{"a": 3.0, "b": 0.8}])[0]
     targets = [Target(0.5, truth[:, 0].mean(), truth[:, 0].std(ddof=1))]
-    found = fit_to_targets(measure, FitPlan(targets, SYNTHETIC, range(30)), (2.0, 1.0))
+    found = _fit_to_targets(measure, FitPlan(targets, SYNTHETIC, range(30)), (2.0, 1.0))
     assert found.values == pytest.approx({"a": 3.0, "b": 0.8}, rel=0.01)
 
 
@@ -141,7 +141,7 @@ def test_seeds_that_one_trial_loses_count_in_none() -> None:
         return found
 
     targets = [Target(0.5, 300.0), Target(5.0, 600.0)]
-    found = fit_to_targets(with_losses, FitPlan(targets, SYNTHETIC, range(20)), (2.0, 4.0))
+    found = _fit_to_targets(with_losses, FitPlan(targets, SYNTHETIC, range(20)), (2.0, 4.0))
     truth = synthetic(20, 3)([found.values])[0]
     assert [(row.seeds, row.planned) for row in found.contents] == [(19, 20), (19, 20)]
     assert found.contents[0].mean == pytest.approx(np.delete(truth[:, 0], 4).mean())
@@ -152,7 +152,7 @@ def test_seeds_that_one_trial_loses_count_in_none() -> None:
 def test_targets_that_contradict_the_model_show_in_chi_square() -> None:
     """Two means in the ratio 2 of which 2 / 1.2 is wanted: both are missed by sqrt(1.2), in units of the tolerance."""
     plan = FitPlan([Target(0.5, 300.0), Target(5.0, 180.0)], SYNTHETIC[:1], range(8), tolerance=0.02)
-    found = fit_to_targets(synthetic(8, 6, noise=1e-9), plan, [2.0])
+    found = _fit_to_targets(synthetic(8, 6, noise=1e-9), plan, [2.0])
     assert found.values["a"] == pytest.approx(3.0 * 1.2**0.5, rel=1e-3)
     assert found.chi_square == pytest.approx(2 * (np.log(1.2) / 2 / 0.02) ** 2, rel=1e-3)
     assert found.freedom == 1
@@ -161,7 +161,7 @@ def test_targets_that_contradict_the_model_show_in_chi_square() -> None:
 def test_values_stay_in_their_ranges_and_say_so() -> None:
     """A parameter that would leave its range ends at the limit, the others take what is left, and the report tells."""
     ranges = (ParameterRange("a", 1.0, 2.5), ParameterRange("b"))
-    found = fit_to_targets(
+    found = _fit_to_targets(
         synthetic(20, 4, 0.01), FitPlan([Target(0.5, 300.0), Target(5.0, 600.0)], ranges, range(20)), (2.0, 4.0)
     )
     assert found.values["a"] == pytest.approx(2.5)
@@ -181,7 +181,7 @@ def test_a_fit_goes_on_with_the_seeds_that_are_read() -> None:
     """Few seeds at one content, too few at another: the fit is that without the latter, and says both."""
     targets = [Target(0.5, 300.0), Target(5.0, 600.0)]
     plan = FitPlan(targets, SYNTHETIC[:1], range(20))
-    found = fit_to_targets(silent((5, 2), synthetic(20, 5)), plan, [1.0])
+    found = _fit_to_targets(silent((5, 2), synthetic(20, 5)), plan, [1.0])
     truth = synthetic(20, 5)([found.values])[0][:5, 0]
     assert truth.mean() == pytest.approx(300.0, rel=1e-3)
     assert [row.role for row in found.contents] == ["fitted", "left out"]
@@ -194,7 +194,7 @@ def test_a_fit_goes_on_with_the_seeds_that_are_read() -> None:
 def test_a_fit_without_readable_seeds_ends_with_its_start() -> None:
     """Nothing is fitted, nothing is certain, and the doubts say why."""
     plan = FitPlan([Target(0.5, 300.0)], SYNTHETIC[:1], range(20))
-    found = fit_to_targets(silent((0,), synthetic(20, 5, contents=1)), plan, [2.0])
+    found = _fit_to_targets(silent((0,), synthetic(20, 5, contents=1)), plan, [2.0])
     assert not found.is_fitted
     assert found.values == pytest.approx({"a": 2.0})
     assert np.isnan(found.deviations["a"])
@@ -209,7 +209,7 @@ def test_a_parameter_without_effect_is_doubted_and_the_others_are_fitted() -> No
     def blind(tried: list[dict[str, float]]) -> list[np.ndarray]:
         return measure([{"a": values["a"]} for values in tried])
 
-    found = fit_to_targets(blind, FitPlan([Target(0.5, 300.0), Target(5.0, 150.0)], SYNTHETIC, range(20)), [2.0, 1.5])
+    found = _fit_to_targets(blind, FitPlan([Target(0.5, 300.0), Target(5.0, 150.0)], SYNTHETIC, range(20)), [2.0, 1.5])
     assert found.values == pytest.approx({"a": 3.0, "b": 1.5}, rel=0.05)
     assert np.isfinite(found.deviations["a"])
     assert np.isnan(found.deviations["b"])
@@ -226,7 +226,7 @@ def test_steps_that_no_seed_survives_are_a_doubt() -> None:
             for values, vs in zip(tried, measure(tried), strict=True)
         ]
 
-    found = fit_to_targets(fragile, FitPlan([Target(0.5, 600.0)], SYNTHETIC[:1], range(20)), [2.0])
+    found = _fit_to_targets(fragile, FitPlan([Target(0.5, 600.0)], SYNTHETIC[:1], range(20)), [2.0])
     assert found.values["a"] == pytest.approx(2.0)
     assert any(text.startswith("it ended before it converged: a trial left 0 of 20 seeds") for text in found.doubts)
 

@@ -327,7 +327,7 @@ def calibrate(
             none = np.full((len(plan.seeds), len(contents)), np.nan)
             return [next(found) if place in possible else none for place in range(len(tried))]
 
-        fitted = fit_to_targets(velocities, plan, start, tell)
+        fitted = _fit_to_targets(velocities, plan, start, tell)
     if not plan.predict:
         return fitted
     known = {target.content: target for target in plan.targets}
@@ -342,7 +342,7 @@ def calibrate(
     return replace(fitted, contents=(*fitted.contents, *predictions))
 
 
-def fit_to_targets(
+def _fit_to_targets(
     measure: Callable[[Sequence[ParameterValues]], Sequence[Floats]],
     plan: FitPlan,
     start: Sequence[float],

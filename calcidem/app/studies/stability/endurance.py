@@ -16,7 +16,7 @@ from calcidem.dem.engine.state import advance, choose_features, start
 _LONG = 100_000  # steps
 _LOOKS = 20  # at the energy during them
 _MOTION = 1.0e-2  # of the disks in a time of the stability limit, over the mean overlap: no contact opens or slips
-_PRESSED = Extreme(confinement=1e6)
+_PRESSED_LATTICE = Extreme(confinement=1e6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ def endurance() -> tuple[Endurance, ...]:
 
 def _moving_state(regime: Regime) -> State:
     """The pressed lattice without damping and with random velocities, so small that no contact opens or slips."""
-    scene, packing = scene_at_rest(replace(_PRESSED, regime=regime), 0.0)
+    scene, packing = scene_at_rest(replace(_PRESSED_LATTICE, regime=regime), 0.0)
     features = replace(choose_features(scene, regime, account=True), servo=False)
     limit = float(start(scene, features=features).critical_time_step[0])
     speed = _MOTION * packing.report.mean_overlap / limit
@@ -94,7 +94,7 @@ def _linear_invariant(state: State) -> Callable[[State], float]:
 
 def _residual_motion(regime: Regime, steps: int) -> float:
     """Largest displacement in a balanced scene that is left alone, over the mean overlap."""
-    scene, packing = scene_at_rest(replace(_PRESSED, regime=regime), 0.3)
+    scene, packing = scene_at_rest(replace(_PRESSED_LATTICE, regime=regime), 0.3)
     state = start(scene, features=replace(choose_features(scene, regime), servo=False))
     return float(np.abs(advance(state, steps).motion.displacement[:, :2]).max()) / packing.report.mean_overlap
 

@@ -30,7 +30,7 @@ _SMALLEST_RATIO = 2.5  # a disk smaller than this part of its neighbours fits in
 _SMALL_DISKS = 0.2  # of the pores that hold one
 REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
 BOXES = ("extreme", "plausible")
-"""What scenes are drawn from, see `Quantity`."""
+"""What scenes are drawn from, see `SceneQuantity`."""
 _PICK = PickRule(largest_error=1.0)
 """The boxes are short against the wave: it is judged whether the reading depends on the step, not what it is of."""
 _FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
@@ -95,7 +95,7 @@ class Extreme:
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class SceneQuantity:
     """What the maps know of a number of `Extreme`.
 
     Attributes
@@ -120,34 +120,40 @@ class Quantity:
 
 
 QUANTITIES = {
-    "step_fraction": Quantity(
+    "step_fraction": SceneQuantity(
         "time step / its predicted limit", (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2), (0.5, 1.1), (0.5, 1.0)
     ),
-    "contrast": Quantity(
+    "contrast": SceneQuantity(
         "stiffness of bonds / of contacts", (1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6), (0.0, 6.0), (0.0, 4.5), powers=True
     ),
-    "damping": Quantity("local damping factor", (0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.9, 1.0), (0.0, 1.0), (0.0, 0.5)),
-    "amplitude": Quantity(
+    "damping": SceneQuantity("local damping factor", (0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.9, 1.0), (0.0, 1.0), (0.0, 0.5)),
+    "amplitude": SceneQuantity(
         "velocity of the pulse $v_0$ (m/s)",
         (1e-9, 1e-7, 1e-5, 1e-3, 1e-1, 1.0, 10.0),
         (-9.0, 1.0),
         (-7.5, -4.5),
         powers=True,
     ),
-    "frequency": Quantity(
+    "frequency": SceneQuantity(
         "frequency / cut-off of the contacts",
         (0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0),
         (-1.0, 0.0),
         (-0.75, -0.2),
         powers=True,
     ),
-    "size_ratio": Quantity(
+    "size_ratio": SceneQuantity(
         "largest / smallest radius", (1.0, 3.0, 5.0, 10.0, 20.0), (-0.5, 1.3), (-0.5, 0.5), powers=True
     ),
-    "content": Quantity("share of the capacity for cement", (0.0, 0.1, 0.3, 0.6, 0.9, 1.0), (0.0, 1.0), (0.0, 0.5)),
-    "confinement": Quantity("confining stress (Pa)", (1.0, 1e2, 1e4, 1e6, 1e8), (0.0, 8.0), (3.3, 5.3), powers=True),
-    "missing": Quantity("share of the disks taken away", (0.0, 0.02, 0.05, 0.1, 0.2, 0.3), (-0.6, 0.3), (-0.6, 0.01)),
-    "strength": Quantity(
+    "content": SceneQuantity(
+        "share of the capacity for cement", (0.0, 0.1, 0.3, 0.6, 0.9, 1.0), (0.0, 1.0), (0.0, 0.5)
+    ),
+    "confinement": SceneQuantity(
+        "confining stress (Pa)", (1.0, 1e2, 1e4, 1e6, 1e8), (0.0, 8.0), (3.3, 5.3), powers=True
+    ),
+    "missing": SceneQuantity(
+        "share of the disks taken away", (0.0, 0.02, 0.05, 0.1, 0.2, 0.3), (-0.6, 0.3), (-0.6, 0.01)
+    ),
+    "strength": SceneQuantity(
         "strength of bonds / stress of the pulse",
         (1e-2, 0.1, 0.3, 0.5, 1.0, 3.0, 1e2, 1e4),
         (-2.0, 6.0),
@@ -155,7 +161,7 @@ QUANTITIES = {
         powers=True,
         base=Extreme(amplitude=1e-3),  # a pulse that can break bonds
     ),
-    "floating": Quantity("number of floating disks", (0, 1, 2, 3), base=Extreme(content=1.0, contrast=1.0)),
+    "floating": SceneQuantity("number of floating disks", (0, 1, 2, 3), base=Extreme(content=1.0, contrast=1.0)),
 }
 
 
