@@ -95,6 +95,9 @@ def dispersion(
 ) -> Dispersion:
     """Find the phase velocity of shear waves from sections of samples of one content.
 
+    `ValueError` if there are fewer than three sections, or the velocities are not an increasing pair of positive
+    numbers.
+
     Parameters
     ----------
     sections
@@ -103,11 +106,6 @@ def dispersion(
         Of the pulse, Hz, and the slowest and fastest phase velocity that is looked for, m/s.
     shares
         Frequencies of the result over that of the pulse, whose spectrum is zero at 2.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three sections, or the velocities are not an increasing pair of positive numbers.
 
     Notes
     -----

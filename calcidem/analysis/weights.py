@@ -63,6 +63,8 @@ def scan_ratio(
 ) -> RatioScan:
     """Scan the weight ratio, with a new search for the shortest path of every sample at every ratio.
 
+    `ValueError` if shapes disagree, fewer than three samples have a velocity, or no ratio has a correlation.
+
     Parameters
     ----------
     envelopes, vs, seed
@@ -72,11 +74,6 @@ def scan_ratio(
         Ratios to compare, shape (k,), ascending, at least two.
     level, replicates
         Of the interval, and bootstrap replicates.
-
-    Raises
-    ------
-    ValueError
-        If shapes disagree, fewer than three samples have a velocity, or no ratio has a correlation.
 
     Notes
     -----

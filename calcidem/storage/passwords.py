@@ -30,13 +30,9 @@ def hide_passwords(text: str) -> str:
 def keep_passwords_back(words: Sequence[str]) -> list[str]:
     """Give the words of a command line without the passwords of their URLs, which go to the environment.
 
-    `password_of` finds them there, in this process and in those that it starts: all users see command lines of
-    processes, error messages repeat them, and a campaign stores them.
-
-    Raises
-    ------
-    StoreUnavailableError
-        If it is not clear where a password ends.
+    `password_of` finds them there, in this process and in those that it starts: whoever may list processes sees command
+    lines, error messages repeat them, and a campaign stores them. `StoreUnavailableError` if it is not clear where a
+    password ends.
     """
     kept: dict[str, str] = {}
     shown = [_without_password(word, kept) for word in words]

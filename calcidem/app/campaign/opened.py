@@ -382,6 +382,9 @@ class Campaign(Closable):
     ) -> xr.Dataset:
         """Compute the shear stiffness of samples from place to place, its variance and its correlation length.
 
+        `UnknownCellError` if none of the cells has an outcome and cement that is known; `ValueError` if the window is
+        larger than the samples inside of their rim.
+
         Parameters
         ----------
         seed, content
@@ -394,13 +397,6 @@ class Campaign(Closable):
         xarray.Dataset
             See `calcidem.analysis.random_field.describe_fields`, and `calcidem.dem.wave.stiffness_field` for the
             modulus. ``to_netcdf`` writes it, `plot.stiffness` draws it.
-
-        Raises
-        ------
-        UnknownCellError
-            If none of the cells has an outcome and cement that is known.
-        ValueError
-            If the window is larger than the samples inside of their rim.
         """
         found: dict[tuple[int, float], StiffnessField] = {}
         for cell in product(np.atleast_1d(seed).tolist(), np.atleast_1d(content).tolist()):
@@ -413,10 +409,7 @@ class Campaign(Closable):
     def dispersion(self, *, content: float) -> Dispersion:
         """Find phase velocity against frequency, and the speed of long waves, from the sections of a content.
 
-        Raises
-        ------
-        UnknownCellError
-            If fewer than three of its cells have a velocity and a stored section.
+        `UnknownCellError` if fewer than three of its cells have a velocity and a stored section.
         """
         try:
             return dispersion_of_cells(self.select(content=content, status="done", with_arrays=True))

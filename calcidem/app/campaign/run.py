@@ -56,6 +56,11 @@ def run(
 ) -> "Campaign":
     """Compute a campaign, or what is left of it, in this process or on the workers of an executor.
 
+    `ConfigurationError` with everything that is wrong with the configuration; `StoreError` if the database cannot be
+    used; `PackingError` if the packing does not come to rest; `WorkersLostError` if the executor ended too early, for
+    instance because one of its processes was killed: what was computed is stored, and the same call with a new executor
+    goes on.
+
     Parameters
     ----------
     configuration
@@ -77,18 +82,6 @@ def run(
     -------
     Campaign
         Open for reading; to be closed.
-
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong with the configuration.
-    StoreError
-        If the database cannot be used.
-    PackingError
-        If the packing does not come to rest.
-    WorkersLostError
-        If the executor ended too early, for instance because one of its processes was killed: what was computed is
-        stored, and the same call with a new executor goes on.
 
     Examples
     --------

@@ -58,13 +58,7 @@ def cross_check(configuration: Configuration) -> list[Problem]:
 
 
 def plan_contents(configuration: Configuration, contents: Collection[float]) -> Configuration:
-    """Configuration with other contents, percent, in order.
-
-    Raises
-    ------
-    ConfigurationError
-        If they do not fit its other parts.
-    """
+    """Configuration with other contents, percent, in order; `ConfigurationError` if they do not fit its other parts."""
     planned = tuple(sorted({canonical_content(content) for content in contents}))
     changed = replace(configuration, campaign=replace(configuration.campaign, contents=planned))
     if problems := cross_check(changed):
@@ -332,13 +326,7 @@ def can_make_files(folder: Path) -> bool:
 
 
 def check_against_packing(configuration: Configuration, packing: Packing) -> None:
-    """Refuse what the packing that was made cannot hold.
-
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong.
-    """
+    """Refuse what the packing that was made cannot hold; `ConfigurationError` with everything that is wrong."""
     problems = [Problem(f"packing.{fault.text}") for fault in judge_disks(packing, configuration.sand) if fault.refused]
     if problems:
         raise ConfigurationError("configuration", problems)

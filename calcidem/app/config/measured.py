@@ -26,13 +26,8 @@ _REQUIRED = ("content", "vs")
 def read_targets(file: Path) -> tuple[Target, ...]:
     """Read means, and where they are given standard deviations and numbers of samples, from a CSV file.
 
-    Lines that begin with ``#`` are comments.
-
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong: columns that are missing or unknown, entries that are no such number, contents
-        that stand twice.
+    Lines that begin with ``#`` are comments. `ConfigurationError` with everything that is wrong: columns that are
+    missing or unknown, entries that are no such number, contents that stand twice.
     """
     with file.open(encoding="utf-8-sig", errors="replace", newline="") as source:
         text = source.read(_MOST_CHARACTERS)  # no device fills the memory

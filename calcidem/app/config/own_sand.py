@@ -117,10 +117,7 @@ class OwnSand:
 def parse_quantity(quantity: str, text: str) -> float:
     """Read a ``grain size`` or a ``stress`` with its unit, such as 0.3mm or 100 kPa; in SI units.
 
-    Raises
-    ------
-    ValueError
-        If it has no such unit, or is no possible value.
+    `ValueError` if it has no such unit, or is no possible value.
     """
     units, (low, high) = _UNIT_FACTORS[quantity], _LIMITS[quantity]
     found = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z]+)\s*", text, re.ASCII)
@@ -140,10 +137,7 @@ def parse_quantity(quantity: str, text: str) -> float:
 def own_sand_text(own: OwnSand) -> str:
     """Text of the configuration of a sand, with the reason of each number.
 
-    Raises
-    ------
-    ConfigurationError
-        If no such sand can be computed.
+    `ConfigurationError` if no such sand can be computed.
     """
     if problems := _content_problems(own):
         raise ConfigurationError("the sand", problems)

@@ -117,10 +117,7 @@ def read_configuration(
 ) -> Configuration:
     """Turn a mapping of sections into a checked configuration; other files that it names are relative to the folder.
 
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong.
+    `ConfigurationError` with everything that is wrong.
     """
     problems = [_unknown_name(name, "section", list(SECTIONS)) for name in document if name not in SECTIONS]
     given: dict[str, dict[str, Any]] = {part: {} for parts in SECTIONS.values() for part in parts}

@@ -108,6 +108,8 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
 ) -> ImportedPacking:
     """Read the disks of another program, and write them as a CSV file that ``[packing] file`` takes.
 
+    `PackingFileError` if the source can't be read as disks, or they lie in one another or in several planes.
+
     Parameters
     ----------
     source
@@ -129,11 +131,6 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
         default the outermost disks touch them, or nearly so those of a box in the file, or round numbers.
     timestep
         Which snapshot of a LAMMPS dump; by default the last one.
-
-    Raises
-    ------
-    PackingFileError
-        If the source can't be read as disks, or they lie in one another or in several planes.
 
     Examples
     --------

@@ -67,10 +67,7 @@ def is_crate(path: str) -> bool:
 def _refuse_missing_library() -> None:
     """Raise before anything is computed if crates cannot be written.
 
-    Raises
-    ------
-    OutputRefusedError
-        If the package rocrate is not installed.
+    `OutputRefusedError` if the package rocrate is not installed.
     """
     if importlib.util.find_spec("rocrate") is None:
         raise OutputRefusedError(

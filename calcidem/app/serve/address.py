@@ -50,10 +50,8 @@ class PageAddress:
 def take_address(host: str = _USUAL_HOST, port: int = 0) -> PageAddress:
     """Listen on a port, 0 for any that is free.
 
-    Raises
-    ------
-    PageAddressError
-        If the port is in use or not to be had, the host is none of this machine, or a library is not installed.
+    `PageAddressError` if the port is in use or not to be had, the host is none of this machine, or a library is not
+    installed.
     """
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:

@@ -75,13 +75,7 @@ class CampaignFeed:
         self._checked = 0.0
 
     def refuse_unreadable(self) -> None:
-        """Open the database.
-
-        Raises
-        ------
-        StoreError
-            If it can't be read, or has no such campaign.
-        """
+        """Open the database; `StoreError` if it can't be read, or has no such campaign."""
         with self._lock:
             self._open()
 
@@ -151,10 +145,7 @@ class CampaignFeed:
     def cell(self, seed: int, content: float) -> dict[str, Any]:
         """Give signals, section, cement and path of one cell, as the report has them.
 
-        Raises
-        ------
-        UnknownCellError
-            If it has no outcome.
+        `UnknownCellError` if it has no outcome.
         """
         with self._lock:
             self._open()

@@ -198,10 +198,7 @@ class _Fit:
     def try_points(self, points: Sequence[Floats]) -> None:
         """Measure points (logarithms of values) that are not known yet.
 
-        Raises
-        ------
-        _UnreadTrialError
-            If they leave too few seeds at a content that is used; then none of the points counts.
+        `_UnreadTrialError` if they leave too few seeds at a content that is used; then none of the points counts.
         """
         new = [point for point in points if point.tobytes() not in self.trials]
         former = dict(self.trials)
@@ -280,6 +277,9 @@ def calibrate(
 ) -> FittedParameters:
     """Fit parameters to means, and standard deviations, of Vs by weighted least squares of their logarithms.
 
+    `ConfigurationError` if a parameter cannot be fitted, there are more parameters than numbers to meet, or the file
+    has no trials.
+
     Parameters
     ----------
     configuration
@@ -294,11 +294,6 @@ def calibrate(
         Told of every trial.
     kept
         File in which every trial is kept as soon as it is measured, and from which it is taken again.
-
-    Raises
-    ------
-    ConfigurationError
-        If a parameter cannot be fitted, there are more parameters than numbers to meet, or the file has no trials.
 
     Notes
     -----
@@ -348,7 +343,7 @@ def _fit_to_targets(
     start: Sequence[float],
     tell: Callable[[str], None] = lambda _: None,
 ) -> FittedParameters:
-    """Fit as `calibrate` does, whatever gives the velocities.
+    """Fit as `calibrate` does, whatever gives the velocities; `ConfigurationError` as `calibrate`.
 
     Parameters
     ----------
@@ -358,11 +353,6 @@ def _fit_to_targets(
         See `calibrate`; the predictions are the caller's.
     start
         Value of each parameter to begin with, positive.
-
-    Raises
-    ------
-    ConfigurationError
-        As `calibrate`.
     """
     names, wanted = [chosen.name for chosen in plan.free], sum(1 if row.sd is None else 2 for row in plan.met)
     problems = []

@@ -180,6 +180,8 @@ def run_studies(
 ) -> dict[str, xr.Dataset]:
     """Run sensitivity studies on the samples of a campaign; nothing is written to its database.
 
+    `ValueError` if a study is unknown, or the campaign cannot be computed again from what is stored.
+
     Parameters
     ----------
     database
@@ -197,11 +199,6 @@ def run_studies(
     -------
     dict
         Result of each study, as `calcidem.app.report.page.write_report` takes them.
-
-    Raises
-    ------
-    ValueError
-        If a study is unknown, or the campaign cannot be computed again from what is stored.
     """
     unknown = sorted(set(names) - set(_STUDIES))
     if unknown:

@@ -35,10 +35,7 @@ class ParameterRange:
 def parse_range(text: str) -> ParameterRange:
     """Read ``section.key`` or ``section.key=low:high``.
 
-    Raises
-    ------
-    ConfigurationError
-        If the limits are no rising positive numbers.
+    `ConfigurationError` if the limits are no rising positive numbers.
     """
     name, _, limits = text.partition("=")
     if not limits:
@@ -53,10 +50,7 @@ def parse_range(text: str) -> ParameterRange:
 def check_ranges(configuration: Configuration, ranges: Sequence[ParameterRange], source: str) -> None:
     """Refuse parameters that are no numbers of the wave stage, double ones, and ranges that cannot be computed.
 
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong; ``source`` says where the ranges are from.
+    `ConfigurationError` with everything that is wrong; ``source`` says where the ranges are from.
     """
     problems = [problem for chosen in ranges for problem in _range_problems(configuration, chosen)]
     names = [chosen.name for chosen in ranges]
@@ -115,12 +109,7 @@ def with_values(configuration: Configuration, values: Mapping[str, float]) -> Co
 def start_value(configuration: Configuration, packing: Packing, chosen: ParameterRange) -> float:
     """Value of a parameter to begin with, within its range; that of a cluster's area is Eq. 2 for a mean cluster.
 
-    A key without a value begins in the (geometric) middle of its range.
-
-    Raises
-    ------
-    ValueError
-        If there is neither.
+    A key without a value begins in the (geometric) middle of its range. `ValueError` if there is neither.
     """
     attribute, key = _variable_keys()[chosen.name]
     value = getattr(getattr(configuration, attribute), key)

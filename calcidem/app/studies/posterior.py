@@ -54,6 +54,8 @@ def draw_posterior(
 ) -> Posterior:
     """Draw parameters by importance sampling, on a linear model of the trials of a calibration.
 
+    `ValueError` if there are not more trials than parameters, or they lie in a plane.
+
     Parameters
     ----------
     trials
@@ -70,11 +72,6 @@ def draw_posterior(
         (P, 2) logarithms of the ranges, between which every value is as likely before.
     draws
         Their number.
-
-    Raises
-    ------
-    ValueError
-        If there are not more trials than parameters, or they lie in a plane.
 
     Notes
     -----

@@ -29,10 +29,7 @@ def check_cells(
 ) -> None:
     """Refuse contents and seeds that the configuration or its packing cannot have.
 
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong.
+    `ConfigurationError` with everything that is wrong.
     """
     try:
         plan = replace(configuration.campaign, contents=tuple(contents), seeds=tuple(seeds))

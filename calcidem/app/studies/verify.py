@@ -89,6 +89,8 @@ def worst_agreement(found: Iterable[Verification]) -> Agreement:
 def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[CellKey, ...]:
     """Choose stored cells at random, by seed, then content.
 
+    `UnknownCellError` if there is none that could be computed again.
+
     Parameters
     ----------
     store
@@ -97,11 +99,6 @@ def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[C
         How many; all where there are fewer.
     choice
         Seed of the choice; None for another one each time.
-
-    Raises
-    ------
-    UnknownCellError
-        If there is none that could be computed again.
     """
     keys = [result.key for result in store.results(Selection(statuses=_REPEATABLE))]
     if not keys:
@@ -117,6 +114,9 @@ def verify(
 ) -> Iterator[Verification]:
     """Compute stored cells again and compare them, as many side by side as there are lanes.
 
+    `CampaignMismatchError` if the campaign was computed with another version of the physics; `UnknownCellError` if a
+    cell has no outcome.
+
     Parameters
     ----------
     store
@@ -127,13 +127,6 @@ def verify(
         Gives what the cells of a packing share, such as `Campaign.experiment`: the stored packing and physics.
     lanes
         Cells side by side; what a cell gives does not depend on it.
-
-    Raises
-    ------
-    CampaignMismatchError
-        If the campaign was computed with another version of the physics.
-    UnknownCellError
-        If a cell has no outcome.
     """
     refuse_other_physics(store.record)
     together: defaultdict[tuple[int, float], list[CellResult]] = defaultdict(list)

@@ -60,23 +60,12 @@ def import_netcdf(
 
     Importing into a store that has the campaign already adds what is missing and leaves done cells as they are; runs
     are added each time. All of it is one transaction: after any error the store is as it was. ``identify`` checks the
-    state of a packing and adds the content hash, which is beyond the store.
-
-    Raises
-    ------
-    StoreUnavailableError
-        If the file can't be read as NetCDF.
-    ForeignDatabaseError
-        If calcidem didn't write it.
-    OlderSchemaError, NewerSchemaError
-        If an earlier or a later calcidem did, in another layout.
-    DamagedStoreError
-        If its configuration is not the one that its hash was made of, or cells have a packing that it lacks, or
-        reading it does not come to an end.
-    CampaignMismatchError
-        If the store has a campaign of that name with another hash, or that campaign with another packing.
-    LeaseHeldError
-        While a run writes the store's database.
+    state of a packing and adds the content hash, which is beyond the store. `StoreUnavailableError` if the file can't
+    be read as NetCDF; `ForeignDatabaseError` if calcidem didn't write it; `OlderSchemaError`, `NewerSchemaError` if an
+    earlier or a later calcidem did, in another layout; `DamagedStoreError` if its configuration is not the one that its
+    hash was made of, or cells have a packing that it lacks, or reading it does not come to an end;
+    `CampaignMismatchError` if the store has a campaign of that name with another hash, or that campaign with another
+    packing; `LeaseHeldError` while a run writes the store's database.
     """
     with _open(Path(path)) as file, store.together():
         campaign = CampaignRecord(

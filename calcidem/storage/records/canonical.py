@@ -9,10 +9,7 @@ from typing import Any
 def canonical_json(config: Mapping[str, Any]) -> str:
     """Return JSON text that is the same for equal configurations: keys sorted, no spaces, shortest floats.
 
-    Raises
-    ------
-    ValueError
-        For NaN and infinity.
+    `ValueError` for NaN and infinity.
     """
     return json.dumps(config, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 

@@ -66,14 +66,9 @@ STATUS_CODES = {
 def canonical_content(content: float) -> float:
     """Return the one float that stands for a content: rounded to 1e-9 percent.
 
-    Contents identify cells, and 0.1 + 0.2 must find the cells of 0.3. Any two floats that agree to nine
-    decimals round to the same float64, so that the database can compare exactly; 1e-9 percent is far below
-    the cement of a single contact.
-
-    Raises
-    ------
-    ValueError
-        Unless 0 <= content <= 100.
+    Contents identify cells, and 0.1 + 0.2 must find the cells of 0.3. Any two floats that agree to nine decimals round
+    to the same float64, so that the database can compare exactly; 1e-9 percent is far below the cement of a single
+    contact. `ValueError` unless 0 <= content <= 100.
     """
     rounded = round(float(content), _CONTENT_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
     if not 0.0 <= rounded <= 100.0:  # noqa: PLR2004 - percent; the comparison also refuses NaN
@@ -82,13 +77,7 @@ def canonical_content(content: float) -> float:
 
 
 def checked_seed(seed: int) -> int:
-    """Return a seed as Python's own integer.
-
-    Raises
-    ------
-    ValueError
-        Unless it is a whole number of 0 to `LARGEST_SEED`.
-    """
+    """Return a seed as Python's own integer; `ValueError` unless it is a whole number of 0 to `LARGEST_SEED`."""
     if isinstance(seed, float) or not 0 <= seed <= LARGEST_SEED:
         shown = seed if abs(seed) < 10**20 else "beyond that"
         raise ValueError(f"seed is {shown}; give a whole number of 0 to 2^63 - 1.")

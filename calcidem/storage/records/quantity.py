@@ -122,13 +122,7 @@ def _kind_of(hint: Any) -> Literal["real", "whole", "text"]:  # noqa: ANN401 - a
 
 
 def check_bounds(record: object) -> None:
-    """Refuse numbers out of the bounds of their quantities.
-
-    Raises
-    ------
-    ValueError
-        Naming the field, the value and the cure.
-    """
+    """Refuse numbers out of the bounds of their quantities; `ValueError`, naming the field, the value and the cure."""
     for quantity in quantities_of(type(record)):
         if quantity.bound is not Bound.NONE:
             value = getattr(record, quantity.name)

@@ -116,13 +116,7 @@ class RunRecord:
 
 
 def as_utc(moment: datetime) -> datetime:
-    """Return the moment in UTC.
-
-    Raises
-    ------
-    ValueError
-        For a moment without time zone: it could mean anything.
-    """
+    """Return the moment in UTC; `ValueError` for a moment without time zone: it could mean anything."""
     if moment.tzinfo is None:
         raise ValueError(f"{moment} has no time zone; use datetime.now(UTC).")
     return moment.astimezone(UTC)

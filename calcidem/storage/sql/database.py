@@ -93,10 +93,7 @@ class OpenDatabase(Closable):
     def use_campaign(self, name: str | None = None) -> CampaignRecord:
         """Choose an existing campaign; without a name the only one there is.
 
-        Raises
-        ------
-        UnknownCampaignError
-            If there is none of that name, or several and no name was given.
+        `UnknownCampaignError` if there is none of that name, or several and no name was given.
         """
         with self._reading() as connection:
             found = connection.execute(select(CAMPAIGN).order_by(CAMPAIGN.c.id)).all()
@@ -112,10 +109,7 @@ class OpenDatabase(Closable):
 def campaign_record(connection: Connection, row: Row[Any]) -> CampaignRecord:
     """Build a campaign with the seeds and contents of its planned cells.
 
-    Raises
-    ------
-    DamagedStoreError
-        If its configuration or its hash was changed.
+    `DamagedStoreError` if its configuration or its hash was changed.
     """
 
     def planned(column: Column[Any], normalize: Callable[[Any], Any]) -> Iterable[Any]:

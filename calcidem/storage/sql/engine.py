@@ -111,10 +111,7 @@ class Address:
 def parse_address(path_or_url: str | os.PathLike[str]) -> Address:
     """Understand a path (SQLite) or an URL such as ``postgresql+psycopg://user@host/database``.
 
-    Raises
-    ------
-    StoreUnavailableError
-        For an URL that can't be read or whose file name is missing.
+    `StoreUnavailableError` for an URL that can't be read or whose file name is missing.
     """
     text = os.fspath(path_or_url)
     if "://" not in text:
@@ -140,14 +137,9 @@ def parse_address(path_or_url: str | os.PathLike[str]) -> Address:
 def make_engine(address: Address, *, read_only: bool) -> Engine:
     """Create an engine whose transactions are real on every backend.
 
-    SQLite is opened with foreign keys on, a waiting time for locks and synchronous=FULL; a writer also
-    chooses the journal: a write-ahead log on a local disk, a rollback journal (DELETE) on a network file
-    system, where the log doesn't work.
-
-    Raises
-    ------
-    StoreUnavailableError
-        If the driver of the URL's database isn't installed.
+    SQLite is opened with foreign keys on, a waiting time for locks and synchronous=FULL; a writer also chooses the
+    journal: a write-ahead log on a local disk, a rollback journal (DELETE) on a network file system, where the log
+    doesn't work. `StoreUnavailableError` if the driver of the URL's database isn't installed.
     """
     if address.path is not None:
         return _sqlite_engine(address.path, read_only=read_only)

@@ -180,13 +180,7 @@ def lease_held_error(holder: LeaseHolder | None) -> LeaseHeldError:
 
 
 def renew_lease(connection: Connection, token: str) -> datetime:
-    """Move the heartbeat to now, and return it.
-
-    Raises
-    ------
-    LeaseLostError
-        If the row is another process's by now.
-    """
+    """Move the heartbeat to now, and return it; `LeaseLostError` if the row is another process's by now."""
     heartbeat = datetime.now(UTC)
     renewed = connection.execute(update(LEASE).where(LEASE.c.token == token).values(heartbeat=heartbeat))
     if renewed.rowcount == 0:

@@ -104,12 +104,7 @@ class StoreReader(OpenDatabase):
     def packing(self, index: int = 0) -> PackingRecord:
         """Return a packing of the campaign.
 
-        Raises
-        ------
-        UnknownCellError
-            If there is none of that index (yet).
-        DamagedStoreError
-            If it is not what was stored.
+        `UnknownCellError` if there is none of that index (yet); `DamagedStoreError` if it is not what was stored.
         """
         with self._reading() as connection:
             statement = select(PACKING).where(PACKING.c.campaign_id == self._campaign, PACKING.c.number == index)
@@ -192,13 +187,7 @@ class StoreReader(OpenDatabase):
     # Outcomes
 
     def cell(self, *, seed: int, content: float) -> CellResult:
-        """Return the whole outcome of one cell, with its arrays.
-
-        Raises
-        ------
-        UnknownCellError
-            If the cell has no outcome.
-        """
+        """Return the whole outcome of one cell, with its arrays; `UnknownCellError` if the cell has no outcome."""
         for found in self.results(Selection(seed, content), with_arrays=True):
             return found
         raise UnknownCellError(
@@ -554,10 +543,7 @@ def _arrays_of(connection: Connection, cells: Sequence[int], wanted: Collection[
 def _array_records(text: str | None, arrays: Mapping[str, bytes], wanted: Collection[str]) -> dict[str, Any]:
     """Build records of the arrays of a cell, by name, from their bytes and the names and checksums of all of them.
 
-    Raises
-    ------
-    DamagedStoreError
-        If one is not what was stored, or is missing.
+    `DamagedStoreError` if one is not what was stored, or is missing.
     """
     stored = {word for word in (text or "").split() if word.partition(":")[0] in wanted}
     if changed := stored ^ set(arrays_text(arrays).split()):
@@ -592,13 +578,7 @@ def attempts_or_damage(
 
 
 def packing_of(row: Mapping[str, Any]) -> PackingRecord:
-    """Build a packing from its row.
-
-    Raises
-    ------
-    DamagedStoreError
-        If the row was changed after it had been stored.
-    """
+    """Build a packing from its row; `DamagedStoreError` if the row was changed after it had been stored."""
     if not is_intact(PACKING, row):
         raise DamagedStoreError(
             f"The stored packing {row['number']} was changed after it had been stored.",

@@ -60,10 +60,7 @@ def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) 
 def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Store":
     """Open a store for reading, with a campaign of that name chosen, or the only one; a run may write it meanwhile.
 
-    Raises
-    ------
-    StoreError
-        As `open_store`, and if the database has no such campaign.
+    `StoreError` as `open_store`, and if the database has no such campaign.
     """
     store = open_store(path_or_url, read_only=True)
     try:
@@ -121,12 +118,8 @@ class Store(StoreReader):
     def together(self) -> Iterator[None]:
         """Make one transaction of the block: all of it is stored at its end, or nothing.
 
-        Other processes that write the same database wait, so none may be at work on a campaign of it.
-
-        Raises
-        ------
-        LeaseHeldError
-            If another living process is the master of a campaign of the database.
+        Other processes that write the same database wait, so none may be at work on a campaign of it. `LeaseHeldError`
+        if another living process is the master of a campaign of the database.
         """
         chosen = self._campaign_id, self._record, self._run_id
         try:
@@ -238,13 +231,7 @@ class Store(StoreReader):
         return self._run_id
 
     def end_run(self, exit_state: str, ended: datetime) -> None:
-        """Store how and when the run of `begin_run` ended.
-
-        Raises
-        ------
-        UnknownCampaignError
-            If no run was begun.
-        """
+        """Store how and when the run of `begin_run` ended; `UnknownCampaignError` if no run was begun."""
         self._change_run(exit_state=exit_state, ended=as_utc(ended))
         self._run_id = None
 
@@ -265,10 +252,7 @@ class Store(StoreReader):
     def acquire_lease(self) -> LeaseGrant:
         """Become the campaign's only master; a repeated call refreshes the lease.
 
-        Raises
-        ------
-        LeaseHeldError
-            If another living process is; the message names it, and when it would count as dead.
+        `LeaseHeldError` if another living process is it; the message says which, and when it would count as dead.
         """
         if self._token is not None:
             self.renew_lease()
@@ -291,10 +275,7 @@ class Store(StoreReader):
     def renew_lease(self) -> None:
         """Report that this master is alive; recording does so, too. Call it at least every minute.
 
-        Raises
-        ------
-        LeaseLostError
-            If another process took over.
+        `LeaseLostError` if another process took over.
         """
         with self._writing():
             pass  # every writing transaction refreshes the lease
@@ -395,12 +376,8 @@ class Store(StoreReader):
     def record_lost(self, keys: Iterable[CellKey], reason: str) -> dict[CellKey, AttemptCount]:
         """Count one attempt that ended with the loss of its worker for each cell; return the new counts.
 
-        Unlike the other writes each call counts, since a loss has no result to be recognised by.
-
-        Raises
-        ------
-        UnknownCellError
-            If a cell is not planned.
+        Unlike the other writes each call counts, since a loss has no result to be recognised by. `UnknownCellError` if
+        a cell is not planned.
         """
         with self._writing():
             counts = {
@@ -417,10 +394,7 @@ class Store(StoreReader):
     def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
         """Store a history as another store kept it (for imports); attempts that are there already stay.
 
-        Raises
-        ------
-        UnknownCellError
-            If a cell is not planned.
+        `UnknownCellError` if a cell is not planned.
         """
         with self._writing() as connection:
             for chunk in chunks(attempts):
@@ -500,13 +474,7 @@ class _Known(NamedTuple):
 
 
 def _known_cells(connection: Connection, campaign_id: int, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
-    """State of planned cells.
-
-    Raises
-    ------
-    UnknownCellError
-        If one is not planned.
-    """
+    """What is known of planned cells; `UnknownCellError` if one is not planned."""
     statement = select(CELL.c.seed, CELL.c.content, CELL.c.id, RESULT.c.status, RESULT.c.attempt)
     statement = statement.outerjoin(RESULT, RESULT.c.cell_id == CELL.c.id)
     statement = statement.where(CELL.c.campaign_id == campaign_id, cell_in(keys))

@@ -54,11 +54,7 @@ def plan_task(
     """Plan to measure some contents, all of the campaign if there are none, and its first seeds.
 
     From a database the campaign's packing is taken, and its velocities for the scatter of its samples.
-
-    Raises
-    ------
-    CampaignMismatchError
-        If the database has a campaign of another configuration.
+    `CampaignMismatchError` if the database has a campaign of another configuration.
     """
     contents = contents or sorted(configuration.campaign.contents)
     velocities = None
@@ -80,7 +76,7 @@ def accuracy(
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Findings:
-    """Measure error against run time.
+    """Measure error against run time; `ValueError` if there is no setting of a name.
 
     Parameters
     ----------
@@ -92,11 +88,6 @@ def accuracy(
         Folder for the figure, ``accuracy.md`` and ``accuracy.json``.
     progress
         Told what is done.
-
-    Raises
-    ------
-    ValueError
-        If there is no setting of a name.
     """
     compared, rounds = (choose_settings(task.experiment, only), {"rounds": 1}) if only else (None, {})
     lanes = task.configuration.run.lanes

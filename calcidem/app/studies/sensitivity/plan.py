@@ -78,17 +78,14 @@ class Variant:
 def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...]:
     """Read a file of variants; the reference comes first.
 
+    `ConfigurationError` with everything that is wrong with the file or with a configuration that comes of it.
+
     Parameters
     ----------
     path
         TOML file, see `_ListedPlan`.
     database
         Where the cells of all of them go, each variant as a campaign of its own.
-
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong with the file or with a configuration that comes of it.
     """
     source = os.fspath(path)
     listed = _parse_plan(path)

@@ -62,10 +62,7 @@ class SobolPlan:
 def load_sobol_plan(path: str | os.PathLike[str], bases: int) -> SobolPlan:
     """Read a plan whose table ``[ranges]`` has the lowest and the highest value by ``section.key``.
 
-    Raises
-    ------
-    ConfigurationError
-        With everything that is wrong with the file, the ranges or the configuration.
+    `ConfigurationError` with everything that is wrong with the file, the ranges or the configuration.
     """
     listed, configuration = read_plan(path)
     ranges = [ParameterRange(name, low, high) for name, (low, high) in listed.ranges.items()]
@@ -82,6 +79,8 @@ def evaluate_points(
     plan: SobolPlan, packing: Packing, file: Path, cores: int = 1, say: Callable[[str], None] = lambda _: None
 ) -> xr.Dataset:
     """Measure Vs at all points of a plan, or at those that the file lacks; the same call goes on after a stop.
+
+    `ConfigurationError` if the packing cannot hold the cells; `CampaignMismatchError` if the file is of another plan.
 
     Parameters
     ----------
@@ -100,13 +99,6 @@ def evaluate_points(
     -------
     xarray.Dataset
         ``vs`` (point, content, seed) in m/s, NaN where there is none, ``value`` (point, parameter), ``done`` (point).
-
-    Raises
-    ------
-    ConfigurationError
-        If the packing cannot hold the cells.
-    CampaignMismatchError
-        If the file is of another plan.
     """
     check_cells(plan.configuration, packing, plan.contents, plan.seeds)
     points = stored_points(plan, file)
@@ -151,10 +143,7 @@ def _forecast(measure_once: Callable[[], object], points: int, cells: int) -> st
 def stored_points(plan: SobolPlan, file: Path) -> xr.Dataset:
     """Points of a plan as far as its file has them; none of a file that is not there.
 
-    Raises
-    ------
-    CampaignMismatchError
-        If the file is of another plan.
+    `CampaignMismatchError` if the file is of another plan.
     """
     value = sobol_points(plan.ranges, plan.bases)
     shape = len(value), len(plan.contents), len(plan.seeds)

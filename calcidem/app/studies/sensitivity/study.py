@@ -17,10 +17,7 @@ from calcidem.storage.errors import UnknownCampaignError
 def compute_variants(variants: Sequence[Variant], say: Callable[[str], None]) -> None:
     """Compute all cells that the database lacks, variant by variant; the same call goes on after a stop.
 
-    Raises
-    ------
-    CampaignMismatchError
-        If the database has a variant of that name with other parameters.
+    `CampaignMismatchError` if the database has a variant of that name with other parameters.
     """
     for number, variant in enumerate(variants, start=1):
         say(f"{number} of {len(variants)}: {variant.name}")

@@ -93,12 +93,7 @@ def draw_own_scenes(count: int, seed: int) -> tuple[OwnScene, ...]:
 def error_of_run(own: OwnScene) -> float:
     """Run a scene and return its relative error: of the energy balance, or of what its kind has in closed form.
 
-    Raises
-    ------
-    ValueError
-        If the scene is refused.
-    UnstableRunError
-        If the run is ended.
+    `ValueError` if the scene is refused; `UnstableRunError` if the run is ended.
     """
     return _OWN_KINDS[own.kind](own)
 

@@ -215,10 +215,7 @@ def draw_quantities(
 def experiment_of_scene(extreme: Extreme) -> Experiment:
     """Experiment for `measurement.measure`, whose single content is `content_of` it.
 
-    Raises
-    ------
-    ValueError
-        If the scene is refused.
+    `ValueError` if the scene is refused.
     """
     sand = Sand()
     packing = _lattice(extreme, sand)
