@@ -224,10 +224,10 @@ class Campaign(Closable):
     ) -> Iterator[CellResult]:
         """Give the outcomes of the selected cells as frozen records, by seed, then content, as they are consumed.
 
-        Contents are in percent, statuses such as ``"done"``; ``where`` is a filter such as ``"vs > 1500 and clusters >=
-        40"`` over `calcidem.storage.records.QUANTITY_BY_NAME`; ``with_arrays`` brings sections and cement patterns
-        along. `UnknownCellError` for a content that the campaign does not have, `QueryError` for an unknown status, or
-        a filter that is none.
+        Contents are in percent, statuses such as ``"done"``. ``where`` is a filter over
+        `calcidem.storage.records.QUANTITY_BY_NAME` such as ``"vs > 1500 and clusters >= 40"``. ``with_arrays`` brings
+        sections and cement patterns along. `UnknownCellError` for a content that the campaign does not have,
+        `QueryError` for an unknown status, or a filter that is none.
 
         Examples
         --------
@@ -382,21 +382,11 @@ class Campaign(Closable):
     ) -> xr.Dataset:
         """Compute the shear stiffness of samples from place to place, its variance and its correlation length.
 
+        Each takes a second. Stress and strain are averaged in square windows of this side, m; by default a cluster's
+        diameter. The result is that of `calcidem.analysis.random_field.describe_fields`, and
+        `calcidem.dem.wave.stiffness_field` for the modulus. ``to_netcdf`` writes it, `plot.stiffness` draws it.
         `UnknownCellError` if none of the cells has an outcome and cement that is known; `ValueError` if the window is
         larger than the samples inside of their rim.
-
-        Parameters
-        ----------
-        seed, content
-            Of which samples; each takes a second.
-        window
-            Side of the square windows in which stress and strain are averaged, m; by default a cluster's diameter.
-
-        Returns
-        -------
-        xarray.Dataset
-            See `calcidem.analysis.random_field.describe_fields`, and `calcidem.dem.wave.stiffness_field` for the
-            modulus. ``to_netcdf`` writes it, `plot.stiffness` draws it.
         """
         found: dict[tuple[int, float], StiffnessField] = {}
         for cell in product(np.atleast_1d(seed).tolist(), np.atleast_1d(content).tolist()):

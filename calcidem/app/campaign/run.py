@@ -90,8 +90,6 @@ def run(
 
     On all cores:
 
-    Examples
-    --------
     >>> from concurrent.futures import ProcessPoolExecutor
     >>> with ProcessPoolExecutor() as pool, calcidem.run("quick.toml", executor=pool) as campaign:  # doctest: +SKIP
     ...     print(campaign.summary())

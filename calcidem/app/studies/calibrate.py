@@ -277,26 +277,10 @@ def calibrate(
 ) -> FittedParameters:
     """Fit parameters to means, and standard deviations, of Vs by weighted least squares of their logarithms.
 
-    `ConfigurationError` if a parameter cannot be fitted, there are more parameters than numbers to meet, or the file
-    has no trials.
+    So many ``cores`` compute batches of seeds at a time. Every trial is told, and ``kept`` in a file as soon as it is
+    measured, from which it is taken again. `ConfigurationError` if a parameter cannot be fitted, there are more
+    parameters than numbers to meet, or the file has no trials.
 
-    Parameters
-    ----------
-    configuration
-        Where to begin.
-    packing
-        Of the campaign.
-    plan
-        What is fitted to what.
-    cores
-        Batches of seeds that are computed at a time.
-    tell
-        Told of every trial.
-    kept
-        File in which every trial is kept as soon as it is measured, and from which it is taken again.
-
-    Notes
-    -----
     Gauss-Newton on the logarithms of the parameters, within their ranges, with one-sided differences; a step that does
     not come nearer is halved. A content at which fewer than three seeds have a velocity is left out. What speaks
     against the result is said with it.
@@ -343,16 +327,10 @@ def _fit_to_targets(
     start: Sequence[float],
     tell: Callable[[str], None] = lambda _: None,
 ) -> FittedParameters:
-    """Fit as `calibrate` does, whatever gives the velocities; `ConfigurationError` as `calibrate`.
+    """Fit as `calibrate` does, whatever gives the velocities.
 
-    Parameters
-    ----------
-    measure
-        Takes values of the parameters, gives Vs for each, (seeds, contents of the targets), NaN where there is none.
-    plan, tell
-        See `calibrate`; the predictions are the caller's.
-    start
-        Value of each parameter to begin with, positive.
+    ``measure`` takes values of the parameters, which begin with ``start``, and gives Vs for each, (seeds, contents of
+    the targets), NaN where there is none; the predictions are the caller's. Errors are those of `calibrate`.
     """
     names, wanted = [chosen.name for chosen in plan.free], sum(1 if row.sd is None else 2 for row in plan.met)
     problems = []

@@ -178,27 +178,11 @@ def run_studies(
     campaign_name: str | None = None,
     check: Callable[[], None] = lambda: None,
 ) -> dict[str, xr.Dataset]:
-    """Run sensitivity studies on the samples of a campaign; nothing is written to its database.
+    """Run the studies "frequency" and "damping" on the samples of a campaign; nothing is written to its database.
 
-    `ValueError` if a study is unknown, or the campaign cannot be computed again from what is stored.
-
-    Parameters
-    ----------
-    database
-        SQLite file or database URL of a campaign whose packing is stored.
-    names
-        Studies, "frequency" and "damping".
-    contents
-        Percent; by default those of the study.
-    campaign_name
-        Which campaign, where the database has several.
-    check
-        Called every fraction of a second; may raise to end the study.
-
-    Returns
-    -------
-    dict
-        Result of each study, as `calcidem.app.report.page.write_report` takes them.
+    Contents are in percent, by default those of the study; ``check`` is called every fraction of a second and may raise
+    to end it. The results are as `calcidem.app.report.page.write_report` takes them. `ValueError` if a study is
+    unknown, or the campaign cannot be computed again from what is stored.
     """
     unknown = sorted(set(names) - set(_STUDIES))
     if unknown:

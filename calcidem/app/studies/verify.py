@@ -87,18 +87,10 @@ def worst_agreement(found: Iterable[Verification]) -> Agreement:
 
 
 def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[CellKey, ...]:
-    """Choose stored cells at random, by seed, then content.
+    """Choose stored cells at random, by seed, then content; all where there are fewer.
 
-    `UnknownCellError` if there is none that could be computed again.
-
-    Parameters
-    ----------
-    store
-        With a campaign chosen.
-    count
-        How many; all where there are fewer.
-    choice
-        Seed of the choice; None for another one each time.
+    ``choice`` is the seed of the choice; None for another one each time. `UnknownCellError` if there is none that could
+    be computed again.
     """
     keys = [result.key for result in store.results(Selection(statuses=_REPEATABLE))]
     if not keys:
@@ -112,21 +104,11 @@ def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[C
 def verify(
     store: Store, keys: Iterable[CellKey], experiment_of: ExperimentOf, *, lanes: int = 8
 ) -> Iterator[Verification]:
-    """Compute stored cells again and compare them, as many side by side as there are lanes.
+    """Compute stored cells again and compare them, as many side by side as there are lanes, which changes nothing.
 
-    `CampaignMismatchError` if the campaign was computed with another version of the physics; `UnknownCellError` if a
-    cell has no outcome.
-
-    Parameters
-    ----------
-    store
-        With a campaign chosen.
-    keys
-        Cells with an outcome.
-    experiment_of
-        Gives what the cells of a packing share, such as `Campaign.experiment`: the stored packing and physics.
-    lanes
-        Cells side by side; what a cell gives does not depend on it.
+    ``experiment_of`` gives what the cells of a packing share, such as `Campaign.experiment`: the stored packing and
+    physics. `CampaignMismatchError` if the campaign was computed with another version of the physics;
+    `UnknownCellError` if a cell has no outcome.
     """
     refuse_other_physics(store.record)
     together: defaultdict[tuple[int, float], list[CellResult]] = defaultdict(list)

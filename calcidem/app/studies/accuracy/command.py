@@ -76,18 +76,11 @@ def accuracy(
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Findings:
-    """Measure error against run time; `ValueError` if there is no setting of a name.
+    """Measure error against run time.
 
-    Parameters
-    ----------
-    task
-        What to measure.
-    only
-        Names of settings; with any, these and the default are compared with the reference and nothing else is measured.
-    out
-        Folder for the figure, ``accuracy.md`` and ``accuracy.json``.
-    progress
-        Told what is done.
+    With names of settings in ``only`` these and the default are compared with the reference and nothing else is
+    measured; `ValueError` if there is none of a name. The folder ``out`` takes the figure, ``accuracy.md`` and
+    ``accuracy.json``.
     """
     compared, rounds = (choose_settings(task.experiment, only), {"rounds": 1}) if only else (None, {})
     lanes = task.configuration.run.lanes

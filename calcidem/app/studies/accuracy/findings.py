@@ -71,16 +71,10 @@ def findings_json(findings: Findings) -> str:
 
 
 def measured_errors(campaign_hash: str, packing_hash: str, path: Path | None = None) -> MeasuredErrors | None:
-    """Errors measured for a campaign's physics and packing.
+    """Errors measured for a campaign's physics and packing (`Packing.content_hash`).
 
-    `ValueError` if the given file is none, or about another campaign or packing.
-
-    Parameters
-    ----------
-    campaign_hash, packing_hash
-        Identity of that physics, and `Packing.content_hash`.
-    path
-        JSON of `calcidem accuracy`; by default the packaged one, if it is about both.
+    They are those in a JSON of `calcidem accuracy`, by default the packaged one, if it is about both. `ValueError` if
+    the given file is none, or about another campaign or packing.
     """
     source = path or _PACKAGED
     try:

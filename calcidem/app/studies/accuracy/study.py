@@ -95,24 +95,11 @@ def run_study(  # noqa: PLR0913 - what a study does differently from the default
     rounds: int = ROUNDS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Study:
-    """Measure the errors of settings.
+    """Measure the errors of settings at contents (%) for some seeds.
 
-    Parameters
-    ----------
-    experiment
-        Whose own settings are the default.
-    contents, seeds
-        Percent, and samples at each content.
-    compared
-        Settings to compare, the experiment's own first; all of `settings.settings` by default.
-    coarsest
-        Step over the limit from which the reference is sought.
-    lanes
-        Width of the kernel; a narrower one is taken for fewer seeds.
-    rounds
-        How often settings are timed, taking turns, so that what else the machine does falls on all of them.
-    progress
-        Told what is done.
+    The experiment's own setting comes first among those that are ``compared``, by default all of `settings.settings`.
+    The reference is sought from a step of ``coarsest`` times the limit. For fewer seeds than lanes a narrower kernel is
+    taken. Settings are timed in ``rounds``, taking turns, so that what else the machine does falls on all of them.
     """
     compared = tuple(settings(experiment) if compared is None else compared)
     width = fitting_lanes(seeds, lanes)

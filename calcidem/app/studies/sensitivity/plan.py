@@ -76,16 +76,10 @@ class Variant:
 
 
 def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...]:
-    """Read a file of variants; the reference comes first.
+    """Read a file of variants (`_ListedPlan`); the reference comes first.
 
-    `ConfigurationError` with everything that is wrong with the file or with a configuration that comes of it.
-
-    Parameters
-    ----------
-    path
-        TOML file, see `_ListedPlan`.
-    database
-        Where the cells of all of them go, each variant as a campaign of its own.
+    The cells of all of them go into the database, each variant as a campaign of its own. `ConfigurationError` with
+    everything that is wrong with the file or with a configuration that comes of it.
     """
     source = os.fspath(path)
     listed = _parse_plan(path)

@@ -80,25 +80,10 @@ def evaluate_points(
 ) -> xr.Dataset:
     """Measure Vs at all points of a plan, or at those that the file lacks; the same call goes on after a stop.
 
-    `ConfigurationError` if the packing cannot hold the cells; `CampaignMismatchError` if the file is of another plan.
-
-    Parameters
-    ----------
-    plan
-        What to measure.
-    packing
-        Of the configuration.
-    file
-        NetCDF file of the points, written every minute.
-    cores
-        Batches of seeds that are computed at a time.
-    say
-        Told the forecast before the points begin, and how far they are.
-
-    Returns
-    -------
-    xarray.Dataset
-        ``vs`` (point, content, seed) in m/s, NaN where there is none, ``value`` (point, parameter), ``done`` (point).
+    The NetCDF file of the points is written every minute. ``say`` is told the forecast before the points begin, and how
+    far they are. Given are ``vs`` (point, content, seed) in m/s, NaN where there is none, ``value`` (point, parameter)
+    and ``done`` (point). `ConfigurationError` if the packing cannot hold the cells; `CampaignMismatchError` if the file
+    is of another plan.
     """
     check_cells(plan.configuration, packing, plan.contents, plan.seeds)
     points = stored_points(plan, file)
