@@ -162,7 +162,8 @@ def find_reference(
 
 def cell_error(setting: str, found: Measurement, exact: Measurement) -> CellError:
     """Compare a cell with the reference of the same cell."""
-    arrivals = (one.result.reading and one.result.reading.first_arrival for one in (exact, found))
+    readings = (exact.result.reading, found.result.reading)
+    exact_arrival, arrival = (None if one is None else one.first_arrival for one in readings)
     return CellError(
         setting=setting,
         seed=found.seed,
@@ -170,7 +171,7 @@ def cell_error(setting: str, found: Measurement, exact: Measurement) -> CellErro
         vs=found.vs,
         reference_vs=exact.vs,
         vs_error=relative_deviation(found.vs, exact.vs),
-        arrival_error=relative_deviation(*arrivals),
+        arrival_error=relative_deviation(exact_arrival, arrival),
         signal_error=signal_distance(found.record, exact.record),
         expected=found.result.error and found.result.error.expected,
         bound=found.result.error and found.result.error.bound,
@@ -200,7 +201,7 @@ def signal_distance(found: WaveRecord, exact: WaveRecord) -> float:
 def _common_times(times: Sequence[Floats], chosen: Floats) -> Floats:
     """Those of the chosen times that all cover."""
     begin, end = max(time[0] for time in times), min(time[-1] for time in times)
-    return chosen[(chosen >= begin) & (chosen <= end)]
+    return np.asarray(chosen[(chosen >= begin) & (chosen <= end)])
 
 
 def _at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:

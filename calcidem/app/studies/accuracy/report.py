@@ -103,8 +103,10 @@ def _content_table(study: Study) -> str:
                 f"{bound:.1e}",
             )
         )
-    header = ("content %", "cells", "reference's step / limit, smallest", "Vs by its last halving, largest")
-    header += ("default: median", "worst", "expected, median", "within bound", "bound, median")
+    header = (
+        *("content %", "cells", "reference's step / limit, smallest", "Vs by its last halving, largest"),
+        *("default: median", "worst", "expected, median", "within bound", "bound, median"),
+    )
     return markdown_table(header, rows)
 
 

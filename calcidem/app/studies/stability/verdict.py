@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any
 
 from calcidem.app.studies.accuracy.reference import signal_distance
 from calcidem.app.studies.stability.own_scenes import OWN_TOLERANCE, OwnScene, error_of_run
@@ -135,9 +136,8 @@ def walks(progress: Callable[[str], None] = lambda _: None) -> dict[str, tuple[J
     found = {}
     for name, quantity in QUANTITIES.items():
         progress(name)
-        scenes = [
-            replace(quantity.base, **{name: value, "regime": regime}) for value in quantity.walk for regime in REGIMES
-        ]
+        changes: list[dict[str, Any]] = [{name: value, "regime": each} for value in quantity.walk for each in REGIMES]
+        scenes = [replace(quantity.base, **changed) for changed in changes]
         found[name] = tuple(judge_scene(scene) for scene in scenes)
     return found
 
