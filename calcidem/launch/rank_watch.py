@@ -407,10 +407,7 @@ class RankWatch:
     def _hear(self, rank: _ReportedRank, text: str) -> None:
         """Handle a line: see `calcidem.launch.channel` for those of a rank, and `starter` for its own.
 
-        Raises
-        ------
-        ValueError
-            If the message is not one that this rank can send.
+        `ValueError` if the message is not one that this rank can send.
         """
         rank.silent = 0.0
         word, _, rest = text.partition(" ")

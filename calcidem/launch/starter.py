@@ -59,14 +59,9 @@ def die_with_parent(parent: int | None = None) -> None:
 
     The caller gives the parent's process number: the parent may have ended before this call.
 
-    A rank whose mpirun was killed would otherwise run for ever: it is a descendant of mpirun itself or,
-    on other nodes, of its daemon, which ends when it loses mpirun. To be called before MPI is initialised: if
-    the launcher is gone by then, initialisation fails and the rank ends, so no moment is left unguarded.
-
-    Raises
-    ------
-    OSError
-        If the kernel refuses.
+    A rank whose mpirun was killed would otherwise run for ever: it is a descendant of mpirun itself or, on other nodes,
+    of its daemon, which ends when it loses mpirun. To be called before MPI is initialised: if the launcher is gone by
+    then, initialisation fails and the rank ends, so no moment is left unguarded. `OSError` if the kernel refuses.
     """
     parent = parent or os.getppid()
     libc = ctypes.CDLL(None, use_errno=True)

@@ -43,12 +43,7 @@ class Deadline:
     def __call__(self) -> None:
         """Return if there is time left.
 
-        Raises
-        ------
-        _TimeLimitReached
-            If the batch has used up its time.
-        SweepInterrupted
-            If the sweep has to end at once.
+        `_TimeLimitReached` if the batch has used up its time; `SweepInterrupted` if the sweep has to end at once.
         """
         if self._interrupted():
             raise SweepInterrupted
@@ -76,10 +71,7 @@ def attempt(
 ) -> BatchOutcome[CellT, ResultT]:
     """Compute a batch and return results or failure as data.
 
-    Raises
-    ------
-    SweepInterrupted
-        If the sweep has to end at once; the batch is dropped.
+    `SweepInterrupted` if the sweep has to end at once; the batch is dropped.
     """
     start = time.monotonic()
     try:

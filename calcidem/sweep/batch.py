@@ -75,7 +75,7 @@ def plan_batches(
     All cells of a batch share the content. The batches form waves, one for every `lanes` seeds, so that whole seeds are
     complete early and a campaign that is stopped at any time is usable; within a wave the expensive contents come
     first, so that no long batch is left over at the end. Cells over which a worker was lost come last and alone, where
-    they harm no other cell.
+    they harm no other cell. `ValueError` if `lanes` is smaller than one.
 
     Parameters
     ----------
@@ -92,11 +92,6 @@ def plan_batches(
     -------
     tuple of Batch
         In the order in which they should be handed out, numbered from 0, `group` is the content.
-
-    Raises
-    ------
-    ValueError
-        If `lanes` is smaller than one.
     """
     if lanes < 1:
         raise ValueError(f"lanes is {lanes}: give the number of cells computed side by side, at least 1")

@@ -45,15 +45,12 @@ def available_cores() -> int:
 def refuse_ranks_off_linux(system: str | None = None) -> None:
     """Refuse several ranks where the kernel offers no support against ranks that die, stop or outlive their launcher.
 
+    `LaunchError` unless it is Linux.
+
     Parameters
     ----------
     system
         The platform as `sys.platform` names it; by default this one.
-
-    Raises
-    ------
-    LaunchError
-        Unless it is Linux.
     """
     system = system or sys.platform
     if system != "linux":
@@ -66,12 +63,8 @@ def refuse_ranks_off_linux(system: str | None = None) -> None:
 def refuse_singletons(world_size: int, variables: Mapping[str, str] = os.environ) -> None:
     """Refuse to run alone where several tasks were requested.
 
-    `srun python` starts N independent programs: each would compute the whole campaign.
-
-    Raises
-    ------
-    LaunchError
-        If Slurm counts several tasks, no mpirun started this process, and it is the only rank.
+    `srun python` starts N independent programs: each would compute the whole campaign. `LaunchError` if Slurm counts
+    several tasks, no mpirun started this process, and it is the only rank.
     """
     tasks = int(variables.get("SLURM_NTASKS", "1"))
     if tasks > 1 and world_size == 1 and "OMPI_COMM_WORLD_SIZE" not in variables:

@@ -122,13 +122,7 @@ class ExecutorWorkers(Generic[CellT]):
             self._submit(batch, with_computation=not self._rank_of)
 
     def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
-        """Receive outcomes.
-
-        Raises
-        ------
-        SweepError
-            If a worker cannot load the computation.
-        """
+        """Receive outcomes; `SweepError` if a worker cannot load the computation."""
         outcomes: list[BatchOutcome[CellT, Any]] = []
         losses: list[Loss[CellT]] = []
         while not self._done.empty():
@@ -191,10 +185,7 @@ class ExecutorWorkers(Generic[CellT]):
     def _losses(self, error: Exception, flight: _Flight[CellT]) -> list[Loss[CellT]]:
         """Interpret a batch without an answer: a loss, or the end of the executor.
 
-        Raises
-        ------
-        SweepError
-            If the worker could not load the computation.
+        `SweepError` if the worker could not load the computation.
         """
         reason, workers = f"{type(error).__name__}: {error}", 1
         if type(error).__name__ == "KilledWorker":  # of Dask, which is not imported for this

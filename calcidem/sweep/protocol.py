@@ -89,13 +89,7 @@ class Incoming:
     _request: MPI.Request
 
     def arrived(self) -> bool:
-        """Tell whether the message is complete.
-
-        Raises
-        ------
-        mpi4py.MPI.Exception
-            If the sender has died half-way (ULFM).
-        """
+        """Tell whether the message is complete; `mpi4py.MPI.Exception` if the sender has died half-way (ULFM)."""
         return self._request.Test()
 
     def value(self) -> Any:  # noqa: ANN401 - whatever was sent
@@ -106,10 +100,7 @@ class Incoming:
 def start_receive(comm: MPI.Comm, source: int) -> Incoming | None:
     """Begin to receive a message if one is waiting, else return None.
 
-    Raises
-    ------
-    mpi4py.MPI.Exception
-        If the source, or with ANY_SOURCE a rank not yet acknowledged as failed, has died (ULFM).
+    `mpi4py.MPI.Exception` if the source, or with ANY_SOURCE a rank not yet acknowledged as failed, has died (ULFM).
     """
     status = MPI.Status()
     message = comm.Improbe(source, MPI.ANY_TAG, status)

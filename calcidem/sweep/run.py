@@ -50,7 +50,10 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
 
     Of a communicator, all ranks call this. Rank 0 hands out the batches and stores the outcomes; it sleeps most of the
     time, so start one rank more than there are cores. All other ranks compute. With an executor its workers compute.
-    With one rank, or with None, this process does.
+    With one rank, or with None, this process does. `ValueError` on rank 0, if there is no sink or two batches have the
+    same identifier; `MasterLostError` on a worker, if rank 0 has died (with ULFM; without it the launcher ends the
+    job); `SweepError` if the workers of an executor cannot load the computation; `Exception` on rank 0, whatever the
+    sink raises, after the workers were stopped.
 
     Parameters
     ----------
@@ -79,17 +82,6 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     -------
     SweepEnd
         How the sweep ended, on all ranks; `exit_code` is what the program should return.
-
-    Raises
-    ------
-    ValueError
-        On rank 0, if there is no sink or two batches have the same identifier.
-    MasterLostError
-        On a worker, if rank 0 has died (with ULFM; without it the launcher ends the job).
-    SweepError
-        If the workers of an executor cannot load the computation.
-    Exception
-        On rank 0, whatever the sink raises, after the workers were stopped.
     """
     options = options or SweepOptions()
     comm = None if where is None or isinstance(where, Executor) or where.Get_size() == 1 else where

@@ -58,10 +58,7 @@ class Session:
     def __enter__(self) -> Self:
         """Join the other ranks, if this process was launched as one of them.
 
-        Raises
-        ------
-        LaunchError
-            If it was, but not on Linux.
+        `LaunchError` if it was, but not on Linux.
         """
         if launcher() is not None:
             refuse_ranks_off_linux()

@@ -19,10 +19,7 @@ from calcidem.sweep.sweep_end import MasterLostError, SweepEnd
 def run_worker(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: SweepOptions) -> SweepEnd:
     """Compute batches for the master until it says stop; return how the sweep ended.
 
-    Raises
-    ------
-    MasterLostError
-        If rank 0 has died (with ULFM; else the launcher ends the job).
+    `MasterLostError` if rank 0 has died (with ULFM; else the launcher ends the job).
     """
     leave_signals_to_master()
     place = Place.here(comm.Get_rank())

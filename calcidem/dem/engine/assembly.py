@@ -125,7 +125,7 @@ def lanes_of_bits(bits: Integers, lanes: int) -> Flags:
 def assemble(
     scene: Scene, centres: Floats, skin: float, lanes: int, dtype: npt.DTypeLike, old: Assembly | None = None
 ) -> Assembly:
-    """Arrays of the kernel for a scene.
+    """Arrays of the kernel for a scene; `ValueError` if two disks have the same centre.
 
     Parameters
     ----------
@@ -144,11 +144,6 @@ def assemble(
     Returns
     -------
     Arrays with zero histories.
-
-    Raises
-    ------
-    ValueError
-        If two disks have the same centre.
     """
     order = _memory_order(scene) if old is None else old.order
     radius = np.asarray(scene.radius, dtype=float)[order]

@@ -70,6 +70,8 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
 ) -> State:
     """State of a scene at time zero.
 
+    `ValueError` if the time step is above the critical time step, or an array has the wrong shape.
+
     Parameters
     ----------
     scene
@@ -98,11 +100,6 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
     single
         State of the same scene without bonds and loads, in one lane, with the same skin and preload: its neighbours and
         constants are taken as they are, which saves half of the time.
-
-    Raises
-    ------
-    ValueError
-        If the time step is above the critical time step, or an array has the wrong shape.
     """
     chosen = features or choose_features(scene, regime)
     dtype = np.dtype(precision)
@@ -180,13 +177,8 @@ def advance(state: State, steps: int) -> State:
     """State after ``steps`` more steps; the given one is left as it is.
 
     The step gets smaller where contacts stiffen, or disks become faster, so much that it has to; it stays as it is if
-    it was given to `start`.
-
-    Raises
-    ------
-    UnstableRunError
-        If a given step is above the limit of what the scene has become, a disk moves by more than a tenth of a radius
-        in a step or at no number, or energy comes from nowhere.
+    it was given to `start`. `UnstableRunError` if a given step is above the limit of what the scene has become, a disk
+    moves by more than a tenth of a radius in a step or at no number, or energy comes from nowhere.
     """
     end = state.steps + steps
     current = duplicate(state)

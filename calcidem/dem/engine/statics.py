@@ -37,7 +37,8 @@ class ShearedPart(NamedTuple):
 def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
     """Motion of all disks at rest in a simple shear ``u_y = x``: (N, 3) m and rad, in the order of the scene.
 
-    All contacts stick, with the stiffness that they have in the state. Contacts with walls do not count.
+    All contacts stick, with the stiffness that they have in the state. Contacts with walls do not count. `ValueError`
+    if a bond is broken, no disk touches another, or no disk is held.
 
     Parameters
     ----------
@@ -47,11 +48,6 @@ def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
         (N,) disks that follow the shear, but turn freely. All others come to rest.
     lane
         Which sample.
-
-    Raises
-    ------
-    ValueError
-        If a bond is broken, no disk touches another, or no disk is held.
 
     Notes
     -----
@@ -142,7 +138,8 @@ def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTri
 def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: int = 0) -> list[ShearedPart]:
     """Shear modulus and density of parts of a sheared sample.
 
-    A part is made of the triangles (`sheared_triangles`) that have all their corners in it.
+    A part is made of the triangles (`sheared_triangles`) that have all their corners in it. `ValueError` if a part has
+    fewer than three neighbours.
 
     Parameters
     ----------
@@ -150,11 +147,6 @@ def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: in
         See `sheared_motion`.
     parts
         (N,) disks of each part.
-
-    Raises
-    ------
-    ValueError
-        If a part has fewer than three neighbours.
     """
     triangles, found = sheared_triangles(state, motion, lane), []
     for part in parts:

@@ -176,16 +176,10 @@ class CementOrdering:
     def at(self, content: float) -> PlacedCement:
         """Return the cement of the sample with a content, percent of the sand's mass.
 
-        The numbers of P contacts and of clusters are those that come nearest to the content, so it is met
-        without bias to within half a contact (about 0.0002 % in the paper's packing) or half a cluster
-        (0.01 %).
-
-        Raises
-        ------
-        CementCapacityError
-            If the content is larger than `maximum_content`.
-        ValueError
-            If it is negative or not a number.
+        The numbers of P contacts and of clusters are those that come nearest to the content, so it is met without bias
+        to within half a contact (about 0.0002 % in the paper's packing) or half a cluster (0.01 %).
+        `CementCapacityError` if the content is larger than `maximum_content`; `ValueError` if it is negative or not a
+        number.
         """
         if not content >= 0.0:
             raise ValueError(f"content = {content} %: give 0 % or more")
@@ -224,6 +218,8 @@ def _nearest_count(content: Floats, wanted: float) -> int:
 def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int) -> CementOrdering:
     """Draw the order in which the contacts and clusters of one seed are cemented.
 
+    `ValueError` if a seed is negative, the cement is wider than a disk, or the box is smaller than its disks.
+
     Parameters
     ----------
     packing
@@ -232,11 +228,6 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
         Sizes and shares of the cement.
     seed, root_seed
         Seed of the sample, and the root that many samples share; both 0 or more.
-
-    Raises
-    ------
-    ValueError
-        If a seed is negative, the cement is wider than a disk, or the box is smaller than its disks.
 
     Notes
     -----

@@ -97,6 +97,9 @@ def make_packing(
 ) -> Packing:
     """Make a packing: sizes, loose placement, stepwise expansion, pressing by the lid.
 
+    `PackingError` if it does not come to rest in ``rule.most_steps`` steps, or disks are thrown out of the box at any
+    step.
+
     Parameters
     ----------
     rule
@@ -109,11 +112,6 @@ def make_packing(
         Called every fraction of a second; may raise to end the work.
     watch
         Told as often how far the work is.
-
-    Raises
-    ------
-    PackingError
-        If it does not come to rest in ``rule.most_steps`` steps, or disks are thrown out of the box at any step.
     """
     cost = Cost(watch=watch, expansion_steps=rule.expansion_steps)
     radius = _draw_radii(rule, generator)
@@ -211,13 +209,7 @@ def relax(
     check: Callable[[], None],
     manner: Manner = _PRESSED,
 ) -> State:
-    """Let a scene come to rest.
-
-    Raises
-    ------
-    PackingError
-        If it does not, or blows up.
-    """
+    """Let a scene come to rest; `PackingError` if it does not, or blows up."""
     state = start(
         scene,
         # One kernel fills and presses: a box that is not pressed has a servo that holds nothing.

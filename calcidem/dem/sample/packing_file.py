@@ -46,7 +46,9 @@ def packing_from_csv(
 
     The disks are checked, put into a box of the rule's width whose lid touches the highest one, and relaxed under the
     lid's stress like the last stage of `calcidem.dem.sample.compaction.make_packing`: a file has no contact forces, and
-    positions from elsewhere are in balance for another law of contact at best.
+    positions from elsewhere are in balance for another law of contact at best. `PackingFileError` if the file can't be
+    read as disks, or disks overlap or reach out of the box by more than a tenth of a radius; `PackingError` if the
+    disks don't come to rest.
 
     Parameters
     ----------
@@ -61,13 +63,6 @@ def packing_from_csv(
         Called every fraction of a second; may raise to end the work.
     watch
         Told as often how far the work is.
-
-    Raises
-    ------
-    PackingFileError
-        If the file can't be read as disks, or disks overlap or reach out of the box by more than a tenth of a radius.
-    PackingError
-        If the disks don't come to rest.
     """
     x, y, radius = checked_disks(file, rule.width)
     height = float(np.max(y + radius))
@@ -82,10 +77,7 @@ def packing_from_csv(
 def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:
     """Return x, y, radius (N,) of the disks in a file, none of which overlaps another or the walls of a box too far.
 
-    Raises
-    ------
-    PackingFileError
-        Naming the line.
+    `PackingFileError`, naming the line.
     """
     x, y, radius, lines = _read_disks(file)
     _check_walls(file, lines, x, y, radius, width)
@@ -94,13 +86,7 @@ def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:
 
 
 def _read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:
-    """Return x, y, radius (N,) and the line of each disk in the file.
-
-    Raises
-    ------
-    PackingFileError
-        Naming the line.
-    """
+    """Return x, y, radius (N,) and the line of each disk in the file; `PackingFileError`, naming the line."""
     try:
         if not file.is_file() and file.exists():
             raise PackingFileError(f"{file} is a folder or a device; give a CSV file")
@@ -169,10 +155,7 @@ def overlapping_pairs(x: Floats, y: Floats, radius: Floats) -> tuple[Integers, F
 def refuse_deep_overlaps(file: Path, lines: Sequence[int], x: Floats, y: Floats, radius: Floats) -> None:
     """Refuse disks that lie in one another by more than a tenth of a radius.
 
-    Raises
-    ------
-    PackingFileError
-        Naming the lines of a pair.
+    `PackingFileError`, naming the lines of a pair.
     """
     pairs, overlap = overlapping_pairs(x, y, radius)
     deep = np.flatnonzero(overlap > LARGEST_OVERLAP * radius[pairs].min(axis=1))

@@ -23,7 +23,7 @@ def settle(
     """Return the state in which every lane is at rest under the lid's servo; steps are counted from zero again.
 
     A lane that is balanced is frozen by a step of zero while the others go on, so what it becomes depends on itself
-    alone.
+    alone. `SettlingError` if a lane is not at rest by then.
 
     Parameters
     ----------
@@ -35,11 +35,6 @@ def settle(
         Steps after which it is given up.
     check
         Called every fraction of a second; may raise to end the run.
-
-    Raises
-    ------
-    SettlingError
-        If a lane is not at rest by then.
     """
     lanes = state.features.lanes
     open_lanes = np.ones(lanes, dtype=bool)

@@ -12,6 +12,8 @@ def toroid_area(
 ) -> Floats:
     """Cement at a contact of two disks, m^2 (m^3 per metre of thickness).
 
+    `ValueError` if a diameter is not positive, or the cement is wider than a disk.
+
     Parameters
     ----------
     first_diameter, second_diameter
@@ -23,11 +25,6 @@ def toroid_area(
     -------
     Floats
         Area of each contact, in the common shape of the arguments.
-
-    Raises
-    ------
-    ValueError
-        If a diameter is not positive, or the cement is wider than a disk.
 
     Notes
     -----

@@ -82,10 +82,7 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> D
 def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
     """Disks in the receiver's band, near the wall but not touching it.
 
-    Raises
-    ------
-    ValueError
-        If there is none, or if those that are far from the wall would blur the arrival.
+    `ValueError` if there is none, or if those that are far from the wall would blur the arrival.
     """
     depth, deepest = rule.listening_depth, DEEPEST_LISTENING * packing.width
     require(
@@ -121,12 +118,7 @@ def driven_disks(packing: Packing, rule: WaveRule) -> Integers:
     """Disks that the pulse drives: those that overlap the left wall, by any amount, within the transmitter's band.
 
     Both are judged in the reference geometry, at rest, so they are the same in all samples of a packing. None where the
-    wall itself is the transmitter.
-
-    Raises
-    ------
-    ValueError
-        If no disk touches the band.
+    wall itself is the transmitter. `ValueError` if no disk touches the band.
     """
     if rule.transmitter == "wall":
         return np.zeros(0, dtype=np.int64)

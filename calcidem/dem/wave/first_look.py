@@ -17,9 +17,9 @@ _SIGNIFICANT = 2
 def suitable_frequency(experiment: Experiment, content: float) -> float:
     """Give the frequency at which the path from transmitter to receiver is 2.5 wavelengths, Hz.
 
-    The wavelength is that of the static speed, which needs no signal: the median of three cement patterns, those of
-    the seeds 0, 1 and 2. The frequency is rounded to two digits. So it depends on nothing but the experiment and the
-    content, and is the same on each rank and processor.
+    The wavelength is that of the static speed, which needs no signal: the median of three cement patterns, those of the
+    seeds 0, 1 and 2. The frequency is rounded to two digits. So it depends on nothing but the experiment and the
+    content, and is the same on each rank and processor. `ValueError` if a sample has no stiffness.
 
     Parameters
     ----------
@@ -27,11 +27,6 @@ def suitable_frequency(experiment: Experiment, content: float) -> float:
         What samples share; its frequencies are not looked at.
     content
         Percent of the sand's mass.
-
-    Raises
-    ------
-    ValueError
-        If a sample has no stiffness.
 
     Notes
     -----
@@ -45,6 +40,8 @@ def suitable_frequency(experiment: Experiment, content: float) -> float:
 def expected_speed(experiment: Experiment, content: float, patterns: int) -> float:
     """Give the median static speed of some cement patterns, those of the seeds from 0 on, m/s.
 
+    `ValueError` if a sample has no stiffness.
+
     Parameters
     ----------
     experiment
@@ -53,11 +50,6 @@ def expected_speed(experiment: Experiment, content: float, patterns: int) -> flo
         Percent of the sand's mass.
     patterns
         Their number; without cement they are all the same.
-
-    Raises
-    ------
-    ValueError
-        If a sample has no stiffness.
     """
     # Each configuration names this module; only who calls it waits for the engine.
     from calcidem.dem.wave.static_speed import static_speed  # noqa: PLC0415

@@ -114,12 +114,7 @@ def unbalanced_speed(state: State, amplitude: float) -> Floats:
 
     A disk with the net force F swings with about ``F / (m omega)``. Omega is that of the pressed contacts, from their
     limit ``2 / omega``: bonds are far stiffer, but disks without a bond do not feel them. The linear regime takes the
-    reference state for balanced.
-
-    Raises
-    ------
-    ValueError
-        If that is more than `_LARGEST_UNBALANCED_SPEED`.
+    reference state for balanced. `ValueError` if that is more than `_LARGEST_UNBALANCED_SPEED`.
     """
     lanes = state.features.lanes
     if state.features.linear:

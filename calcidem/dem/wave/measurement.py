@@ -93,6 +93,8 @@ def measure(
 ) -> tuple[Measurement, ...]:
     """Measure the samples of several seeds at one content, side by side.
 
+    `CementCapacityError` if the content is more than the sample can hold.
+
     Parameters
     ----------
     experiment
@@ -107,11 +109,6 @@ def measure(
         Called every fraction of a second; may raise to end the run.
     ordering
         Stands for `Experiment.ordering`; one that remembers saves time where a seed is measured at many contents.
-
-    Raises
-    ------
-    CementCapacityError
-        If the content is more than the sample can hold.
     """
     began = perf_counter() - seconds_compiling()
     placed = [(ordering or experiment.ordering)(seed).at(content) for seed in seeds]

@@ -44,6 +44,8 @@ def send_waves(
 ) -> list[WaveRecord]:
     """Send one pulse through each of several samples, side by side.
 
+    `ValueError` if the pulse is too strong for the regime.
+
     Parameters
     ----------
     experiment
@@ -63,11 +65,6 @@ def send_waves(
     -------
     One record for each sample. A sample in which a guard found a problem is computed once more with half the step, and
     its record says so; if that fails too, the problem stays in the record.
-
-    Raises
-    ------
-    ValueError
-        If the pulse is too strong for the regime.
     """
     wave = experiment.wave
     refuse_loud_pulse(experiment.packing, wave, frequency)

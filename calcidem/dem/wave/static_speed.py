@@ -39,19 +39,15 @@ class StaticSpeed(NamedTuple):
 def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
     """Speed sqrt(G / rho) of shear waves much longer than a disk, in the inner part of a sample.
 
+    `ValueError` if the sample has no stiffness (`calcidem.dem.engine.statics.sheared_motion`), or no inner part;
+    `SettlingError` if new bonds change the forces of the sample and it does not come to rest.
+
     Parameters
     ----------
     experiment
         What the sample shares with others; its packing touches all four walls.
     bonded
         (C,) True for each of the packing's pairs that is cemented.
-
-    Raises
-    ------
-    ValueError
-        If the sample has no stiffness (`calcidem.dem.engine.statics.sheared_motion`), or no inner part.
-    SettlingError
-        If new bonds change the forces of the sample and it does not come to rest.
 
     Notes
     -----

@@ -36,19 +36,15 @@ class StiffnessField(NamedTuple):
 def stiffness_field(experiment: Experiment, bonded: Flags, window: float) -> StiffnessField:
     """Find the shear modulus from place to place in a sample that is sheared as a whole.
 
+    `ValueError` if the sample has no stiffness, or not as much as one window lies inside of its rim; `SettlingError` if
+    new bonds change the forces of the sample and it does not come to rest.
+
     Parameters
     ----------
     experiment, bonded
         As in `calcidem.dem.wave.static_speed.static_speed`.
     window
         Side of the square windows, m; some grains at least.
-
-    Raises
-    ------
-    ValueError
-        If the sample has no stiffness, or not as much as one window lies inside of its rim.
-    SettlingError
-        If new bonds change the forces of the sample and it does not come to rest.
 
     Notes
     -----
