@@ -75,6 +75,8 @@ _STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.4,
     "mathtext.default": "it",
     "figure.dpi": 150.0,
+    "figure.autolayout": False,
+    "figure.constrained_layout.use": False,
     "savefig.dpi": 150.0,
     # The same data give the same file, byte for byte.
     "svg.hashsalt": "calcidem",
@@ -182,8 +184,9 @@ def render(figure: Figure, file_format: str, colours: int | None = None) -> byte
     with mpl.rc_context(_STYLE):
         if (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
-            figure.set_layout_engine("none")  # `savefig` would lay it out twice, for half of its time
-        figure.savefig(buffer, format=file_format, metadata=metadata)
+            figure.set_layout_engine(None)  # with any, `savefig` draws twice and lays out each time
+        options = {} if colours is None else {"pil_kwargs": {"compress_level": 0}}  # it is compressed with its palette
+        figure.savefig(buffer, format=file_format, metadata=metadata, **options)
     return buffer.getvalue() if colours is None else reduce_colours(buffer.getvalue(), colours)
 
 

@@ -1,9 +1,11 @@
 """Progress of a campaign: states of its cells, statistics, time left, repeated and failed cells."""
 
+import math
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -24,8 +26,15 @@ _TROUBLES = (
 )
 """Outcomes other than done, the most severe first."""
 
+_TROUBLE_NAMES = frozenset(status.value for status in _TROUBLES)
+
 UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 """Outcomes without a velocity that the same computation gives again."""
+
+_MOST_TIMED = 20_000
+"""Cells whose computing times are read: enough for a mean at each content."""
+
+_STATUS_BY_NAME = {status.value: status for status in CellStatus}
 
 FEWEST_TO_PLAN = 3
 """Number of velocities below which a standard deviation has no meaning."""
@@ -147,9 +156,24 @@ class CampaignStatus:
 def read_status(database: str | os.PathLike[str], campaign_name: str | None = None) -> CampaignStatus:
     """Progress of a stored campaign now; `StoreError` if the database can't be read or has no such campaign."""
     with read_campaign(database, campaign_name) as store:
-        # The seconds are those of attempts: a cell whose attempt is damaged is not damaged itself.
-        columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"]) | store.table(("seconds",))
+        columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"])
+        columns["seconds"] = _sampled_seconds(store, columns)
         return campaign_status(store, columns, _troubles_of(store, columns))
+
+
+def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+    """Computing time of each cell, s; of a large campaign that of some seeds only, and NaN elsewhere.
+
+    They are asked for apart: they are those of attempts, and a cell whose attempt is damaged is not damaged itself.
+    """
+    seconds = np.full(len(columns["seed"]), np.nan)
+    seeds = np.unique(columns["seed"][columns["status"] != CellStatus.PENDING.value])
+    chosen = seeds[:: max(1, math.ceil(len(seconds) / _MOST_TIMED))]
+    found = store.table(("seconds",), Selection(chosen.tolist()))["seconds"]
+    places = np.isin(columns["seed"], chosen)
+    if np.count_nonzero(places) == len(found):  # else cells were planned meanwhile
+        seconds[places] = found
+    return seconds
 
 
 def campaign_status(store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> CampaignStatus:
@@ -199,8 +223,9 @@ def _content_status(
     content: float, columns: Mapping[str, NDArray[Any]], measured: float, expected: float
 ) -> ContentStatus:
     """Progress of one content, from the columns of its cells and the measured and expected seconds of a cell."""
-    found = dict(zip(columns["seed"].astype(int).tolist(), map(CellStatus, columns["status"].tolist()), strict=True))
-    counts = Counter(found.values())
+    names = columns["status"].tolist()
+    found = dict(zip(columns["seed"].astype(int).tolist(), map(_STATUS_BY_NAME.__getitem__, names), strict=True))
+    counts = Counter({_STATUS_BY_NAME[name]: count for name, count in Counter(names).items()})
     vs = columns["vs"].astype(float)
     vs = vs[np.isfinite(vs)]
     pending = counts[CellStatus.PENDING]
@@ -234,8 +259,14 @@ def _expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float6
 
 def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Trouble, ...]:
     """Failed cells, the most severe first, then repeated ones."""
-    cells = zip(columns["seed"].tolist(), columns["content"].tolist(), strict=True)
-    statuses = dict(zip(cells, columns["status"].tolist(), strict=True))
+    names = columns["status"].tolist()
+
+    def statuses_where(condition: Iterable[object]) -> dict[CellKey, CellStatus]:
+        places = list(compress(range(len(names)), condition))
+        keys = map(CellKey, columns["seed"][places].tolist(), columns["content"][places].tolist())
+        return {key: CellStatus(names[place]) for key, place in zip(keys, places, strict=True)}
+
+    statuses = statuses_where(name in _TROUBLE_NAMES for name in names)
 
     def texts(quantity: str, selection: Selection) -> dict[CellKey, str]:
         found = store.table(("seed", "content", quantity), selection)
@@ -245,21 +276,24 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
     reasons = texts("reason", Selection(statuses=_TROUBLES[1:]))
     if CellStatus.DAMAGED in statuses.values():  # to find all damage takes long
         damaged = texts("reason", Selection(statuses=CellStatus.DAMAGED)).items()
-        reasons |= {key: why for key, why in damaged if statuses[key.seed, key.content] == CellStatus.DAMAGED}
+        reasons |= {key: why for key, why in damaged if statuses.get(key) is CellStatus.DAMAGED}
     retries = texts("retry", Selection(where="retry is not None"))
     attempts = store.attempt_counts()
-    wrong = {CellKey(*cell) for cell, status in statuses.items() if status in _TROUBLES}
-    attempts |= store.attempt_counts((wrong | retries.keys()) - attempts.keys())
+    attempts |= store.attempt_counts((statuses.keys() | retries.keys()) - attempts.keys())
+    if others := {(key.seed, key.content) for key in attempts.keys() - statuses.keys()}:
+        cells = zip(columns["seed"].tolist(), columns["content"].tolist(), strict=True)
+        statuses |= statuses_where(cell in others for cell in cells)
     found = [
         Trouble(
             key,
-            CellStatus(statuses[key.seed, key.content]),
+            statuses[key],
             count.attempts,
             count.losses,
-            reasons.get(key, "its attempt is damaged" if key in wrong else ""),
+            reasons.get(key, "its attempt is damaged" if statuses[key] in _TROUBLES else ""),
             retries.get(key, ""),
         )
         for key, count in attempts.items()
+        if key in statuses  # else it was planned meanwhile
     ]
     return tuple(sorted(found, key=lambda trouble: (_URGENCY[trouble.status], trouble.key)))
 

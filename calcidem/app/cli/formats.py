@@ -61,6 +61,8 @@ def tell_rows(
 
 def _json_value(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
     """A value with null for what JSON has no number for."""
+    if value is None or isinstance(value, str | int):  # most are
+        return value
     if isinstance(value, Mapping):
         return {str(name): _json_value(inner) for name, inner in value.items()}
     if hasattr(value, "item"):

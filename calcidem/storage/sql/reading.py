@@ -41,7 +41,7 @@ from calcidem.storage.records import (
     checked_seed,
 )
 from calcidem.storage.records.arrays import unpack_arrays
-from calcidem.storage.sql.checksums import arrays_text, covered_columns, is_intact, row_checksums
+from calcidem.storage.sql.checksums import arrays_text, covered_columns, is_intact, real_array, row_checksums
 from calcidem.storage.sql.database import OpenDatabase, is_possible
 from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
 from calcidem.storage.sql.lease import Acknowledged, lease_holder
@@ -171,7 +171,9 @@ class StoreReader(OpenDatabase):
         listed = None if keys is None else list(keys)
         counts = dict.fromkeys(listed or (), AttemptCount())
         with self._reading() as connection:
-            repeated = statement.having(or_(func.max(number) > 1, losses > 0))
+            # Of a large campaign few are, and to look for these first takes a tenth of the time.
+            may_be = select(ATTEMPT.c.cell_id).where(or_(ATTEMPT.c.number > 1, ATTEMPT.c.outcome == "lost"))
+            repeated = statement.where(CELL.c.id.in_(may_be)).having(or_(func.max(number) > 1, losses > 0))
             for part in [repeated] if listed is None else [statement.where(cell_in(c)) for c in chunks(listed)]:
                 for seed, content, attempts, lost in connection.execute(part):
                     counts[CellKey(seed, content)] = AttemptCount(attempts, int(lost))
@@ -283,7 +285,7 @@ class StoreReader(OpenDatabase):
             try:
                 ordered = statement.order_by(*order, *_BY_KEY).limit(limit)
                 rows = connection.execute(ordered, execution_options={"yield_per": _ROWS_READ_AT_ONCE})
-                return _with_derived(_listed(rows, outcomes, fetched, selection), names)
+                return _with_derived(_listed(rows.partitions(), outcomes, fetched, selection), names)
             except UNREADABLE as error:
                 if sort or limit is not None or not may_be_damage(error):
                     raise  # where a value can't be read there is no order
@@ -293,7 +295,7 @@ class StoreReader(OpenDatabase):
                 for chunk in chunks(connection.scalars(cells).all())
                 for row in _rows_or_keys(connection, statement, chunk)
             )
-            return _with_derived(_listed(found, outcomes, fetched, selection), names)
+            return _with_derived(_listed(chunks(found, _ROWS_READ_AT_ONCE), outcomes, fetched, selection), names)
 
     def integrity(self) -> Integrity:
         """Compare everything that is stored of the campaign with its checksums, and let the database check itself."""
@@ -452,6 +454,30 @@ class _Outcomes:
             name: places[column] for name, column in EXPRESSIONS.items() if column in places
         }
 
+    def intact(self, rows: Sequence[Sequence[Any]]) -> list[Sequence[Any] | NDArray[np.float64]] | None:
+        """Columns of rows that are all as they were stored, real numbers as arrays; None if there is any doubt.
+
+        That is the usual case, and some ten times as fast as to look at each row (`judge`).
+        """
+        if min(map(len, rows)) < len(self.columns):
+            return None
+        columns: list[Any] = list(zip(*rows, strict=True))
+        _, seeds, contents, outcomes = columns[:4]
+        known = all(is_possible(canonical_content, content) for content in set(contents))
+        if not known or set(map(type, seeds)) != {int} or min(seeds) < 0:
+            return None
+        for table, first, names in self._parts:
+            for place, name in enumerate(names, first + 1):
+                if (numbers := real_array(table, name, columns[place])) is not None:
+                    columns[place] = numbers
+            covered = dict(zip(names, columns[first + 1 : first + 1 + len(names)], strict=True))
+            now = row_checksums(table, covered | {"seed": seeds, "content": contents})
+            if None in outcomes:
+                now = [None if outcome is None else own for outcome, own in zip(outcomes, now, strict=True)]
+            if columns[first] != tuple(now):
+                return None
+        return columns
+
     def judge(self, rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
         """Leave out rows without a key; a damaged one keeps nothing but that, and has as its reason what is damaged."""
         found = list(rows)
@@ -479,18 +505,21 @@ class _Outcomes:
 
 
 def _listed(
-    rows: Iterable[Sequence[Any]], outcomes: _Outcomes, names: Sequence[str], selection: Selection
+    parts: Iterable[Sequence[Sequence[Any]]], outcomes: _Outcomes, names: Sequence[str], selection: Selection
 ) -> dict[str, NDArray[Any]]:
-    """Columns of the rows that are selected."""
+    """Columns of the rows that are selected, from parts of all rows."""
     types = [np.int64 if name == "seed" else _KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
     status = outcomes.place["status"]
     blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
-    for block in chunks(rows, _ROWS_READ_AT_ONCE):
-        judged = outcomes.judge(block)
-        if selection.statuses is not None or selection.where is not None:
-            judged = [row for row in judged if _is_selected(row[status] or CellStatus.PENDING, selection)]
-        if judged:
+    for block in parts:
+        # Only what is damaged is not what the query has selected.
+        columns = None if CellStatus.DAMAGED in (selection.statuses or ()) else outcomes.intact(block)
+        if columns is None:
+            judged = [
+                row for row in outcomes.judge(block) if _is_selected(row[status] or CellStatus.PENDING, selection)
+            ]
             columns = list(zip(*judged, strict=True))
+        if columns:
             listed = [columns[outcomes.place[name]] for name in names]
             blocks.append([np.array(column, dtype=kind) for column, kind in zip(listed, types, strict=True)])
     table = {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
