@@ -118,9 +118,9 @@ def _column_words(
     if not is_real and types <= {int, NoneType}:
         whole = np.array([_NOTHING if value is None else value for value in values], dtype=np.int64)
         return whole.view(np.uint64), whole != _NOTHING
-    if types <= {str, NoneType}:
-        known = {text: 0 if text is None else _word_of_text(text) for text in set(values)}  # much the same ones
-        words = [known[text] for text in values]
+    if types <= {str, datetime, NoneType}:
+        known = {value: 0 if value is None else _word(value) for value in set(values)}  # much the same ones
+        words = [known[value] for value in values]
     else:
         words = [
             0 if value is None else _word(float(value) if is_real and type(value) is int else value) for value in values

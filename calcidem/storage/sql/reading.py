@@ -386,9 +386,12 @@ def _readable_rows(
     connection: Connection, statement: Select[*tuple[Any, ...]], number: SQLColumnExpression[Any], cells: Sequence[int]
 ) -> Iterator[tuple[int, Sequence[Any] | None]]:
     """Give the rows of some cells, which begin with the cell's number, and None for each that can't be read."""
+    first, last = min(cells, default=0), max(cells, default=0)  # a range without gaps, the usual case, needs two only
+    is_range = last - first == len(cells) - 1
+    chosen = number.between(first, last) if is_range else number.in_(cells)
     try:
         found: list[tuple[int, Sequence[Any] | None]] = [
-            (row[0], row) for row in connection.execute(statement.where(number.in_(cells)))
+            (row[0], row) for row in connection.execute(statement.where(chosen)).all()
         ]
     except UNREADABLE as error:
         if not may_be_damage(error):
