@@ -72,7 +72,7 @@ def kurtosis(values: NDArray[np.float64]) -> float:
 
 
 def _statistics(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Statistic (Eq. 5) of each of some samples, shape (k, n), in a quarter of the time of `scipy.stats.jarque_bera`."""
+    """Statistic (Eq. 5) of each of some samples, shape (k, n): a quarter of the time of `scipy.stats.jarque_bera`."""
     centred = samples - samples.mean(axis=1, keepdims=True)
     squares = centred * centred
     variance, third = np.mean(squares, axis=1), np.mean(squares * centred, axis=1)
