@@ -146,17 +146,21 @@ class PreferentialPath:
         return len(self.bonded) - self.bonded_contacts
 
 
-def contacts_on_path(graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> tuple[int, int]:
+def contacts_on_path(
+    graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights, at_most: float = np.inf
+) -> tuple[int, int]:
     """Count the sand contacts and the cemented ones on one of the shortest paths, whichever is found first.
 
-    Errors are those of `ShortestPaths.search`, which takes twice as long.
+    A path of the length `at_most` is known: grains beyond are not visited. Errors are those of `ShortestPaths.search`,
+    which takes twice as long.
     """
     if weights.bond == weights.hertz:  # a length does not tell what made it
         path = ShortestPaths.search(graph, bonded, weights).first()
         return path.hertz_contacts, path.bonded_contacts
     lengths = graph.matrix(bonded, weights)
+    limit = at_most * (1.0 + _RELATIVE_TIE)  # the sums of both paths are rounded
     distance, onward, _ = dijkstra(
-        lengths, directed=True, indices=graph.receiver, min_only=True, return_predecessors=True
+        lengths, directed=True, indices=graph.receiver, min_only=True, return_predecessors=True, limit=limit
     )
     grain = int(graph.transmitter[np.argmin(distance[graph.transmitter])])
     _refuse_apart(distance[grain])

@@ -72,18 +72,23 @@ def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, hig
         raise ValueError(f"low = {low} and high = {high}; they must satisfy 0 < low < high <= 1")
     mask = np.asarray(bonded, dtype=np.bool_)
 
-    def shortest(ratio: float) -> PathLine:
-        return PathLine(*contacts_on_path(graph, mask, ContactWeights.from_ratio(ratio)))
+    def shortest(ratio: float, known: PathLine | None = None) -> PathLine:
+        weights = ContactWeights.from_ratio(ratio)
+        at_most = (
+            np.inf if known is None else known.hertz_contacts * weights.hertz + known.bonded_contacts * weights.bond
+        )
+        return PathLine(*contacts_on_path(graph, mask, weights, at_most))
 
     def between(left: PathLine, right: PathLine) -> list[PathLine]:
         if left == right or not low < _corner(left, right) < high:
             return []
-        middle = shortest(_corner(left, right))
+        middle = shortest(_corner(left, right), left)
         if not _shorter_at_corner(middle, left, right):
             return []
         return [*between(left, middle), middle, *between(middle, right)]
 
-    first, last = shortest(low), shortest(high)
+    last = shortest(high)
+    first = shortest(low, last)
     found = list(dict.fromkeys([first, *between(first, last), last]))
     return PathEnvelope(_strictly_shortest(found, low, high), low, high)
 
