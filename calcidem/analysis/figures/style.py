@@ -185,7 +185,9 @@ def render(figure: Figure, file_format: str, colours: int | None = None) -> byte
         if (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
             figure.set_layout_engine(None)  # with any, `savefig` draws twice and lays out each time
-        options = {} if colours is None else {"pil_kwargs": {"compress_level": 0}}  # it is compressed with its palette
+        options: dict[str, Any] = (
+            {} if colours is None else {"pil_kwargs": {"compress_level": 0}}
+        )  # it is compressed with its palette
         figure.savefig(buffer, format=file_format, metadata=metadata, **options)
     return buffer.getvalue() if colours is None else reduce_colours(buffer.getvalue(), colours)
 

@@ -474,7 +474,7 @@ class _Outcomes:
                 if (numbers := real_array(table, name, columns[place])) is not None:
                     columns[place] = numbers
             covered = dict(zip(names, columns[first + 1 : first + 1 + len(names)], strict=True))
-            now = row_checksums(table, covered | {"seed": seeds, "content": contents})
+            now: list[int | None] = [*row_checksums(table, covered | {"seed": seeds, "content": contents})]
             if None in outcomes:
                 now = [None if outcome is None else own for outcome, own in zip(outcomes, now, strict=True)]
             if columns[first] != tuple(now):
