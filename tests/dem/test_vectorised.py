@@ -1,13 +1,10 @@
 """The machine code of the kernel is vector code of plain operations; this looks at the code, not at its speed."""
 
-import importlib.util
 import re
-import sys
 from functools import cache
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
+import assembly
 import numpy as np
 import pytest
 
@@ -26,21 +23,6 @@ CONTRACTED = r"\t(v?fn?m(add|sub)|fml[as]|v?rsqrt|v?rcp|frsqrt|frecp)"
 """Multiply-adds and estimates of x86-64 and aarch64."""
 
 pytestmark = pytest.mark.slow
-
-
-def assembly_reader() -> ModuleType:
-    """Module of the benchmark that reads machine code; benchmarks are scripts, so it is loaded by its path."""
-    path = Path(__file__).resolve().parents[2] / "benchmarks" / "limit" / "assembly.py"
-    found = importlib.util.spec_from_file_location("limit_assembly", path)
-    assert found is not None
-    assert found.loader is not None
-    module = importlib.util.module_from_spec(found)
-    sys.modules["limit_assembly"] = module  # dataclasses look their module up by name
-    found.loader.exec_module(module)
-    return module
-
-
-READER = assembly_reader()
 
 
 def small_state(regime: Regime, *, bonded: bool) -> State:
@@ -66,14 +48,14 @@ kernels = pytest.mark.parametrize(
 @cache
 def fresh_kernel(regime: Regime, bonded: bool) -> Any:  # noqa: ANN401 - a function of numba
     """Kernel of that grid, compiled once for the tests of this file."""
-    return READER.fresh_kernel(small_state(regime, bonded=bonded))
+    return assembly.fresh_kernel(small_state(regime, bonded=bonded))
 
 
 @kernels
 @pytest.mark.skipif(REGISTER is None, reason="this processor has neither AVX-512 nor AVX2")
 def test_the_pair_loop_works_on_whole_vector_registers(regime: Regime, bonded: bool) -> None:
     """The pair loop computes on registers of full width, and no division or root in it is done lane by lane."""
-    loop = READER.pair_loop(READER.assembly_of(fresh_kernel(regime, bonded)), REGISTER)
+    loop = assembly.pair_loop(assembly.assembly_of(fresh_kernel(regime, bonded)), REGISTER)
     kinds = loop.kinds(REGISTER)
     # The shortest kernel (constant stiffness) has 31 operations: less is no vector code.
     assert kinds["other arithmetic"] >= 20
@@ -85,7 +67,7 @@ def test_the_pair_loop_works_on_whole_vector_registers(regime: Regime, bonded: b
 def test_no_operation_depends_on_the_processor(regime: Regime, bonded: bool) -> None:
     """Nowhere in the kernel is a multiply-add or an estimate, neither here nor in what LLVM makes of it for aarch64."""
     kernel = fresh_kernel(regime, bonded)
-    here, there = READER.assembly_of(kernel), READER.assembly_for("aarch64-unknown-linux-gnu", kernel)
+    here, there = assembly.assembly_of(kernel), assembly.assembly_for("aarch64-unknown-linux-gnu", kernel)
     for text, product in ((here, r"\tv?mulpd\s"), (there, r"\tfmul\s")):
         assert re.search(product, text)
         assert re.search(CONTRACTED, text) is None

@@ -158,13 +158,11 @@ def study_table(study: xr.Dataset, varied: str) -> str:
     """Mean of Vs from peak to peak (m/s) against the content and what was varied, as a table in Markdown."""
     means = study["vs_peak"].mean([name for name in study["vs_peak"].dims if name == "seed"])
     unit = "Hz" if varied == "frequency" else "1"
-    return markdown_table(
-        ("content, %", *(f"{value:g} {unit}" for value in study[varied].values)),
-        [
-            (f"{content:g}", *(number(None if np.isnan(vs) else vs, ".0f") for vs in means.sel(content=content).values))
-            for content in study["content"].values
-        ],
-    )
+    rows = [
+        (f"{content:g}", *(number(None if np.isnan(vs) else vs, ".0f") for vs in means.sel(content=content).values))
+        for content in study["content"].values
+    ]
+    return markdown_table(("content, %", *(f"{value:g} {unit}" for value in study[varied].values)), rows) + "\n"
 
 
 _STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": _frequency_study, "damping": _damping_study}
