@@ -1,0 +1,103 @@
+"""How many cells per second each engine finishes, and for how much of the time its workers compute.
+
+    python benchmarks/dispatch/engines.py [--workers 2 8 32] [--seconds 0.5]
+
+Workers sleep for the time of a batch and return real outcomes, which this process stores in a real database: so there
+can be more workers than cores. MPI is measured by rank.py, the others here.
+"""
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import get_context
+
+from rank import CELLS, moved, numbered, open_sink, real_outcomes
+from run import REAL, sweep
+from simulation import durations
+
+from calcidem.storage.records import PackedResult
+from calcidem.sweep.batch import Batch, Cell
+from calcidem.sweep.run import run_sweep
+
+BATCHES_OF_ONE = 20
+"""Batches for each worker."""
+
+
+@dataclass(frozen=True)
+class Sleep:
+    """A computation that takes as long as it is told."""
+
+    times: Sequence[float]
+    payload: tuple[PackedResult, ...]
+
+    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[PackedResult]:
+        """Give outcomes after the batch's time."""
+        time.sleep(self.times[batch.identifier])
+        deadline_check()
+        return moved(self.payload, batch)
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[Executor]:
+    with ProcessPoolExecutor(workers, get_context("forkserver")) as pool:
+        list(pool.map(time.sleep, [1.0] * workers))  # all have started
+        yield pool
+
+
+@contextmanager
+def _dask(workers: int) -> Iterator[Executor]:
+    from distributed import Client, LocalCluster  # noqa: PLC0415 - an extra
+
+    with (
+        LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        client.wait_for_workers(workers)
+        yield client.get_executor()
+
+
+ENGINES = {"ProcessPoolExecutor": _pool, "Dask": _dask}
+
+
+def wall_time(engine: str, workers: int, seconds: float) -> float:
+    """Seconds of a sweep, from when all workers are there."""
+    batches = workers * BATCHES_OF_ONE
+    if engine == "MPI":
+        return float(sweep(workers + 1, batches, seconds, stored=True)["wall"])
+    with tempfile.TemporaryDirectory(prefix="calcidem-dispatch-") as folder, ENGINES[engine](workers) as executor:
+        database, planned = str(shutil.copy(REAL, folder)), numbered(batches)
+        store, sink = open_sink(database, planned)
+        with store:
+            compute = Sleep(durations(batches, seconds), real_outcomes(database))
+            begin = time.perf_counter()
+            end = run_sweep(executor, planned, compute, sink)
+            if end.exit_code != 0:
+                raise RuntimeError(f"{engine}: the sweep ended with {end}")
+            return time.perf_counter() - begin
+
+
+def main() -> None:
+    """Print a line of the table for each engine and number of workers."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--workers", type=int, nargs="+", default=[2, 8, 32])
+    parser.add_argument("--seconds", type=float, default=0.5, help="mean time of a batch")
+    parser.add_argument("--engines", nargs="+", default=["MPI", *ENGINES], choices=["MPI", *ENGINES])
+    given = parser.parse_args()
+    sys.stdout.write("| engine | workers | cells/s | workers compute |\n|---|---|---|---|\n")
+    for engine in given.engines:
+        for workers in given.workers:
+            wall = wall_time(engine, workers, given.seconds)
+            cells = workers * BATCHES_OF_ONE * CELLS
+            share = BATCHES_OF_ONE * given.seconds / wall
+            sys.stdout.write(f"| {engine} | {workers} | {cells / wall:.1f} | {100 * share:.0f} % |\n")
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

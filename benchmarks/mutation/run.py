@@ -1,0 +1,161 @@
+"""Whether the tests of a room notice small errors in it: one at a time is put into a copy of the package.
+
+    python benchmarks/mutation/run.py [--rooms analysis sweep dem] [--mutants 40] [--seed 1]
+
+A mutant moves a number, or exchanges a sign, an operator, a comparison or a logical word. Those tests of the room run that
+import the mutated module. Kernels are left out, since each mutant of one would be compiled anew; their naive twins
+(tests/dem/test_naive.py) compare every term of them. Prints the survivors, and the share of killed mutants of each room.
+"""
+
+import argparse
+import ast
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+TIME_LIMIT = 180.0
+"""Seconds after which a mutant that hangs its tests counts as killed."""
+
+_OPERATORS: dict[type[ast.AST], tuple[str, str]] = {
+    ast.Add: ("+", "-"),
+    ast.Sub: ("-", "+"),
+    ast.Mult: ("*", "/"),
+    ast.Div: ("/", "*"),
+    ast.Lt: ("<", "<="),
+    ast.LtE: ("<=", "<"),
+    ast.Gt: (">", ">="),
+    ast.GtE: (">=", ">"),
+    ast.Eq: ("==", "!="),
+    ast.NotEq: ("!=", "=="),
+    ast.And: ("and", "or"),
+    ast.Or: ("or", "and"),
+}
+"""How an operator is spelled, and what is put in its place."""
+
+
+@dataclass(frozen=True, order=True)
+class Mutant:
+    """An error: a piece of one line of a module, and what stands there instead."""
+
+    module: Path
+    line: int
+    begin: int
+    end: int
+    instead: str
+
+    def apply(self, package: Path) -> str:
+        """Put the error into a copy of the package; give the line as it was."""
+        path = package / self.module
+        lines = path.read_bytes().splitlines(keepends=True)
+        line = lines[self.line - 1]
+        lines[self.line - 1] = line[: self.begin] + self.instead.encode() + line[self.end :]
+        path.write_bytes(b"".join(lines))
+        return line.decode().strip()
+
+
+def mutants(room: str) -> Iterator[Mutant]:
+    """All mutants of a room."""
+    for path in sorted((CHECKOUT / "calcidem" / room).rglob("*.py")):
+        if "kernels" not in path.parts and "figures" not in path.parts:
+            source = path.read_bytes()
+            yield from _of_module(path.relative_to(CHECKOUT), ast.parse(source), source.splitlines())
+
+
+def _of_module(module: Path, tree: ast.AST, lines: list[bytes]) -> Iterator[Mutant]:
+    """Mutants of a module; annotations and texts stay."""
+    annotated = {
+        id(node)
+        for owner in ast.walk(tree)
+        for name in ("annotation", "returns")
+        if isinstance(getattr(owner, name, None), ast.AST)
+        for node in ast.walk(getattr(owner, name))
+    }
+    for node in ast.walk(tree):
+        if id(node) in annotated:
+            continue
+        if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
+            moved = node.value + 1 if isinstance(node.value, int) else 1.3 * node.value or 0.1
+            yield Mutant(module, node.lineno, node.col_offset, node.end_col_offset or 0, repr(moved))
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.Not):
+            yield Mutant(module, node.lineno, node.col_offset, node.operand.col_offset, "")
+        for left, operator, right in _sides(node):
+            if left.end_lineno == right.lineno and type(operator) in _OPERATORS:
+                spelled, instead = _OPERATORS[type(operator)]
+                place = lines[right.lineno - 1].find(spelled.encode(), left.end_col_offset, right.col_offset)
+                if place >= 0:
+                    yield Mutant(module, right.lineno, place, place + len(spelled), instead)
+
+
+def _sides(node: ast.AST) -> Iterator[tuple[ast.expr, ast.AST, ast.expr]]:
+    """Operators of an expression, each between its sides."""
+    if isinstance(node, ast.BinOp):
+        yield node.left, node.op, node.right
+    elif isinstance(node, ast.Compare):
+        yield from zip([node.left, *node.comparators[:-1]], node.ops, node.comparators, strict=True)
+    elif isinstance(node, ast.BoolOp):
+        yield from ((left, node.op, right) for left, right in pairwise(node.values))
+
+
+def judges(room: str, module: Path) -> list[str]:
+    """Files of tests of the room that import the module, its own one first; all of the room if none does."""
+    dotted = ".".join(module.with_suffix("").parts)
+    files = sorted((CHECKOUT / "tests" / room).glob("test_*.py"))
+    found = [file for file in files if f"{dotted} import" in file.read_text(encoding="utf-8")]
+    found.sort(key=lambda file: file.stem != f"test_{module.stem}")
+    return [str(file) for file in found or files]
+
+
+def is_killed(mutant: Mutant, room: str) -> tuple[bool, str]:
+    """Whether a test fails with the error in the package, and the line that has it."""
+    with tempfile.TemporaryDirectory(prefix="calcidem-mutant-") as folder:
+        shutil.copytree(CHECKOUT / "calcidem", Path(folder) / "calcidem")  # with the compiled kernels
+        line = mutant.apply(Path(folder))
+        options = ["-x", "-q", "--no-header", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
+        environment = os.environ | {"PYTHONPATH": folder}  # for programs that the tests start
+        command = [sys.executable, "-m", "pytest", *options, "--rootdir", str(CHECKOUT), *judges(room, mutant.module)]
+        try:
+            done = subprocess.run(
+                command, cwd=folder, env=environment, capture_output=True, timeout=TIME_LIMIT, check=False
+            )
+        except subprocess.TimeoutExpired:
+            return True, line
+    return done.returncode != 0, line
+
+
+def sample(room: str, count: int, seed: int) -> list[Mutant]:
+    """So many mutants of a room, the same ones for a seed."""
+    found = sorted(set(mutants(room)))
+    return random.Random(seed).sample(found, min(count, len(found)))
+
+
+def main() -> None:
+    """Judge, and print the survivors and the shares."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rooms", nargs="+", default=["analysis", "sweep", "dem"])
+    parser.add_argument("--mutants", type=int, default=40, help="of each room")
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    for room in given.rooms:
+        chosen, killed = sample(room, given.mutants, given.seed), 0
+        nothing = Mutant(chosen[0].module, 1, 0, 0, "")
+        if is_killed(nothing, room)[0]:
+            sys.exit(f"{room}: tests fail without any error in the package")
+        for mutant in chosen:
+            noticed, line = is_killed(mutant, room)
+            killed += noticed
+            if not noticed:
+                place = f"{mutant.module}:{mutant.line}:{mutant.begin}"
+                print(f"survived: {place}: {line}   here: {mutant.instead or 'nothing'}", flush=True)
+        print(f"{room}: {killed} of {len(chosen)} mutants killed", flush=True)
+
+
+if __name__ == "__main__":
+    main()
