@@ -45,6 +45,16 @@ def test_statistics_are_those_of_the_log_normal_distribution() -> None:
     assert found["unknown"].to_numpy() == pytest.approx([0.0, 1.0 / 22800.0])
 
 
+def test_each_axis_has_its_own_scale() -> None:
+    """Averages over 6 steps of 0.5 along x and 3 of 0.25 along y have scales of 3 and 0.75."""
+    noise = np.random.default_rng(3).standard_normal((60, 62, 65))
+    averaged = np.lib.stride_tricks.sliding_window_view(noise, (3, 6), axis=(1, 2)).mean(axis=(-2, -1))
+    x, y = 0.5 * np.arange(averaged.shape[2]), 0.25 * np.arange(averaged.shape[1])
+    found = describe_fields({(seed, 1.0): (x, y, np.exp(field)) for seed, field in enumerate(averaged)})
+    assert found["scale_x"].item() == pytest.approx(3.0, rel=0.08)
+    assert found["scale_y"].item() == pytest.approx(0.75, rel=0.08)
+
+
 def test_the_picture_shows_maps_scatter_and_length() -> None:
     """A map for each content, a bar of colours, and two panels against content."""
     axes = draw_stiffness(described()).get_axes()
