@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from calcidem.analysis.intervals import Interval
-from calcidem.analysis.predictor import check_predictor, fit_predictor, interval_score
+from calcidem.analysis.predictor import VelocityPredictor, check_predictor, fit_predictor, interval_score
 
 SLOPES = np.array([0.10, -0.05, 0.0])
 NOISE = 0.05
@@ -39,6 +39,16 @@ def test_the_interval_is_that_of_the_noise() -> None:
     interval = fit_predictor(features, vs).predict([0.0, 0.0, 0.0]).interval
     # The quantile of 4,000 normal values has a standard error of 0.042 deviations; four of them.
     assert np.log([interval.low / 800.0, interval.high / 800.0]) / NOISE == pytest.approx([-1.96, 1.96], abs=0.17)
+
+
+def test_the_extremes_of_39_errors_are_their_interval_and_fewer_are_taken_as_normal() -> None:
+    """The smallest and the largest of n hold a new one with probability (n - 1) / (n + 1), 95 % for 39."""
+    errors = np.random.default_rng(1).exponential(0.1, 39)
+    interval = VelocityPredictor(0.0, np.zeros(0), errors, 0.95).predict().interval
+    assert (interval.low, interval.high) == pytest.approx((np.exp(errors.min()), np.exp(errors.max())))
+    fewer = VelocityPredictor(0.0, np.zeros(0), errors[:38], 0.95).predict().interval
+    half = stats.t.ppf(0.975, 37) * errors[:38].std(ddof=1) * np.sqrt(39 / 38)
+    assert (fewer.low, fewer.high) == pytest.approx(tuple(np.exp(errors[:38].mean() + half * np.array([-1.0, 1.0]))))
 
 
 def test_skewed_scatter_makes_a_skewed_interval_that_is_never_negative() -> None:
