@@ -173,6 +173,7 @@ def test_each_verdict_has_its_number_and_a_remedy_for_it(case: Case, slow_pulse:
         (mixed, Verdict.NO_LINE, f"{LEAST_COHERENCE:g} is needed", {"wave.frequency"}),
         (long_waves, Verdict.UNCERTAIN, "near field", {"wave.frequency", "pick.largest_error"}),
     )
+    assert {verdict for _, verdict, *_ in expected} == set(Verdict)
     for recorded, verdict, words, names in expected:
         found = case_of(experiment, recorded)
         number, remedies = explain_refusal(found)

@@ -74,7 +74,7 @@ ONSET = 0.1
 
 
 class Verdict(StrEnum):
-    """Why a section gives no velocity."""
+    """Why a section gives no velocity; `calcidem.app.campaign.remedies` has a number and remedies for each."""
 
     SILENT = "no motion above 0.1 % of v0 arrived: lower damping or frequency, or record for longer (wave.slowest)"
     TOO_SHORT = "the record ends before the S wave is certain: record for longer (wave.slowest)"

@@ -40,8 +40,6 @@ class Quantity:
         Whether a done cell must have it.
     is_brief : bool
         Whether it is one of the few that status and velocities need: they have a checksum of their own.
-    since : int
-        Physics version that it is known from on.
     name, kind, is_optional
         Of the field and its type; filled in by `quantities_of`.
     needs : tuple of str
@@ -57,7 +55,6 @@ class Quantity:
     is_exact: bool = False
     is_needed: bool = False
     is_brief: bool = False
-    since: int = 1
     name: str = ""
     kind: Literal["real", "whole", "text"] = "real"
     is_optional: bool = False
