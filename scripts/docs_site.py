@@ -1,13 +1,18 @@
-"""What mkdocs cannot do with the tree as it is: pages outside docs/ and the notebook of the tutorial.
+"""What mkdocs cannot do with the tree as it is: pages outside docs/, the gallery and the notebook of the tutorial.
 
-A hook of mkdocs.yml (https://www.mkdocs.org/user-guide/configuration/#hooks).
+Figures of the gallery and the notebook are made from stored data again, and the build fails if a committed picture or
+number is another one. A hook of mkdocs.yml (https://www.mkdocs.org/user-guide/configuration/#hooks).
 """
 
 import json
 import re
+import runpy
+import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
 ROOT = Path(__file__).parents[1]
@@ -17,6 +22,21 @@ _OUTSIDE = {"ARCHITECTURE.md": "architecture.md", "CONTRIBUTING.md": "contributi
 
 _NOTEBOOK = "tutorial/tutorial.ipynb"
 _TUTORIAL = "tutorial/index.md"
+_GALLERY = "gallery/README.md"
+
+
+def on_pre_build(**_: object) -> None:
+    """End the build if a figure of the gallery, or what the notebook shows, is not what stored data give."""
+    if stale := _stale():
+        raise PluginError("\n".join(stale))
+
+
+@cache
+def _stale() -> tuple[str, ...]:
+    """What is not up to date, and what renews it; made once for all builds of `mkdocs serve`."""
+    compare = runpy.run_path(str(ROOT / "scripts" / "stale_figures.py"))
+    with tempfile.TemporaryDirectory() as folder:
+        return (*compare["stale_gallery"](), *compare["stale_notebook"](Path(folder)))
 
 
 def on_files(files: Files, config: Any) -> Files:  # noqa: ANN401 - mkdocs' own mapping
@@ -30,7 +50,9 @@ def on_files(files: Files, config: Any) -> Files:  # noqa: ANN401 - mkdocs' own 
 
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:  # noqa: ANN401 - as above
-    """Lead links to the pages outside docs/, and to the notebook, to where the site has them."""
+    """Write the captions of the gallery; lead links to the pages outside docs/ and to the notebook to the site's."""
+    if page.file.src_uri == _GALLERY:
+        return str(runpy.run_path(str(ROOT / "docs" / "gallery" / "make_gallery.py"))["gallery_page"](captions=True))
     return _relinked(markdown) if page.file.src_uri not in _OUTSIDE.values() else markdown
 
 

@@ -1,6 +1,13 @@
-"""Draw the gallery from a campaign: `python docs/gallery/make_gallery.py CAMPAIGN.db`."""
+"""Draw the gallery from stored data: `python docs/gallery/make_gallery.py [--all]`.
+
+The build of the site draws the figures of the campaign in the same manner, and fails if one of them is no longer the
+file beside this program (scripts/docs_site.py). With ``--all`` the figures of the studies, which simulate for minutes,
+and pictures of the report, which need a browser, are renewed as well; the build does not make these.
+"""
 
 import argparse
+import hashlib
+import json
 import sys
 import tempfile
 import textwrap
@@ -10,13 +17,16 @@ from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import reduce_colours, render
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.report.page import key_facts, write_report
+from calcidem.app.cli.import_ import import_command
+from calcidem.app.report.page import write_report
 from calcidem.app.studies.frequency_and_damping import run_studies
 
 FOLDER = Path(__file__).parent
-sys.path.append(str(FOLDER.parents[1] / "tests"))
-from chromium import find_chromium, open_chromium  # noqa: E402 - a helper of the tests
+PAPER = FOLDER.parents[1] / "calcidem" / "app" / "config" / "presets" / "paper.nc"
+QUICK = FOLDER / "quick.db"
+"""Campaign of the preset `quick`, with sections: that of the paper is shipped without."""
 
+_OF_SECTIONS = ("measurement", "signals", "dispersion")  # drawn from QUICK
 _LINE = 120  # longest line of a page
 
 SCREENS = {
@@ -29,52 +39,77 @@ SCREENS = {
 
 
 def main() -> None:
-    """Draw all figures, take pictures of the report, and write the page that shows them."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("database")
-    database = parser.parse_args().database
-    studies = run_studies(database)
-    with open_campaign(database) as campaign:
-        analysis = campaign.analyse()
-        shown = [(entry.name, entry.title, entry.caption, entry.draw(analysis)) for entry in CAMPAIGN_FIGURES]
-        facts = key_facts(analysis)
-    shown += [(e.name, e.title, e.caption, e.draw(studies[e.study])) for e in STUDY_FIGURES]
-    pictorial = {entry.name for entry in CAMPAIGN_FIGURES if entry.pictorial}
-    for name, _, _, figure in shown:
-        (FOLDER / f"{name}.png").write_bytes(render(figure, "png", colours=256 if name in pictorial else None))
-    photograph(database, studies)
+    """Draw the figures, and write the page that shows them."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--all", action="store_true")
+    pictures = drawn_figures() | (drawn_studies() if parser.parse_args().all else {})
+    for name, picture in pictures.items():
+        (FOLDER / f"{name}.png").write_bytes(picture)
+    (FOLDER / "drawn_from.json").write_text(json.dumps(stored_data(), indent=1) + "\n", encoding="utf-8")
+    (FOLDER / "README.md").write_text(gallery_page(), encoding="utf-8")
+
+
+def drawn_figures(names: tuple[str, ...] = ()) -> dict[str, bytes]:
+    """Give the pictures of a campaign by name, by default all."""
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        paper = f"{folder}/paper.db"
+        import_command(PAPER, paper)
+        with open_campaign(paper) as whole, open_campaign(QUICK) as quick:
+            analyses = whole.analyse(), quick.analyse()
+            for entry in (entry for entry in CAMPAIGN_FIGURES if entry.name in names or not names):
+                figure = entry.draw(analyses[entry.name in _OF_SECTIONS])
+                found[entry.name] = render(figure, "png", colours=256 if entry.pictorial else None)
+    return found
+
+
+def drawn_studies() -> dict[str, bytes]:
+    """Run the studies and give their figures, and pictures of a report with them if there is a browser."""
+    sys.path.append(str(FOLDER.parents[1] / "tests"))
+    from chromium import find_chromium, open_chromium  # noqa: PLC0415 - a helper of the tests
+
+    studies = run_studies(QUICK)
+    found = {entry.name: render(entry.draw(studies[entry.study]), "png") for entry in STUDY_FIGURES}
+    program = find_chromium()
+    if program is None:
+        return found
+    with tempfile.TemporaryDirectory() as folder, open_chromium(program, Path(folder)) as browser:
+        paper, picture = f"{folder}/paper.db", Path(folder) / "picture.png"
+        import_command(PAPER, paper)
+        page = write_report(paper, Path(folder) / "report.html", studies=studies)
+        for name, (width, look, shows_cell) in SCREENS.items():
+            browser.show(page, width, 1500, dark=look == "dark", anchor="#seed=1&content=5" if shows_cell else "")
+            if shows_cell:
+                browser.wait_for("document.getElementById('record') && scrollY > 0")
+            browser.photograph(picture)
+            found[name] = reduce_colours(picture.read_bytes())
+    return found
+
+
+def stored_data() -> dict[str, str]:
+    """Give the SHA-256 of each file that figures are drawn from, by its name."""
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in (PAPER, QUICK)}
+
+
+def gallery_page(*, captions: bool = False) -> str:
+    """Give the page of the gallery, with a caption below each figure if asked."""
     lines = [
         "# Gallery",
         "",
-        "Every figure of one campaign, drawn by `make_gallery.py` in this folder.",
-        "",
-        textwrap.fill("; ".join(f"{term}: {value}" for term, value in facts) + ".", _LINE),
+        *textwrap.wrap(
+            "Figures of the paper's campaign; those that need signals are of the preset `quick`. "
+            "`python docs/gallery/make_gallery.py` draws them. The build of the site draws all but the studies and the "
+            "report again, and fails if one has changed.",
+            _LINE,
+        ),
         "",
     ]
-    for name, title, caption, _ in shown:
-        lines += [f"## {title}", "", f"![{title}]({name}.png)", "", textwrap.fill(caption, _LINE), ""]
-    if (FOLDER / "report_390.png").exists():
-        lines += ["## The report", "", "At two widths: the first screen and one of the cells.", ""]
-        lines += [f"![Report, {width} pixels wide, {look}]({name}.png)" for name, (width, look, _) in SCREENS.items()]
-    (FOLDER / "README.md").write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
-
-
-def photograph(database: str, studies: dict) -> None:  # type: ignore[type-arg] - of datasets, which this script never opens
-    """Take pictures of the report, if there is a browser."""
-    program = find_chromium()
-    if program is None:
-        return
-    with open_campaign(database) as campaign:
-        key = next(campaign.select(status="done", content=5.0)).key
-    part = f"#seed={key.seed}&content={key.content:g}"
-    with tempfile.TemporaryDirectory() as folder, open_chromium(program, Path(folder)) as browser:
-        page = write_report(database, Path(folder) / "report.html", studies=studies)
-        for name, (width, look, shows_cell) in SCREENS.items():
-            browser.show(page, width, 1500, dark=look == "dark", anchor=part if shows_cell else "")
-            if shows_cell:
-                browser.wait_for("document.getElementById('record') && scrollY > 0")
-            browser.photograph(FOLDER / f"{name}.png")
-            (FOLDER / f"{name}.png").write_bytes(reduce_colours((FOLDER / f"{name}.png").read_bytes()))
+    for entry in (*CAMPAIGN_FIGURES, *STUDY_FIGURES):
+        lines += [f"## {entry.title}", "", f"![{entry.title}]({entry.name}.png)", ""]
+        lines += [textwrap.fill(entry.caption, _LINE), ""] if captions else []
+    lines += ["## The report", "", "At two widths: the first screen and one of the cells.", ""]
+    lines += [f"![Report, {width} pixels wide, {look}]({name}.png)" for name, (width, look, _) in SCREENS.items()]
+    return "\n".join(lines).rstrip() + "\n"
 
 
 if __name__ == "__main__":
