@@ -75,8 +75,9 @@ def stale_notebook(folder: Path) -> list[str]:
 
 
 def _outputs(notebook: Any) -> list[dict[str, Any]]:  # noqa: ANN401 - nbformat's own mapping
-    """What the cells of a notebook gave, one after the other."""
-    return [output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", ())]
+    """What the cells of a notebook gave, one after the other; printed warnings are left out."""
+    given = (output for cell in notebook.cells for output in cell.get("outputs", ()))
+    return [output["data"] for output in given if "data" in output]
 
 
 def _same_output(made: dict[str, Any], shown: dict[str, Any]) -> bool:
