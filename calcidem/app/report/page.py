@@ -156,7 +156,7 @@ def _render_page(
         name=record.name,
         hash=record.hash,
         written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
-        facts=key_facts(analysis),
+        facts=_key_facts(analysis),
         blocks={**cell_data.blocks, **{picture.packed: picture.source for picture in pictures if picture.packed}},
         remarks=cell_data.remarks,
         sections=shown,
@@ -164,7 +164,7 @@ def _render_page(
     )
 
 
-def key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
+def _key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     """Give the key numbers of the campaign."""
     outcomes, (error, parts) = analysis.outcomes, budget_texts(analysis.budget)
     done, failed = int(outcomes["measured"].sum()), int(outcomes["failed"].sum())
