@@ -39,8 +39,14 @@ def read_designs(database: str) -> Designs:
     return found
 
 
+def readable(designs: Designs, content: float) -> Designs:
+    """Designs of which half of the samples have a velocity at a content."""
+    return {key: cells for key, cells in designs.items() if cells["vs"].sel(content=content).notnull().mean() >= 0.5}
+
+
 def print_parts(designs: Designs, content: float) -> None:
     """Regress the logarithm of the relative scatter on those of number and diameter; seeds are drawn anew."""
+    designs = readable(designs, content)
     cells = [found.sel(content=content) for found in designs.values()]
     numbers = np.log([float(found["clusters"].mean()) for found in cells])
     diameters = np.log([diameter for diameter, _ in designs])
@@ -50,7 +56,9 @@ def print_parts(designs: Designs, content: float) -> None:
     chosen = [np.arange(vs.shape[1]), *draws.integers(vs.shape[1], size=(REPLICATES, vs.shape[1]))]
     scatter = np.array([np.nanstd(vs[:, seeds], axis=1, ddof=1) / np.nanmean(vs[:, seeds], axis=1) for seeds in chosen])
     powers = np.linalg.lstsq(design, np.log(scatter).T, rcond=None)[0][1:]
-    for name, row in zip(("number", "diameter"), powers, strict=True):
+    # At the same number times square of the diameter about as many contacts are in clusters.
+    equal = powers[0] - 0.5 * powers[1]
+    for name, row in zip(("number", "diameter", "number at equal area"), (*powers, equal), strict=True):
         low, high = np.percentile(row[1:], [2.5, 97.5])
         print(f"{content:g} %: sd / mean goes with {name}^{row[0]:.2f} ({low:.2f} to {high:.2f})")
 
@@ -65,7 +73,7 @@ def draw(designs: Designs) -> Figure:
     for axes, content in zip(panels, contents, strict=True):
         for diameter, colour in zip(diameters, (BLUE, GREEN, VERMILION), strict=False):
             rows = []
-            for (own, _), cells in designs.items():
+            for (own, _), cells in readable(designs, content).items():
                 column = cells.sel(content=content)
                 vs = column["vs"].to_numpy()
                 vs = vs[np.isfinite(vs)]
@@ -80,6 +88,9 @@ def draw(designs: Designs) -> Figure:
                 number, deviation / mean, bars, fmt="o-", color=colour, ms=4, capsize=2, label=f"{diameter:g} mm"
             )
         axes.set(xscale="log", xlabel="clusters in the sample", title=f"{content:g} %")
+        numbers = sorted({round(float(cells["clusters"].sel(content=content).mean())) for cells in designs.values()})
+        axes.set_xticks(numbers, map(str, numbers))
+        axes.minorticks_off()
     panels[0].set(ylabel="standard deviation / mean", ylim=(0.0, None))
     panels[-1].legend(title="diameter")
     return figure
