@@ -1,6 +1,6 @@
 """What each departure of the preset `paper` from the printed method costs: alone, and with the others fitted again.
 
-`python docs/reproduction/departures.py FOLDER` takes an hour on one core; what FOLDER has already is not computed again.
+`python docs/reproduction/departures.py FOLDER` takes an hour on one core. What FOLDER has is not computed again.
 """
 
 import re
@@ -38,7 +38,8 @@ def with_values(text: str, changes: dict[str, str]) -> str:
     """Preset with other values; each key stands in one section."""
     for key, value in changes.items():
         text, count = re.subn(rf"(?m)^{key} = \S+", f"{key} = {value}", text)
-        assert count == 1, key
+        if count != 1:
+            raise ValueError(key)
     return text
 
 
@@ -53,7 +54,7 @@ def trials(folder: Path, name: str) -> list[tuple[float, list[float]]]:
         command = [sys.executable, "-m", "calcidem", "calibrate", configuration, "--target", folder / "targets.csv"]
         command += ["--seeds", "16", "--first-seed", "501", "--tolerance", "0.03", "--out", folder / f"{stem}-fit.toml"]
         command += [word for key in free or [FACTOR] for word in ("--free", key)]
-        done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=True)
+        done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=True)  # noqa: S603 - ours
         log.write_text(done.stdout, encoding="utf-8")
     found = [(float(chi), [float(x) for x in ratios.split(", ")]) for ratios, chi in TRIAL.findall(log.read_text())]
     return found if free else found[:1]

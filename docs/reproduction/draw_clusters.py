@@ -19,6 +19,7 @@ from calcidem.storage.errors import UnknownCampaignError
 
 HERE = Path(__file__).parent
 REPLICATES = 2000
+HALF = 0.5
 MM = 1e3
 
 Designs = dict[tuple[float, float], xr.Dataset]
@@ -41,7 +42,8 @@ def read_designs(database: str) -> Designs:
 
 def readable(designs: Designs, content: float) -> Designs:
     """Designs of which half of the samples have a velocity at a content."""
-    return {key: cells for key, cells in designs.items() if cells["vs"].sel(content=content).notnull().mean() >= 0.5}
+    read = {key: float(cells["vs"].sel(content=content).notnull().mean()) for key, cells in designs.items()}
+    return {key: cells for key, cells in designs.items() if read[key] >= HALF}
 
 
 def print_parts(designs: Designs, content: float) -> None:
