@@ -17,9 +17,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 
-from rank import CELLS, moved, numbered, open_sink, real_outcomes
+from rank import CELLS, durations, moved, numbered, open_sink, real_outcomes
 from run import REAL, sweep
-from simulation import durations
 
 from calcidem.storage.records import PackedResult
 from calcidem.sweep.batch import Batch, Cell
