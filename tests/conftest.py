@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_record
@@ -34,6 +35,9 @@ from calcidem.storage.sql.store import open_store
 
 sys.path.append(str(Path(__file__).parent))  # marked_processes.py and others, which tests use
 from places import SMALL_PACKING
+
+settings.register_profile("untimed", deadline=None)  # how long an example takes is no property of the program
+settings.load_profile("untimed")
 
 SEEDS = (1, 2, 3, 4, 5, 6)
 CONTENTS = (0.0, 0.34, 0.66, 2.55, 5.0, 9.0)
