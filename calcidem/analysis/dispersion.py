@@ -120,7 +120,8 @@ def dispersion(
         raise ValueError(f"velocities = {velocities}: give a slowest and a fastest positive velocity, m/s")
     wanted = frequency * np.asarray(shares, dtype=float)
     velocity = np.geomspace(*velocities, _VELOCITIES)
-    powers = np.array([_power(section, wanted, velocity) for section in sections])
+    waves: dict[bytes, NDArray[np.complex128]] = {}  # sections of one content have much the same times and places
+    powers = np.array([_power(section, wanted, velocity, waves) for section in sections])
     total, count = powers.sum(axis=0), len(sections)
     found, left_out = _ridge(total, velocity), np.array([_ridge(total - power, velocity) for power in powers])
     error = _jackknife(left_out)
@@ -139,14 +140,20 @@ def dispersion(
 
 
 def _power(
-    section: SectionMotion, frequency: NDArray[np.float64], velocity: NDArray[np.float64]
+    section: SectionMotion,
+    frequency: NDArray[np.float64],
+    velocity: NDArray[np.float64],
+    waves: dict[bytes, NDArray[np.complex128]],
 ) -> NDArray[np.float64]:
-    """(F, V) stacked power of one sample."""
-    wave = np.exp(-2j * np.pi * frequency[:, None] * section.times)
-    spectrum = wave @ section.across
+    """(F, V) stacked power of one sample; `waves` keeps the waves (F, T) and (F, V, X) at its times and places."""
+    times, places = section.times.tobytes(), section.places.tobytes()
+    if times not in waves:
+        waves[times] = np.exp(-2j * np.pi * frequency[:, None] * section.times)
+    if places not in waves:
+        waves[places] = np.exp(2j * np.pi * frequency[:, None, None] / velocity[:, None] * section.places)
+    spectrum = waves[times] @ section.across
     spectrum = spectrum / np.maximum(np.abs(spectrum), np.finfo(float).tiny)
-    phase = np.exp(2j * np.pi * frequency[:, None, None] / velocity[:, None] * section.places)
-    stacked = (phase * spectrum[:, None, :]).mean(axis=2)
+    stacked = (waves[places] @ spectrum[:, :, None])[:, :, 0] / len(section.places)
     return np.asarray(np.abs(stacked) ** 2)
 
 
