@@ -41,7 +41,7 @@ def test_no_figure_of_the_gallery_is_stale() -> None:
     assert PROGRAM["stale_gallery"]() == []
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_notebook_shows_what_it_gives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every cell runs, and numbers and pictures are those of the committed notebook."""
     pytest.importorskip("nbclient", reason="nbclient is not installed")

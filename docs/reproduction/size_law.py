@@ -1,7 +1,7 @@
 """Scatter of Vs against the size of the sample: a law of three sizes, and a fourth that it is tested on.
 
 `python docs/reproduction/size_law.py DB` reads what `calcidem sensitivity docs/reproduction/size.toml` computed.
-The reading error of each cell is taken off: the scatter is the square root of the variance less the mean square error.
+The scatter is the standard deviation over the mean, and has that of the reading in it.
 """
 
 import argparse
@@ -18,10 +18,9 @@ PLAN = Path(__file__).with_name("size.toml")
 REPLICATES = 2000
 
 
-def scatter(vs: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Standard deviation over mean without the part of the reading; values in the last axis, NaN left out."""
-    variance = np.nanvar(vs, axis=-1, ddof=1) - np.nanmean(errors**2, axis=-1)
-    return np.sqrt(np.maximum(variance, 1e-12)) / np.nanmean(vs, axis=-1)
+def scatter(vs: np.ndarray) -> np.ndarray:
+    """Standard deviation over mean; values in the last axis, NaN left out."""
+    return np.asarray(np.nanstd(vs, axis=-1, ddof=1) / np.nanmean(vs, axis=-1))
 
 
 def main() -> None:
@@ -32,7 +31,7 @@ def main() -> None:
     for variant in load_plan(PLAN, database):
         try:
             with open_campaign(database, variant.name) as campaign:
-                found[variant.configuration.packing.width] = campaign.to_xarray(["vs", "reading_error"])
+                found[variant.configuration.packing.width] = campaign.to_xarray(["vs"])
         except UnknownCampaignError:
             print(f"not computed: {variant.name}")
     widths = sorted(found)
@@ -46,9 +45,9 @@ def main() -> None:
         columns = []
         for width in widths:
             cells = found[width].sel(content=content)
-            vs, error = cells["vs"].to_numpy(), (cells["reading_error"] * cells["vs"]).to_numpy()
+            vs = cells["vs"].to_numpy()
             chosen = np.concatenate([np.arange(len(vs))[None], draws.integers(len(vs), size=(REPLICATES, len(vs)))])
-            columns.append(scatter(vs[chosen], error[chosen]))
+            columns.append(scatter(vs[chosen]))
         values = np.array(columns)  # (sizes, 1 + replicates)
         slope, level = np.polyfit(np.log(fitted), np.log(values[:-1]), 1)
         law = np.exp(level + slope * np.log(tested))

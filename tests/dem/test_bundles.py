@@ -46,7 +46,7 @@ def kernel_bytes(state: State) -> list[bytes]:
     ("features", "precision"),
     [
         pytest.param(HERTZ, "float64", marks=pytest.mark.full),
-        (BONDED, "float64"),
+        pytest.param(BONDED, "float64", marks=pytest.mark.full),
         pytest.param(GROUPED, "float64", marks=pytest.mark.full),
         pytest.param(BONDED, "float32", marks=pytest.mark.full),
         pytest.param(replace(HERTZ, slip=False, rescaling=False), "float64", marks=pytest.mark.full),

@@ -47,6 +47,7 @@ def test_a_packing_that_is_made_can_be_ended() -> None:
     assert check.calls == 3
 
 
+@pytest.mark.full
 def test_a_sample_that_settles_can_be_ended(packing: Packing) -> None:
     """What the check raises ends the settling, which would have been given up after two chunks of steps."""
     walls = box_walls(packing.width, packing.height, RULE.stress * packing.width)

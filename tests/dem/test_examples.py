@@ -19,6 +19,7 @@ def test_the_beam_of_the_example_bends_as_its_closed_form_says() -> None:
     assert deflection == pytest.approx(cantilever.expected_deflection(), rel=1e-6)
 
 
+@pytest.mark.full
 def test_the_scene_of_the_documentation_runs() -> None:
     """The first program of docs/scenes.md runs as it stands and gives two disks and their energies."""
     text = (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8")

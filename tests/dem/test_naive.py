@@ -27,7 +27,7 @@ KINDS: list[tuple[str, Regime, bool, Cement | None]] = [
     ("small bonds", "small", True, WEAK),
     ("linear", "linear", True, SOFT_CEMENT),
 ]
-FOR_FULL_RUNS = ("hertz", "hertz, old rescaling", "bonds", "small bonds")
+FOR_FULL_RUNS = ("hertz", "hertz, old rescaling", "bonds", "small bonds", "linear")
 
 
 def random_scene(

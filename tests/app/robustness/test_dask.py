@@ -84,7 +84,7 @@ def ranks_used(workshop: "Workshop") -> set[int | None]:
         return {cell.rank for cell in campaign.select()}
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_a_cluster_gives_the_same_bits(workshop: "Workshop", expected: "Cells", cluster: Cluster) -> None:
     """Every outcome equals that of one process, signals and cement included."""
     done = workshop.run("run", "c.toml", "--dask", cluster.address)
