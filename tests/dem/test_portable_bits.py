@@ -21,6 +21,7 @@ FOLDER = Path(__file__).parent / "bits"
 sys.path.insert(0, str(FOLDER))
 from processors import environment, playable  # noqa: E402 - a helper beside the tests
 
+
 def hashes_on(processors: list[str], *options: str) -> dict[str, dict[str, str]]:
     """What the program prints on each of several processors, all at once."""
     command = [sys.executable, str(FOLDER / "program.py"), "small", *options]
