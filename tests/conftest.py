@@ -34,7 +34,7 @@ from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import open_store
 
 sys.path.append(str(Path(__file__).parent))  # marked_processes.py and others, which tests use
-from places import SMALL_PACKING
+from places import SMALL_PACKING, MakeOnce
 
 settings.register_profile("untimed", deadline=None)  # how long an example takes is no property of the program
 settings.load_profile("untimed")
@@ -105,10 +105,6 @@ def small_configuration() -> Configuration:
         # Three times those of the paper: on the short way of this box near field hides the arrival of longer waves.
         excitation=Excitation(FrequencyTable(CONTENTS, (12e3, 21e3, 24e3, 24e3, 45e3, 75e3))),
     )
-
-
-MakeOnce = Callable[[str, Callable[[Path], object]], Path]
-"""Takes the name of a folder and what fills it; gives the folder."""
 
 
 @pytest.fixture(scope="session")

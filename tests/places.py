@@ -1,5 +1,6 @@
-"""Files of the checkout that several tests use."""
+"""Files that several tests use: those of the checkout, and those that are made once."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 CHECKOUT = Path(__file__).parents[1]
@@ -11,3 +12,6 @@ SMALL_PACKING = CHECKOUT / "tests" / "assets" / "small_packing.npz"
 """280 disks in a box of 30 mm x 60 mm under 5 kPa, seed 6 of the default rule.
 
 It is a file because packing is chaotic: no test may hang on what one draw gives on one processor."""
+
+MakeOnce = Callable[[str, Callable[[Path], object]], Path]
+"""Takes the name of a folder and what fills it; gives the folder."""

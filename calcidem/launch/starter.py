@@ -43,7 +43,7 @@ _TIME_TO_CONNECT = 5.0
 """Seconds for each of the command's addresses."""
 
 _ATTEMPTS = 3
-"""Times that all of them are tried: the command may be busy, or other programs may keep it busy."""
+"""Times that all of them are tried: the command may be busy."""
 
 _TIME_TO_HANG_UP = 2.0
 """Seconds in which the command acknowledges the last words of a rank."""
@@ -57,7 +57,7 @@ _PR_SET_PDEATHSIG = 1
 def die_with_parent(parent: int | None = None) -> None:
     """Let the kernel kill this process as soon as its parent ends.
 
-    The caller gives the parent's process number: the parent may have ended before this call.
+    A caller that knows the process number of its parent gives it, since the parent may have ended before this call.
 
     A rank whose mpirun was killed would otherwise run for ever: it is a descendant of mpirun itself or, on other nodes,
     of its daemon, which ends when it loses mpirun. To be called before MPI is initialised: if the launcher is gone by
@@ -125,9 +125,10 @@ class _Starter:
     def run(self, command: list[str]) -> int:
         """Run the rank and return its exit code, or the signal that ended it as a negative number."""
         errors, standard_error = os.pipe()
+        starter = os.getpid()
         child = os.fork()
         if child == 0:
-            self._become(command, standard_error)
+            self._become(command, standard_error, starter)
         os.close(standard_error)
         for number in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)  # the launcher sends them to the rank as well
@@ -161,10 +162,10 @@ class _Starter:
             where = "which listens on its own host alone, since neither a hostfile nor a job names other hosts"
         sys.exit(f"Rank {self._rank} on {host} cannot reach the command that started it, {where}")
 
-    def _become(self, command: list[str], standard_error: int) -> None:
+    def _become(self, command: list[str], standard_error: int, starter: int) -> None:
         """Become the rank, which from its first moment ends with the starter."""
         try:
-            die_with_parent()
+            die_with_parent(starter)
             os.dup2(standard_error, 2)
             self._connection.set_inheritable(True)
             os.environ[DESCRIPTOR_VARIABLE] = str(self._connection.fileno())

@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import xarray as xr
+from laws import show_header
 from published_check import check_verdicts
 from scipy import stats
 
@@ -106,18 +107,6 @@ def lag_of_median(values: np.ndarray, axis: int = -1) -> np.ndarray:
 def word(normal: bool) -> str:
     """Outcome of a test in a word."""
     return "yes" if normal else "no"
-
-
-def show_row(*cells: object) -> None:
-    """Print a row of a table."""
-    print(f"| {' | '.join(str(cell) for cell in cells)} |")
-
-
-def show_header(*cells: object) -> None:
-    """Print the first row of a table and the line below it."""
-    print()
-    show_row(*cells)
-    print(f"|{'---|' * len(cells)}")
 
 
 if __name__ == "__main__":

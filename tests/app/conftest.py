@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from chromium import Chromium, find_chromium, open_chromium
 from marked_processes import MarkedProcesses
-from places import CHECKOUT, SMALL_PACKING
+from places import CHECKOUT, SMALL_PACKING, MakeOnce
 from typer.testing import CliRunner
 from unchanged import unchanged_if_refused
 
@@ -52,9 +52,6 @@ SEEDS = 4
 CONTENTS = (0.0, 0.66, 5.0)
 
 Cells = dict[tuple[int, float], tuple[object, ...]]
-
-MakeOnce = Callable[[str, Callable[[Path], object]], Path]
-"""Takes the name of a folder and what fills it; gives the folder."""
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -190,7 +191,7 @@ class Launch:
             stdout=outputs[0],
             stderr=outputs[1],
             process_group=0,
-            preexec_fn=starter.die_with_parent,  # noqa: PLW1509 - there are no threads, and mpirun must not outlive us
+            preexec_fn=partial(starter.die_with_parent, os.getpid()),  # noqa: PLW1509 - no threads; mpirun ends with us
         )
 
 

@@ -25,8 +25,9 @@ _LOWEST_PRIORITY = 19
 _PROGRAM = f"""
 import os, runpy, sys
 from calcidem.launch.starter import die_with_parent
+parent = int(sys.argv.pop(1))
 if sys.platform == "linux":
-    die_with_parent()
+    die_with_parent(parent)
 os.nice({_LOWEST_PRIORITY})
 runpy.run_module("calcidem", run_name="__main__", alter_sys=True)
 """
@@ -68,8 +69,13 @@ class MovieMaker:
         _, seed, content = wanted
         file = self._folder / f"{len(self._made)}-{time.monotonic_ns()}.gif"
         errors = file.with_suffix(".txt")
-        command = [sys.executable, "-c", _PROGRAM, "show", feed.database, f"--seed={seed}", f"--content={content!r}"]
-        command += [f"--movie={file}", *([] if feed.name is None else [f"--campaign={feed.name}"])]
+        command = [sys.executable, "-c", _PROGRAM, str(os.getpid()), "show", feed.database]
+        command += [
+            f"--seed={seed}",
+            f"--content={content!r}",
+            f"--movie={file}",
+            *([] if feed.name is None else [f"--campaign={feed.name}"]),
+        ]
         with errors.open("wb") as stream:
             process = subprocess.Popen(  # noqa: S603 - our own program
                 keep_passwords_back(command),
