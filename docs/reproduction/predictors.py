@@ -26,6 +26,8 @@ CANDIDATES: dict[str, tuple[str, ...]] = {
 MEASURED: dict[str, tuple[str, ...]] = {
     "column share, path_vs (measured)": (COLUMN, "path_vs"),
     "column share, error of the reading (measured)": (COLUMN, "reading_error"),
+    "column share, coherence (measured)": (COLUMN, "coherence"),
+    "column share, path_vs, error, coherence (measured)": (COLUMN, "path_vs", "reading_error", "coherence"),
 }
 """Of the wave itself, so no predictors of a sample that was not simulated."""
 

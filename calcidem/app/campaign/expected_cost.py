@@ -83,7 +83,7 @@ def expected_cost(
         travel = path / speeds[content]
         period = travel / WAVELENGTHS if table is None else 1.0 / table.at(content)
         longer = _STEP_OVER_MEAN_DISKS if content > 0.0 else 1.0
-        step = wave.step_fraction * longer * limit_of_mean_disks(configuration, cemented=content > 0.0)
+        step = wave.step_over_limit * longer * limit_of_mean_disks(configuration, cemented=content > 0.0)
         steps = _RECORDED_PART * (period + 1.5 * travel) / step
         seconds += lanes * steps * disks * _SECONDS_OF_DISK_STEP[wave.regime] + _SECONDS_OF_CELL * len(batch.cells)
         cells += len(batch.cells)

@@ -129,7 +129,7 @@ def _describe_crate(folder: Path, store: Store, licence: str, authors: Sequence[
     of_data = licence if "://" in licence else _SPDX + licence
     crate.license = add(of_data, "CreativeWork", name=licence, description="Of the data in this crate")
     root = crate.root_dataset
-    root["identifier"] = record.hash
+    root["identifier"] = add("#campaign", "PropertyValue", name="hash of the campaign", value=record.hash)
     root["creditText"] = f"Computed with calcidem {__version__}, which repeats: {_PAPER}"
     people = [crate.add(Person(crate, f"#author-{i}", {"name": name})) for i, name in enumerate(authors, 1)]
     if people:

@@ -43,7 +43,7 @@ def test_a_crate_describes_its_files(crate: Path, small_database: Path) -> None:
     with open_campaign(small_database) as campaign:
         record, runs = campaign.record, campaign.store.runs()
         vs = campaign.vs().to_numpy()
-    assert root["identifier"] == record.hash
+    assert entities[root["identifier"]["@id"]]["value"] == record.hash
     actions = [entity for entity in entities.values() if entity["@type"] == "CreateAction"]
     versions = [entities[action["instrument"]["@id"]]["version"] for action in actions]
     assert versions == [run.versions["calcidem"] for _, run in runs]
