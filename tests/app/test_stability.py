@@ -21,6 +21,8 @@ from calcidem.app.studies.stability.verdict import StabilityVerdict, _judge_pack
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.wave.measurement import Outcome, measure
+from calcidem.dem.wave.propagation import send_waves
+from calcidem.dem.wave.reading import read_section
 from calcidem.dem.wave.scene import wave_scene
 
 pytestmark = pytest.mark.slow
@@ -179,6 +181,26 @@ def test_bonds_that_break_are_reported_after_one_retry() -> None:
     assert "bonds broke" in found.result.reason
     assert "bonds broke" in found.record.retry
     assert found.record.time_step == pytest.approx(0.5 * scene.step_fraction * found.record.stability_limit)
+
+
+def test_strong_damping_counts_what_half_of_the_step_changes() -> None:
+    """Above 0.5 the velocity is that of half of the step, and its change by it is a part of its bound; below not."""
+    scene = Extreme(damping=0.55)
+    strong = experiment_of_scene(scene)
+    content = content_of(scene, strong)
+    found = measure(strong, content, [1], lanes=1)[0]
+    assert found.record.time_step == pytest.approx(0.5 * scene.step_fraction * found.record.stability_limit)
+    cemented = [strong.ordering(1).at(content).bonded]
+    (coarse,) = send_waves(strong, cemented, found.frequency, stop_when=lambda _: False, lanes=1)
+    arrivals = [read_section(record.section, strong.pick).arrival for record in (coarse, found.record)]
+    assert arrivals[0] is not None
+    assert arrivals[1] is not None
+    assert found.result.error is not None
+    change = abs(arrivals[0].travel_time / arrivals[1].travel_time - 1.0)
+    assert found.result.error.parts.chatter == pytest.approx(change)
+    assert found.result.error.bound >= change > 0.0
+    usual = measure(replace(strong, wave=replace(strong.wave, damping=0.5)), content, [1], lanes=1)[0]
+    assert usual.record.time_step == pytest.approx(scene.step_fraction * usual.record.stability_limit)
 
 
 @pytest.mark.full

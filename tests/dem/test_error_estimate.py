@@ -188,22 +188,6 @@ def test_chatter_grows_with_damping_and_step(damping: float, fraction: float) ->
     assert parts(waves(EXPERIMENT, damping=damping), record).chatter == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("damping", [0.55, 0.6, 0.7])
-def test_a_step_of_strong_damping_has_the_error_of_half_of_the_force(damping: float) -> None:
-    """Up to 0.5 the step is the wanted part of the limit; with more its chatter stays what it is there."""
-    usual, strong = (WaveRule(damping=value, step_fraction=0.6) for value in (0.5, damping))
-    assert WaveRule(damping=0.0).step_over_limit == WaveRule().step_fraction
-    assert usual.step_over_limit == usual.step_fraction
-    chatter = [
-        parts(
-            waves(EXPERIMENT, damping=rule.damping),
-            replace(RECORD, time_step=rule.step_over_limit, stability_limit=1.0),
-        )
-        for rule in (usual, strong)
-    ]
-    assert chatter[1].chatter == pytest.approx(chatter[0].chatter)
-
-
 def test_softening_counts_for_more_than_it_takes_where_slip_is_even() -> None:
     """V goes with the root of the stiffness; on half a wavelength of way the shape counts twice; more than 1 is 1."""
     assert parts(record=slipping(softening=0.02)).slip > 1.0 - np.sqrt(1.0 - 0.02)

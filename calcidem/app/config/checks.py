@@ -205,7 +205,7 @@ def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
                 ("wave.frequency", "campaign.contents", "sand.shear_modulus", "cement.bond_modulus"),
             )
             return
-        resolved = 1.0 / (FEWEST_SAMPLES * configuration.wave.step_over_limit * _longest_step(configuration, content))
+        resolved = 1.0 / (FEWEST_SAMPLES * configuration.wave.step_fraction * _longest_step(configuration, content))
         if table.covers(content) and table.at(content) > resolved:
             yield Problem(
                 f"wave.frequency = {table.at(content):g}: at {content:g} % the pulse has fewer than {FEWEST_SAMPLES} "

@@ -23,6 +23,7 @@ _CLOSING = 0.5  # over `WaveRecord.closing_gaps`
 _SINGLE_PRECISION = 1.0e-3
 _ROUNDING = 5.0  # over the rounding of contact forces in single precision over the force of the received wave
 _CHATTER = 1.8e-2  # see `_chatter_error`
+STRONG_DAMPING = 0.5  # local damping above which chatter follows no law: it is measured with twice the step
 _UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
 _BREAKING = 2.0  # see `_breaking_error`
 
@@ -134,8 +135,12 @@ class NumericalError(NamedTuple):
     parts: ErrorParts
 
 
-def estimate_error(experiment: Experiment, record: WaveRecord, arrival: ShearArrival) -> NumericalError:
+def estimate_error(
+    experiment: Experiment, record: WaveRecord, arrival: ShearArrival, chatter: float | None = None
+) -> NumericalError:
     """Relative numerical error of a velocity that was read.
+
+    ``chatter`` is its relative change by half of the step, where that was measured.
 
     What is expected is the order of its size. A change of a signal by the part e of its amplitude, as fast as the pulse
     is, tilts it by ``2 pi f e`` and so moves a peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change goes with
@@ -146,6 +151,8 @@ def estimate_error(experiment: Experiment, record: WaveRecord, arrival: ShearArr
     frequency, travel_time = record.section.frequency, arrival.travel_time
     shift = _shift_by_change(record.section, arrival)
     parts = _error_parts(experiment, record, arrival, shift)
+    if chatter is not None:
+        parts = parts._replace(chatter=chatter)
     share = _largest_nonlinearity(record, frequency * travel_time).share
     change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * arrival.roughness
     others = parts.precision + parts.noise + parts.chatter + parts.unbalanced + parts.breaking
@@ -217,7 +224,8 @@ def _chatter_error(experiment: Experiment, record: WaveRecord) -> float:
     Local damping of factor a takes the part 1 - a or 1 + a of a force, by the sign of the velocity. Near the stability
     limit the velocities of the stiffest contacts turn over at almost every step, and how often they do decides what is
     left of the wave. In lattices the error rose about as the cube of ``a / (1 - a)`` and steeply with the step
-    (docs/stability.md, "Drawn at random").
+    (docs/stability.md, "Drawn at random"). Above `STRONG_DAMPING` with bonds far stiffer than the sand it is up to
+    thirty times as large, so that there `measurement.measure` compares two steps.
     """
     damping = experiment.wave.damping
     strong, coarse = damping / (1.0 - damping), record.time_step / record.stability_limit

@@ -1,16 +1,16 @@
 """From a seed and a content to a shear-wave velocity: cement the packing, transmit the wave, read its arrival."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from time import perf_counter
 
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
-from calcidem.dem.wave.error_estimate import NumericalError, cure_of, estimate_error
+from calcidem.dem.wave.error_estimate import STRONG_DAMPING, NumericalError, cure_of, estimate_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves
-from calcidem.dem.wave.reading import Reading, is_settled, read_section
+from calcidem.dem.wave.reading import Reading, ShearArrival, is_settled, read_section
 from calcidem.dem.wave.recorder import WaveRecord
 
 LARGEST_BOUND = 0.05  # of the numerical error, above which a velocity is not trusted
@@ -93,6 +93,7 @@ def measure(
 ) -> tuple[Measurement, ...]:
     """Measure the samples of several seeds at one content, side by side.
 
+    With damping above `STRONG_DAMPING` the wave is sent again with half the step, whose velocity counts.
     `CementCapacityError` if the content is more than the sample can hold.
 
     Parameters
@@ -124,10 +125,15 @@ def measure(
 
     bonded = [cement.bonded for cement in placed]
     records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
+    results = [interpret_record(experiment, record) for record in records]
+    if experiment.wave.damping > STRONG_DAMPING:
+        finer = replace(experiment, wave=replace(experiment.wave, step_fraction=0.5 * experiment.wave.step_fraction))
+        records = send_waves(finer, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
+        results = [interpret_record(finer, *pair) for pair in zip(records, results, strict=True)]
     seconds = (perf_counter() - seconds_compiling() - began) / len(seeds)
     return tuple(
-        Measurement(seed, content, interpret_record(experiment, record), frequency, cement, record, seconds)
-        for seed, cement, record in zip(seeds, placed, records, strict=True)
+        Measurement(seed, content, result, frequency, cement, record, seconds)
+        for seed, result, cement, record in zip(seeds, results, placed, records, strict=True)
     )
 
 
@@ -146,14 +152,19 @@ def measure_all(
     return tuple(found)
 
 
-def interpret_record(experiment: Experiment, record: WaveRecord) -> Interpretation:
-    """What a record says; what cannot be trusted has a reason, never a number."""
+def interpret_record(
+    experiment: Experiment, record: WaveRecord, coarser: Interpretation | None = None
+) -> Interpretation:
+    """What a record says; what cannot be trusted has a reason, never a number.
+
+    ``coarser`` is what the same sample said with twice the step. A velocity counts their difference as an error.
+    """
     if record.problem:
         return Interpretation(Outcome.UNSTABLE, record.problem)
     reading = read_section(record.section, experiment.pick)
     if reading.arrival is None or reading.verdict is not None:
         return Interpretation(Outcome.NO_ARRIVAL, str(reading.verdict), reading=reading)
-    error = estimate_error(experiment, record, reading.arrival)
+    error = estimate_error(experiment, record, reading.arrival, _change_of_time(reading.arrival, coarser))
     vs: float | None = getattr(reading, experiment.pick.method)
     if vs is None:
         reason = f'the {experiment.pick.method.replace("_", " ")} cannot be read; pick.method = "peak" can'
@@ -162,3 +173,12 @@ def interpret_record(experiment: Experiment, record: WaveRecord) -> Interpretati
         reason = f"{_INEXACT}: {cure_of(experiment, error.parts, LARGEST_BOUND)}"
         return Interpretation(Outcome.NO_ARRIVAL, reason, reading=reading, error=error)
     return Interpretation(Outcome.DONE, "", vs, reading, error)
+
+
+def _change_of_time(arrival: ShearArrival, coarser: Interpretation | None) -> float | None:
+    """Relative change of a travel time by half of the step; 1 where that of twice the step is not known."""
+    if coarser is None:
+        return None
+    if coarser.reading is None or coarser.reading.arrival is None:
+        return 1.0
+    return abs(coarser.reading.arrival.travel_time / arrival.travel_time - 1.0)

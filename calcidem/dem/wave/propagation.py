@@ -138,7 +138,7 @@ def _start_at_rest(
         features=features,
         precision=experiment.wave.precision,
         preload=experiment.domain.packing.preload,
-        step_fraction=experiment.wave.step_over_limit,
+        step_fraction=experiment.wave.step_fraction,
         skin_fraction=skin,
         steps_per_contact=0.0,
         single=single,
@@ -148,7 +148,7 @@ def _start_at_rest(
 def refuse_unfit_pulse(experiment: Experiment, frequency: float, *, cemented: bool) -> None:
     """Raise a `ValueError` if no sample of a packing stands a pulse: as far as this can be told without its cement."""
     refuse_loud_pulse(experiment.packing, experiment.wave, frequency)
-    _refuse_short_pulse(experiment.wave.step_over_limit * _limit_of_all_patterns(experiment, cemented), frequency)
+    _refuse_short_pulse(experiment.wave.step_fraction * _limit_of_all_patterns(experiment, cemented), frequency)
 
 
 def refuse_unfit_samples(
@@ -172,7 +172,7 @@ def refuse_unfit_samples(
         Width of the kernel.
     """
     frequency = experiment.frequency(content)
-    longest = experiment.wave.step_over_limit * _limit_of_all_patterns(experiment, cemented=False)
+    longest = experiment.wave.step_fraction * _limit_of_all_patterns(experiment, cemented=False)
     if experiment.installation != "preserve":
         bare = np.zeros(len(experiment.packing.pairs), dtype=bool)
         prepare_recorder(experiment, [bare], min(frequency, 0.5 / (longest * FEWEST_SAMPLES)), lanes, lambda: None)
@@ -195,7 +195,7 @@ def _samples_stride(experiment: Experiment, cemented: bool, frequency: float) ->
     """Steps between two samples, the same for all samples of one content."""
     rule = experiment.wave
     limit = _limit_of_all_patterns(experiment, cemented)
-    return max(1, int(1.0 / (frequency * rule.samples_per_period * rule.step_over_limit * limit)))
+    return max(1, int(1.0 / (frequency * rule.samples_per_period * rule.step_fraction * limit)))
 
 
 def _limit_of_all_patterns(experiment: Experiment, cemented: bool) -> float:

@@ -1,6 +1,5 @@
 """How a shear wave is transmitted, propagated and recorded, and what is refused beforehand."""
 
-import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -45,7 +44,7 @@ class WaveRule:
     precision
         Precision of the kernel's numbers.
     step_fraction
-        Time step over the stability limit; with damping above 0.5 less, see `step_over_limit`.
+        Time step over the stability limit.
     samples_per_period
         Samples of the section in a period of the pulse. With 40 a peak moves by 2e-4, with 20 by 1e-3.
     slowest
@@ -92,16 +91,6 @@ class WaveRule:
     def __post_init__(self) -> None:
         """Refuse what cannot be transmitted."""
         require_fields(self)
-
-    @property
-    def step_over_limit(self) -> float:
-        """Time step over the stability limit: `step_fraction`, and with damping a above 0.5 less.
-
-        The error of the step goes with ``(a / (1 - a))^3 (step / limit)^4`` (docs/stability.md, "Drawn at random"). A
-        stronger damping keeps it at what it is for 0.5. Two roots stand for the power 3/4: they round alike everywhere.
-        """
-        strong = max(1.0, self.damping / (1.0 - self.damping))
-        return self.step_fraction / math.sqrt(strong * math.sqrt(strong))
 
 
 def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> None:
