@@ -18,6 +18,7 @@ import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
+from older import NEWEST, leave_out
 
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.cli.import_ import _RAISED_BY_DAMAGE
@@ -93,6 +94,25 @@ def test_round_trip_gives_an_equal_database(filled: Store, exported: Path, tmp_p
         assert list(copy.history()) == list(original.history())
         assert copy.statuses() == original.statuses()
         assert list(copy.results(with_arrays=True)) == list(original.results(with_arrays=True))
+
+
+def test_a_file_that_is_older_than_a_quantity_is_imported(
+    filled: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether its database lacked the quantity, or the program that exported it: the cells lack it, and are intact."""
+    assert filled.address.path is not None
+    leave_out(filled.address.path)
+    with open_store(filled.address.path, read_only=True) as older:
+        older.use_campaign()
+        files = [export_netcdf(older, tmp_path / "of_older_database.nc")]
+        known = {name: quantity for name, quantity in export.QUANTITY_BY_NAME.items() if name not in NEWEST}
+        monkeypatch.setattr(export, "QUANTITY_BY_NAME", known)
+        files.append(export_netcdf(older, tmp_path / "of_older_program.nc"))
+        for file in files:
+            with open_store(file.with_suffix(".db")) as copy:
+                import_netcdf(file, copy)
+                assert not copy.integrity().cells
+                assert list(copy.results(with_arrays=True)) == list(older.results(with_arrays=True))
 
 
 def test_import_again_adds_nothing_but_runs(exported: Path, tmp_path: Path) -> None:

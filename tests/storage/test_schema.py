@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from older import leave_out
 from sqlalchemy import CheckConstraint, inspect, text
 
 from calcidem.app.campaign.opened import open_campaign
@@ -48,38 +49,19 @@ def test_a_view_has_whole_cells(store: Store, records: "Records") -> None:
     assert (found[1]["path_contacts"], found[1]["host"]) == (3, "node7")
 
 
-NEWEST = ("broken_bonds", "retry", "path_connectivity")
-
-
-def leave_out(path: Path) -> None:
-    """Take quantities out of a database, as if they had been added to the catalogue after it was made."""
-    with sqlite3.connect(path) as connection:
-        connection.execute("DROP VIEW cells")
-        (table,) = connection.execute("SELECT sql FROM sqlite_master WHERE name = 'result'").fetchone()
-        for name in NEWEST:
-            table = re.sub(rf"\n\s*{name} [^\n]*,", "", table)
-            table = re.sub(rf"\n\s*CONSTRAINT ck_result_{name}_[^\n]*,", "", table)
-        columns = [row[1] for row in connection.execute("PRAGMA table_info(result)") if row[1] not in NEWEST]
-        kept = ", ".join(columns)
-        connection.execute(f"CREATE TEMP TABLE kept AS SELECT {kept} FROM result")  # noqa: S608 - a test's own
-        connection.execute("DROP TABLE result")
-        connection.execute(table)
-        connection.execute(f"INSERT INTO result SELECT {kept} FROM kept")  # noqa: S608 - as above
-        connection.execute("CREATE VIEW cells AS SELECT seed FROM cell")
-    connection.close()
-
-
 def test_a_quantity_that_is_added_is_missing_in_older_cells(tmp_path: Path, records: "Records") -> None:
     """A reader finds None for it and changes nothing; a writer adds the column with its check; old rows stay intact."""
     path = tmp_path / "older.db"
     with open_store(path) as store:
         store.begin_campaign(records.campaign())
-        store.record_results([records.done(1, 5.0, **dict.fromkeys(NEWEST[:2]))])
+        store.record_results([records.with_arrays(1, 5.0)])
     leave_out(path)
     before = path.read_bytes()
     with open_campaign(path) as campaign:
         found = campaign.cell(seed=1, content=5.0)
         assert (found.vs, found.broken_bonds) == (1151.0, None)
+        assert found.features is not None
+        assert found.features.path_connectivity is None
         assert not campaign.store.integrity().cells
         assert list(campaign.select(where="broken_bonds > 0")) == []
     assert path.read_bytes() == before

@@ -75,6 +75,8 @@ class Merged:
         Cells that are done in one source and failed in another.
     conflicts
         Done cells on which sources disagree. If there are any and no source was preferred, nothing was written.
+    lacking
+        Quantities of done cells that one source has and another lacks, which may be older than they are.
     """
 
     settled: int
@@ -83,6 +85,7 @@ class Merged:
     shared: int
     overruled: int
     conflicts: tuple[Conflict, ...]
+    lacking: tuple[str, ...]
 
 
 def merge_databases(
@@ -141,22 +144,25 @@ def missing_lines(merged: Merged) -> list[str]:
 def _merge_campaigns(sources: Sequence[Store], target: Store, prefer: int | None) -> Merged:
     """Write the union of some campaigns of one configuration into an empty store, see `merge_databases`.
 
-    A done outcome replaces any other one, that of the preferred source over other done ones, and otherwise that of
-    the source that comes first. Attempts of a cell are put in the order of time and numbered again; runs and attempts
-    that several sources have because one is a copy of the other occur once.
+    A done outcome replaces any other one, that of the preferred source over other done ones. Otherwise that with the
+    most quantities is taken, the first of equals. Attempts of a cell are put in the order of time and numbered again;
+    runs and attempts that several sources have because one is a copy of the other occur once.
     """
     _refuse_other_campaigns(sources)
     packings = _join_packings(sources)
     choice: dict[CellKey, int] = {}
     conflicts: list[Conflict] = []
+    lacking: set[str] = set()
     shared = overruled = 0
     for key, found in sorted(_settled_cells(sources).items()):
         done = {source: values for source, values in found.items() if values is not None}
         candidates = done or found
-        choice[key] = prefer if prefer is not None and prefer in candidates else min(candidates)
+        fullest = min(candidates, key=lambda source: (candidates[source] or ()).count(None))
+        choice[key] = prefer if prefer is not None and prefer in candidates else fullest
         overruled += 0 < len(done) < len(found)
-        quantities = zip(EXACT_QUANTITIES, zip(*done.values(), strict=True), strict=False)
-        if different := tuple(name for name, values in quantities if len(set(values)) > 1):
+        quantities = {name: set(values) for name, *values in zip(EXACT_QUANTITIES, *done.values(), strict=False)}
+        lacking |= {name for name, values in quantities.items() if None in values and len(values) > 1}
+        if different := tuple(name for name, values in quantities.items() if len(values - {None}) > 1):
             conflicts.append(
                 Conflict(key, {source: values[0] or math.nan for source, values in done.items()}, different)
             )
@@ -169,6 +175,7 @@ def _merge_campaigns(sources: Sequence[Store], target: Store, prefer: int | None
         shared=shared,
         overruled=overruled,
         conflicts=tuple(conflicts),
+        lacking=tuple(name for name in EXACT_QUANTITIES if name in lacking),
     )
     if conflicts and prefer is None:
         return merged

@@ -44,6 +44,8 @@ def _merge_lines(merged: "Merged", sources: list[str], out: Path) -> list[str]:
     ]
     if merged.shared:
         lines.append(f"  {merged.shared} cells were in several databases with the same values")
+    if merged.lacking:
+        lines.append(f"  Quantities that a database lacks were not compared: {', '.join(merged.lacking)}")
     if merged.overruled:
         lines.append(f"  {merged.overruled} cells that went wrong in one database are done in another")
     if merged.conflicts:

@@ -58,6 +58,8 @@ def verify_command(
         counts = Counter(verification.agreement for verification in found)
         verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
         typer.echo(f"{pluralize(len(found), 'cell')}: {verdicts}.")
+        if lacking := dict.fromkeys(name for verification in found for name in verification.lacking):
+            typer.echo(f"Quantities that stored cells lack were not compared: {', '.join(lacking)}.")
     else:
         tell_rows([_verification_row(verification) for verification in found], layout)
     codes = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
@@ -118,6 +120,7 @@ def _verification_row(verification: "Verification") -> dict[str, Any]:
         "most_different": name,
         "relative_difference": size,
         "differences": dict(verification.differences),
+        "lacking": list(verification.lacking),
     }
 
 

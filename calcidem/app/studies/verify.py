@@ -37,6 +37,8 @@ chaos has touched, as contacts that slip or a packing made anew, differs by more
 _SHARES = ("coherence", "reading_error", "path_error", "expected_error", "error_bound")
 """Numbers that are relative as they are: a difference of small ones counts as it is, since rounding does not."""
 
+_VERIFIED = (*EXACT_QUANTITIES, "expected_error", "error_bound")
+
 _COUNTED = ("across", "along")
 """Velocities in whole counts: rounding may move one across the middle between two counts."""
 
@@ -58,8 +60,8 @@ class Verification:
     stored, computed
         Both outcomes.
     differences
-        What does not have the same bits, and how large its relative difference is: infinite where something is missing,
-        or is no number and another.
+        What does not have the same bits, and how large its relative difference is: infinite where something is no
+        longer there, or is no number and another. A quantity that the stored cell lacks is not compared.
     """
 
     stored: CellResult
@@ -78,6 +80,14 @@ class Verification:
     def most_different(self) -> str:
         """Name of the quantity that differs most, the first of equals; empty if none does."""
         return max(self.differences, key=lambda name: self.differences[name], default="")
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Names of quantities that the computed cell has and the stored one lacks: it may be older than they are."""
+        if self.stored.status is not self.computed.status:
+            return ()
+        there = [{n for n in _VERIFIED if getattr(cell, n) is not None} for cell in (self.stored, self.computed)]
+        return tuple(name for name in _VERIFIED if name in there[1] - there[0])
 
 
 def worst_agreement(found: Iterable[Verification]) -> Agreement:
@@ -144,11 +154,12 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
     """Give what differs among status and numbers, and by how much."""
     if stored.status != computed.status:
         yield "status", math.inf
-    for name in (*EXACT_QUANTITIES, "expected_error", "error_bound"):
+    for name in _VERIFIED:
         one, other = getattr(stored, name), getattr(computed, name)
-        if one is None or other is None:
-            if one is not other:
-                yield name, math.inf
+        if one is None:
+            continue
+        if other is None:
+            yield name, math.inf
         elif one != other:
             yield name, abs(other - one) / (1.0 if name in _SHARES else max(abs(one), abs(other)))
 

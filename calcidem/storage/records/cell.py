@@ -223,13 +223,12 @@ class CellResult:
     def from_values(cls, key: CellKey, values: Mapping[str, Any]) -> Self:
         """Build an outcome of its stored quantities and arrays by name; all others are left out.
 
-        Path features and graph summary are there as a whole or not at all; the first of their quantities is never
-        missing alone.
+        Path features and graph summary are there as a whole or not at all, but for quantities that were added later.
         """
         parts: dict[str, Any] = {name: values[name] for name in ARRAY_RECORDS if name in values}
         for field, kind in (("features", PathFeatures), ("graph", GraphSummary)):
             names = [quantity.name for quantity in quantities_of(kind)]
-            if values[names[0]] is not None:
+            if any(values[name] is not None for name in names):
                 parts[field] = kind(**{name: values[name] for name in names})
         return cls(key, **parts, **{quantity.name: values[quantity.name] for quantity in quantities_of(cls)})
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from older import leave_out
 
 from calcidem.app.campaign.merge import MergeConflictError, merge_databases
 from calcidem.app.campaign.opened import open_campaign
@@ -101,6 +102,19 @@ def test_another_number_of_broken_bonds_is_a_conflict(part: Callable[..., Path],
     first, other = (part(f"{count}.db", {1, 2}, broken_bonds=count) for count in (0, 2))
     with pytest.raises(MergeConflictError, match="different: broken_bonds"):
         merge_databases([str(first), str(other)], tmp_path / "none.db")
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_quantity_that_is_newer_than_a_database_is_no_conflict(
+    part: Callable[..., Path], invoke: Callable[..., str], tmp_path: Path, order: tuple[int, int]
+) -> None:
+    """It is named, and the cell that has it is taken, in whichever order the databases are given."""
+    sources = [leave_out(part("a.db", {1, 2})), part("b.db", {2, 3})]
+    output = invoke("merge", *(sources[i] for i in order), "--out", tmp_path / "out.db")
+    assert "5 cells were in several databases with the same values" in output
+    assert "Quantities that a database lacks were not compared: broken_bonds" in output
+    lacking = {key.seed for key, cell in results(tmp_path / "out.db").items() if cell.broken_bonds is None}
+    assert lacking == {1}
 
 
 def test_another_configuration_is_refused(part: Callable[..., Path], tmp_path: Path) -> None:
