@@ -109,6 +109,31 @@ def test_the_stated_deviations_are_those_of_repeated_fits() -> None:
     assert np.mean([fit.correlation[0, 1] for fit in found]) == pytest.approx(np.corrcoef(logs.T)[0, 1], abs=0.1)
 
 
+def restless(seeds: int, random: int) -> Callable[[list[dict[str, float]]], list[np.ndarray]]:
+    """Mean 100 a and deviation 20 a b; half of the variance is drawn anew at each point: contacts come and go."""
+    common = np.random.default_rng(random).normal(size=seeds)
+
+    def velocities(a: float, b: float) -> np.ndarray:
+        own = np.random.default_rng([random, int(1e6 * a), int(1e6 * b)]).normal(size=seeds)
+        drawn = (common + own) / 2**0.5
+        return (100 * a * (1 + 0.2 * b * drawn))[:, None]
+
+    return lambda tried: [velocities(**values) for values in tried]
+
+
+def test_noise_of_the_trials_counts() -> None:
+    """Though one round tells slopes badly, the stated deviations hold the truth nearly as often as they say."""
+    plan, scores = FitPlan([Target(0.5, 300.0, 120.0)], SYNTHETIC, range(20), tolerance=0.0), []
+    for random in range(200):
+        fit = _fit_to_targets(restless(20, random), plan, (2.5, 1.7))
+        errors = [np.log(fit.values[name] / truth) for name, truth in (("a", 3.0), ("b", 2.0))]
+        scores.append(
+            [error * fit.values[name] / fit.deviations[name] for name, error in zip("ab", errors, strict=True)]
+        )
+    within = np.mean(np.abs(scores) < 1.96, axis=0)
+    assert np.all(within > 0.8), within  # 0.95 if Vs were linear; 0.61 by the slopes of the last round
+
+
 def test_deviations_of_targets_widen_those_of_the_parameters() -> None:
     """A target from as many samples as there are seeds doubles the variance of what it decides."""
     measure = synthetic(40, 1, contents=1)

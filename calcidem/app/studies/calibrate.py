@@ -16,7 +16,7 @@ from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.kept_trials import KeptTrials
 from calcidem.app.studies.parameters import ParameterRange, check_ranges, start_value, with_values
-from calcidem.app.studies.posterior import draw_posterior
+from calcidem.app.studies.posterior import draw_posterior, linear_model
 from calcidem.app.studies.trials import check_cells, trial_workers
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
@@ -217,6 +217,11 @@ class _Fit:
         """Which seeds count at each content, (seeds, contents): those that have a velocity in every trial."""
         return np.asarray(np.isfinite(list(self.trials.values())).all(axis=0))
 
+    def near(self, point: Floats) -> list[Floats]:
+        """Trials near a point, within which Vs is linear in the logarithms of the parameters."""
+        trials = [np.frombuffer(key) for key in self.trials]
+        return [other for other in trials if np.abs(other - point).max() < _LINEAR_WITHIN]
+
     def deviation(self, point: Floats) -> Floats:
         """Logarithms of mean, and of standard deviation where there is a target, over their targets, (R,)."""
         found = []
@@ -370,10 +375,10 @@ def _fit_to_targets(
             freedom=fit.wanted - len(names),
             doubts=tuple(doubts),
         )
-    errors = fit.errors(point)
+    errors, moves = fit.errors(point), slopes.any(axis=0)
+    slopes, missed = _slopes_of_all(fit, point, slopes)
     inverse = np.linalg.pinv(slopes / errors[:, None]) / errors
-    covariance = inverse @ fit.covariance(point) @ inverse.T
-    moves = slopes.any(axis=0)
+    covariance = inverse @ (fit.covariance(point) + np.diag(missed)) @ inverse.T
     deviation = np.where(moves, np.sqrt(np.diag(covariance)), np.nan)
     doubts += [f"{names[i]} changes no Vs at these contents: leave it out" for i in np.flatnonzero(~moves)]
     at_limit = np.isclose(point[:, None], limits, atol=1e-6).any(axis=1)
@@ -402,12 +407,24 @@ def _fit_to_targets(
     )
 
 
+def _slopes_of_all(fit: _Fit, point: Floats, slopes: Floats) -> tuple[Floats, Floats]:
+    """Slopes (R, P) by all trials near a point, and the variance of a trial about them, (R,).
+
+    Noise of the few trials of one round makes slopes steeper, and so the deviations of the parameters too small. Where
+    the trials do not tell more, the slopes are those given.
+    """
+    near = fit.near(point)
+    with suppress(ValueError):
+        line, missed = linear_model(np.array(near), np.array([fit.deviation(other) for other in near]))
+        return line[1:].T, missed
+    return slopes, np.zeros(len(slopes))
+
+
 def _open_questions(
     fit: _Fit, point: Floats, limits: Floats
 ) -> tuple[list[tuple[float, float]], dict[tuple[float, str], tuple[float, float]]]:
     """Intervals of the parameters, and bands by content and what is wanted there; none where few trials are near."""
-    near = [np.frombuffer(key) for key in fit.trials]
-    near = [other for other in near if np.abs(other - point).max() < _LINEAR_WITHIN]
+    near = fit.near(point)
     wanted = [(target, of) for target, _ in fit.columns(point) for of in ("vs", "sd")[: 1 if target.sd is None else 2]]
     fresh, covariance = [], fit.covariance(point) + fit.tolerance**2 * np.eye(len(wanted))
     for target, vs in fit.columns(point):

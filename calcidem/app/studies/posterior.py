@@ -43,6 +43,19 @@ class Posterior:
         return np.exp(np.quantile(self.points, [(1 - level) / 2, (1 + level) / 2], axis=0))
 
 
+def linear_model(trials: Floats, statistics: Floats) -> tuple[Floats, Floats]:
+    """Statistics (T, R) as linear functions of trials (T, P): (1 + P, R) constants and slopes, and what is missed (R,).
+
+    That is the variance of a trial about the line. `ValueError` if the trials do not tell all slopes.
+    """
+    count, parameters = trials.shape
+    design = np.column_stack([np.ones(count), trials])
+    line, _, rank, _ = np.linalg.lstsq(design, statistics, rcond=None)
+    if rank <= parameters:
+        raise ValueError(f"trials = {count}: give {parameters + 1} or more that differ in every parameter")
+    return line, np.sum((statistics - design @ line) ** 2, axis=0) / max(1, count - parameters - 1)
+
+
 def draw_posterior(
     trials: Floats,
     statistics: Floats,
@@ -79,12 +92,7 @@ def draw_posterior(
     weights are those of the posterior over a wider Student's t around its mode (Robert & Casella 2004, chapter 3); the
     draws are then drawn again by them.
     """
-    count, parameters = trials.shape
-    design = np.column_stack([np.ones(count), trials])
-    line, _, rank, _ = np.linalg.lstsq(design, statistics, rcond=None)
-    if rank <= parameters:
-        raise ValueError(f"trials = {count}: give {parameters + 1} or more that differ in every parameter")
-    missed = np.sum((statistics - design @ line) ** 2, axis=0) / max(1, count - parameters - 1)
+    parameters, (line, missed) = trials.shape[1], linear_model(trials, statistics)
     inverse = np.linalg.inv(covariance + np.diag(missed))
     slopes = line[1:].T  # (R, P)
     spread = np.linalg.inv(slopes.T @ inverse @ slopes)
