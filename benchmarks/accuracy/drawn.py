@@ -19,7 +19,6 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementCapacityError, CementRule
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.error_estimate import STRONG_DAMPING
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.rule import WaveRule
@@ -120,8 +119,7 @@ def main() -> None:
             continue
         if not any(each.vs for each in coarse):
             continue
-        finest = 2.0 if experiment.wave.damping > STRONG_DAMPING else 4.0  # it is halved once more there
-        wave = replace(experiment.wave, precision="float64", step_fraction=experiment.wave.step_fraction / finest)
+        wave = replace(experiment.wave, precision="float64", step_fraction=experiment.wave.step_fraction / 4.0)
         exact = measure(replace(experiment, wave=wave), content, range(_SEEDS))
         pairs = (compared(one, fine) for one, fine in zip(coarse, exact, strict=True))
         found += [pair for pair in pairs if pair is not None]

@@ -11,7 +11,7 @@ from scenes import RADIUS as SCENE_RADIUS
 
 from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
 from calcidem.dem.engine.state import start
-from calcidem.dem.wave.error_estimate import ErrorParts, cure_of, error_bound, estimate_error
+from calcidem.dem.wave.error_estimate import ErrorParts, chatters, cure_of, error_bound, estimate_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity, slipped_force
 from calcidem.dem.wave.pulse import Pulse
@@ -186,6 +186,14 @@ def test_chatter_grows_with_damping_and_step(damping: float, fraction: float) ->
     record = replace(RECORD, stability_limit=RECORD.time_step / fraction)
     expected = 1.8e-2 * (damping / (1.0 - damping)) ** 3 * fraction**4
     assert parts(waves(EXPERIMENT, damping=damping), record).chatter == pytest.approx(expected)
+
+
+@given(st.floats(0.1, 0.7), st.floats(0.5, 1.9))
+def test_what_chatters_is_measured(damping: float, part: float) -> None:
+    """Above 500 of (a / (1 - a))^3 times the steps in a period."""
+    steps = part * 500.0 * ((1.0 - damping) / damping) ** 3
+    record = replace(RECORD, time_step=1.0 / (FREQUENCY * steps))
+    assert chatters(waves(EXPERIMENT, damping=damping), record) == (part > 1.0)
 
 
 def test_softening_counts_for_more_than_it_takes_where_slip_is_even() -> None:

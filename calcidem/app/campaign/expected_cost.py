@@ -9,7 +9,6 @@ import numpy as np
 from calcidem.app.config.checks import cutoff_estimate, disks_in_box, limit_of_mean_disks
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.error_estimate import STRONG_DAMPING
 from calcidem.dem.wave.first_look import WAVELENGTHS, expected_speed
 from calcidem.sweep.batch import Batch, Cell
 
@@ -86,7 +85,6 @@ def expected_cost(
         longer = _STEP_OVER_MEAN_DISKS if content > 0.0 else 1.0
         step = wave.step_fraction * longer * limit_of_mean_disks(configuration, cemented=content > 0.0)
         steps = _RECORDED_PART * (period + 1.5 * travel) / step
-        steps *= 3.0 if wave.damping > STRONG_DAMPING else 1.0  # then a wave is sent with the step and with half of it
         seconds += lanes * steps * disks * _SECONDS_OF_DISK_STEP[wave.regime] + _SECONDS_OF_CELL * len(batch.cells)
         cells += len(batch.cells)
     slower = _seconds_of_arithmetic() / _SECONDS_WHERE_MEASURED

@@ -23,7 +23,7 @@ _CLOSING = 0.5  # over `WaveRecord.closing_gaps`
 _SINGLE_PRECISION = 1.0e-3
 _ROUNDING = 5.0  # over the rounding of contact forces in single precision over the force of the received wave
 _CHATTER = 1.8e-2  # see `_chatter_error`
-STRONG_DAMPING = 0.5  # local damping above which chatter follows no law: it is measured with twice the step
+_UNRULY = 500.0  # see `chatters`
 _UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
 _BREAKING = 2.0  # see `_breaking_error`
 
@@ -224,12 +224,23 @@ def _chatter_error(experiment: Experiment, record: WaveRecord) -> float:
     Local damping of factor a takes the part 1 - a or 1 + a of a force, by the sign of the velocity. Near the stability
     limit the velocities of the stiffest contacts turn over at almost every step, and how often they do decides what is
     left of the wave. In lattices the error rose about as the cube of ``a / (1 - a)`` and steeply with the step
-    (docs/stability.md, "Drawn at random"). Above `STRONG_DAMPING` with bonds far stiffer than the sand it is up to
-    thirty times as large, so that there `measurement.measure` compares two steps.
+    (docs/stability.md, "Drawn at random"), unless a sample `chatters`.
     """
     damping = experiment.wave.damping
     strong, coarse = damping / (1.0 - damping), record.time_step / record.stability_limit
     return float(_CHATTER * (strong * strong * strong) * (coarse * coarse) * (coarse * coarse))
+
+
+def chatters(experiment: Experiment, record: WaveRecord) -> bool:
+    """Whether the stiffest contacts turn over so often in a period that chatter may be far above its law.
+
+    Then its error has to be measured with another step. Where ``(a / (1 - a))^3`` times the steps in a period was below
+    600 no velocity was off by more than twice its bound, above 1000 every seventh was (docs/accuracy.md, "Scenes drawn
+    at random"); presets have 240 at most.
+    """
+    damping = experiment.wave.damping
+    strong, period = damping / (1.0 - damping), 1.0 / (record.section.frequency * record.time_step)
+    return strong * strong * strong * period > _UNRULY
 
 
 def _breaking_error(record: WaveRecord) -> float:

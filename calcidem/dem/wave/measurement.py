@@ -7,7 +7,7 @@ from time import perf_counter
 
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
-from calcidem.dem.wave.error_estimate import STRONG_DAMPING, NumericalError, cure_of, estimate_error
+from calcidem.dem.wave.error_estimate import NumericalError, chatters, cure_of, estimate_error
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Reading, ShearArrival, is_settled, read_section
@@ -93,7 +93,7 @@ def measure(
 ) -> tuple[Measurement, ...]:
     """Measure the samples of several seeds at one content, side by side.
 
-    With damping above `STRONG_DAMPING` the wave is sent again with half the step, whose velocity counts.
+    Through a sample that `chatters` the wave is sent again with half the step, whose velocity counts.
     `CementCapacityError` if the content is more than the sample can hold.
 
     Parameters
@@ -126,10 +126,14 @@ def measure(
     bonded = [cement.bonded for cement in placed]
     records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
     results = [interpret_record(experiment, record) for record in records]
-    if experiment.wave.damping > STRONG_DAMPING:
+    unruly = [sample for sample, record in enumerate(records) if chatters(experiment, record)]
+    if unruly:
         finer = replace(experiment, wave=replace(experiment.wave, step_fraction=0.5 * experiment.wave.step_fraction))
-        records = send_waves(finer, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
-        results = [interpret_record(finer, *pair) for pair in zip(records, results, strict=True)]
+        again = send_waves(
+            finer, [bonded[sample] for sample in unruly], frequency, stop_when=stop_when, lanes=lanes, check=check
+        )
+        for sample, record in zip(unruly, again, strict=True):
+            records[sample], results[sample] = record, interpret_record(finer, record, results[sample])
     seconds = (perf_counter() - seconds_compiling() - began) / len(seeds)
     return tuple(
         Measurement(seed, content, result, frequency, cement, record, seconds)
