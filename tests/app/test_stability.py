@@ -185,7 +185,7 @@ def test_bonds_that_break_are_reported_after_one_retry() -> None:
 
 def test_chatter_counts_what_half_of_the_step_changes() -> None:
     """Where contacts chatter the velocity is that of half of the step, and its change by it is a part of its bound."""
-    scene = Extreme(damping=0.45)
+    scene = Extreme(damping=0.66, content=0.3, contrast=100.0)
     strong = experiment_of_scene(scene)
     content = content_of(scene, strong)
     found = measure(strong, content, [1], lanes=1)[0]

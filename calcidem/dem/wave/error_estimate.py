@@ -224,23 +224,22 @@ def _chatter_error(experiment: Experiment, record: WaveRecord) -> float:
     Local damping of factor a takes the part 1 - a or 1 + a of a force, by the sign of the velocity. Near the stability
     limit the velocities of the stiffest contacts turn over at almost every step, and how often they do decides what is
     left of the wave. In lattices the error rose about as the cube of ``a / (1 - a)`` and steeply with the step
-    (docs/stability.md, "Drawn at random"), unless a sample `chatters`.
+    (docs/stability.md, "Drawn at random"), where nothing `chatters`.
     """
     damping = experiment.wave.damping
     strong, coarse = damping / (1.0 - damping), record.time_step / record.stability_limit
     return float(_CHATTER * (strong * strong * strong) * (coarse * coarse) * (coarse * coarse))
 
 
-def chatters(experiment: Experiment, record: WaveRecord) -> bool:
-    """Whether the stiffest contacts turn over so often in a period that chatter may be far above its law.
+def chatters(damping: float, contrast: float) -> bool:
+    """Whether local damping of contacts so much stiffer than others may change a signal far more than by its law.
 
-    Then its error has to be measured with another step. Where ``(a / (1 - a))^3`` times the steps in a period was below
-    600 no velocity was off by more than twice its bound, above 1000 every seventh was (docs/accuracy.md, "Scenes drawn
-    at random"); presets have 240 at most.
+    Then its error has to be measured with another step: where ``(a / (1 - a))^3`` times the contrast of stiffness
+    (`propagation.stiffness_contrast`) was above 500, velocities were wrong in silence, below it none was
+    (docs/accuracy.md, "Scenes drawn at random"). The presets have 10 to 220.
     """
-    damping = experiment.wave.damping
-    strong, period = damping / (1.0 - damping), 1.0 / (record.section.frequency * record.time_step)
-    return strong * strong * strong * period > _UNRULY
+    strong = damping / (1.0 - damping)
+    return strong * strong * strong * contrast > _UNRULY
 
 
 def _breaking_error(record: WaveRecord) -> float:

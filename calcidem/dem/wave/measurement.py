@@ -9,7 +9,7 @@ from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.error_estimate import NumericalError, chatters, cure_of, estimate_error
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import send_waves
+from calcidem.dem.wave.propagation import send_waves, stiffness_contrast
 from calcidem.dem.wave.reading import Reading, ShearArrival, is_settled, read_section
 from calcidem.dem.wave.recorder import WaveRecord
 
@@ -126,7 +126,8 @@ def measure(
     bonded = [cement.bonded for cement in placed]
     records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
     results = [interpret_record(experiment, record) for record in records]
-    unruly = [sample for sample, record in enumerate(records) if chatters(experiment, record)]
+    damping = experiment.wave.damping
+    unruly = [i for i, record in enumerate(records) if chatters(damping, stiffness_contrast(experiment, record))]
     if unruly:
         finer = replace(experiment, wave=replace(experiment.wave, step_fraction=0.5 * experiment.wave.step_fraction))
         again = send_waves(

@@ -181,6 +181,12 @@ def refuse_unfit_samples(
         prepare_recorder(experiment, bonded, frequency, lanes, lambda: None)
 
 
+def stiffness_contrast(experiment: Experiment, record: WaveRecord) -> float:
+    """How much stiffer the contacts are that set the step of a sample than those of the packing without cement."""
+    ratio = _limit_of_all_patterns(experiment, cemented=False) / record.stability_limit
+    return ratio * ratio
+
+
 def _refuse_short_pulse(step: float, frequency: float) -> None:
     require(
         step * frequency * FEWEST_SAMPLES <= 1.0,
