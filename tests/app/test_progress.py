@@ -54,6 +54,10 @@ def tell_a_story(display: ProgressDisplay) -> None:
     reporter = ProgressReporter(display)
     reporter.on_packing(PackingStage(2, 5, 4000, 0.5, 1e-6, 0.1))
     reporter.begin(RunStage.COMPILING)
+    time.sleep(0.25)  # longer than the pause between two pictures
+    reporter.on_compiling("samples with cement (1 of 2)", "wall_forces", 23)
+    if isinstance(display, LiveDisplay):
+        display.refresh()
     reporter.on_start(BATCHES, workers=2)
     results = (Result(CellStatus.DONE), Result(CellStatus.NO_ARRIVAL))
     reporter.on_outcome(BatchOutcome(BATCHES[0], PLACE, 10.0, results=results))
@@ -73,6 +77,7 @@ def test_lines_tell_what_matters() -> None:
     tell_a_story(LineDisplay(Console(file=stream, width=60), shortest=0.0))
     text = stream.getvalue()
     assert "compiling the kernels" in text
+    assert "the kernel for samples with cement (1 of 2), 23 functions finished, now wall_forces" in text
     assert "6 cells in 3 batches on 2 workers" in text
     assert "failed: seed 1, 2.55 %, seed 2, 2.55 % on rank 2 (node7): ZeroDivisionError: on order" in text
     assert "lost rank 2 (node7): its process ended" in text
@@ -96,7 +101,16 @@ def test_the_picture_shows_counts_and_time_left() -> None:
     stream = io.StringIO()
     with LiveDisplay(Console(file=stream, force_terminal=True, width=120), by_itself=False) as display:
         tell_a_story(display)
-    for words in ("4 of 6 cells (67 %)", "30 s left", "1 no arrival", "0 %: 2/2", "9 %: 0/2", "1 of 1 worker busy"):
+    for words in (
+        "samples with cement (1 of 2)",
+        "now wall_forces",
+        "4 of 6 cells (67 %)",
+        "30 s left",
+        "1 no arrival",
+        "0 %: 2/2",
+        "9 %: 0/2",
+        "1 of 1 worker busy",
+    ):
         assert words in re.sub(r"\x1b\[[0-9;]*m", "", stream.getvalue()), words
 
 

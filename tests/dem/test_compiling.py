@@ -24,3 +24,14 @@ def test_compiled_code_of_other_sources_is_not_even_opened(tmp_path: Path, monke
         function = compiling.compile_function(cache=True)(importlib.reload(module).add)
         assert function(1) == 2
         assert sum(function.stats.cache_hits.values()) == hits
+
+
+def test_functions_that_are_compiled_are_told() -> None:
+    """Each is named as it begins, with the number of those that are finished; what is compiled already is not told."""
+    told: list[tuple[str, int]] = []
+    double = compiling.compile_function()(lambda x: 2 * x)
+    with compiling.watch_compiling(lambda *told_now: told.append(told_now)):
+        assert [double(3), double(4), double(5.0)] == [6, 8, 10.0]
+    assert told == [("<lambda>", 0), ("<lambda>", 1)]
+    assert double(1j) == 2j
+    assert len(told) == 2

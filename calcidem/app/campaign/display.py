@@ -94,7 +94,7 @@ class LineDisplay(SilentDisplay):
         if progress.stage is not self._stage:
             self._stage, self._pause = progress.stage, self._shortest
             self._next = time.monotonic() + self._pause
-            if progress.stage is RunStage.COMPILING:  # there is no progress of it for up to half a minute
+            if progress.stage is RunStage.COMPILING:
                 self.note("compiling the kernels, or taking them from the cache")
         elif time.monotonic() >= self._next:
             self._pause = min(1.5 * self._pause, self._longest)
@@ -229,7 +229,10 @@ def _described(progress: RunProgress) -> list[str]:
         case RunStage.PACKING:
             return list(_describe_packing(progress))
         case RunStage.COMPILING:
-            return ["the kernels, for this kind of processor", "once; then they are taken from a cache"]
+            if not progress.kernel:
+                return ["the kernels, for this kind of processor", "once; then they are taken from a cache"]
+            functions = pluralize(progress.functions, "function")
+            return [f"the kernel for {progress.kernel}", f"{functions} finished, now {progress.function}"]
         case RunStage.COMPUTING:
             percent = 100.0 * progress.finished / max(progress.total, 1)
             outcomes = [f"{number} {name.replace('_', ' ')}" for name, number in progress.outcomes.items()]

@@ -49,6 +49,8 @@ class RunProgress:
         Of a packing: radius step that is being taken, from 1, and their number; one more than it while the lid presses.
     time_steps, unbalanced_ratio, target_ratio, fraction
         Of a packing: time steps so far, unbalanced-force ratio now and at rest, part of the work that may be done.
+    kernel, function, functions
+        Of compiling: which kernel, its function that is compiled now, and how many of its functions are finished.
     finished, total
         Cells with an outcome, of those that this run computes.
     outcomes
@@ -68,6 +70,9 @@ class RunProgress:
     unbalanced_ratio: float | None = None
     target_ratio: float | None = None
     fraction: float = 0.0
+    kernel: str = ""
+    function: str = ""
+    functions: int = 0
     finished: int = 0
     total: int = 0
     outcomes: Mapping[str, int] = field(default_factory=dict)
@@ -141,6 +146,10 @@ class ProgressReporter(Progress):
                 fraction=packing.fraction,
             )
         )
+
+    def on_compiling(self, kernel: str, function: str, functions: int) -> None:
+        """Tell which function of a kernel is compiled, and how many are finished."""
+        self._tell(RunProgress(RunStage.COMPILING, kernel=kernel, function=function, functions=functions))
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Begin to count cells."""

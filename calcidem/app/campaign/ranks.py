@@ -105,7 +105,7 @@ def _lead(
         if orders.anything_to_do:
             reporter.begin(RunStage.COMPILING)
         if executor is None:
-            _compile_on_nodes(session, orders)
+            _compile_on_nodes(session, orders, reporter.on_compiling)
         try:
             work.end = run_sweep(
                 executor or session.comm,
@@ -148,7 +148,12 @@ def _end_in_haste(stop_request: StopRequest) -> None:
         raise SweepInterrupted
 
 
-def _compile_on_nodes(session: Session, orders: _Orders) -> None:
-    """Have each kernel compiled by one rank of each node, so that no cell's cost or time limit has it."""
+def _compile_on_nodes(
+    session: Session, orders: _Orders, tell: Callable[[str, str, int], object] = lambda *_: None
+) -> None:
+    """Have each kernel compiled by one rank of each node, so that no cell's cost or time limit has it.
+
+    The first rank of a node has the largest one, so how far rank 0 is tells how far all are.
+    """
     if orders.anything_to_do:
-        session.share_on_node(kernel_compilations(orders.configuration, orders.packing))
+        session.share_on_node(kernel_compilations(orders.configuration, orders.packing, tell))

@@ -109,7 +109,7 @@ def run(
             if work.batches:
                 reporter.begin(RunStage.COMPILING)
                 if executor is None:
-                    for compile_kernel in kernel_compilations(configuration, work.packing):
+                    for compile_kernel in kernel_compilations(configuration, work.packing, reporter.on_compiling):
                         compile_kernel()
             work.end = run_sweep(
                 executor,

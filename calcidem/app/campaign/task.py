@@ -21,10 +21,10 @@ from calcidem.app.campaign.patterns import pattern_of, stored_section
 from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
+from calcidem.dem.kernels.compiling import watch_compiling
 from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.dem.wave.measurement import Measurement, measure
@@ -52,7 +52,10 @@ _SEEDS_REMEMBERED = 64
 """Seeds whose cement is not drawn again for each content; 0.3 MB each. Batches of the same seeds follow each other."""
 
 _AFTER_FIRST_CHUNK = 2
-"""Call of the check by which the kernel has run once."""
+"""Call of the check by which the kernel has run once; there is one more where samples settle first."""
+
+_AT_REST_AT_ONCE = 1e300
+"""Unbalanced-force ratio below which every sample is."""
 
 
 @dataclass(frozen=True)
@@ -275,30 +278,39 @@ class EnoughSeenError(Exception):
     """Ends a measurement that was only made to have the kernel compiled."""
 
 
-def kernel_compilations(configuration: Configuration, packing: Packing) -> list[Callable[[], None]]:
-    """Functions that compile the kernels of the campaign, in any order: samples that are started and ended at once."""
+def kernel_compilations(
+    configuration: Configuration, packing: Packing, tell: Callable[[str, str, int], object] = lambda *_: None
+) -> list[Callable[[], None]]:
+    """Functions that compile the kernels of the campaign, in any order: samples that are started and ended at once.
+
+    ``tell`` hears of each function that is compiled: which kernel it is a part of, its name, and how many are finished.
+    """
     experiment = configuration.experiment(packing)
+    # Samples settle at their first look, so that the kernel of their wave is compiled, too.
+    experiment = replace(experiment, wave=replace(experiment.wave, unbalanced_force_ratio=_AT_REST_AT_ONCE))
     seed, lanes = configuration.campaign.seed_numbers[0], configuration.run.lanes
     contents = configuration.campaign.contents
-    experiments = [replace(experiment, installation="preserve")]
-    if experiment.installation != "preserve":
-        experiments.append(replace(experiment, wave=replace(experiment.wave, most_settling_steps=1)))
+    kernels = [("samples with cement", max(contents))] if max(contents) > 0.0 else []
+    kernels += [("samples without cement", 0.0)] if 0.0 in contents else []
+    names = [f"{name} ({number} of {len(kernels)})" for number, (name, _) in enumerate(kernels, 1)]
     return [
-        partial(_run_first_chunk, chosen, content, seed, lanes)
-        for chosen in experiments
-        for content in sorted({max(contents), min(contents)}, reverse=True)
+        partial(_run_first_chunk, experiment, content, seed, lanes, partial(tell, name))
+        for name, (_, content) in zip(names, kernels, strict=True)
     ]
 
 
-def _run_first_chunk(experiment: Experiment, content: float, seed: int, lanes: int) -> None:
-    """Measure one sample until the kernel has run once."""
+def _run_first_chunk(
+    experiment: Experiment, content: float, seed: int, lanes: int, tell: Callable[[str, int], object]
+) -> None:
+    """Measure one sample until the kernel of its wave has run once."""
     calls = 0
+    settles = content > 0.0 and experiment.installation != "preserve"
 
     def check() -> None:
         nonlocal calls
         calls += 1
-        if calls == _AFTER_FIRST_CHUNK:
+        if calls == _AFTER_FIRST_CHUNK + settles:
             raise EnoughSeenError
 
-    with contextlib.suppress(EnoughSeenError, SettlingError):
+    with contextlib.suppress(EnoughSeenError), watch_compiling(tell):
         measure(experiment, content, [seed], lanes=lanes, check=check)

@@ -1,6 +1,7 @@
 """How the functions of the kernel are compiled."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,6 +20,27 @@ event.register("numba:compiler_lock", _COMPILING)  # type: ignore[no-untyped-cal
 def seconds_compiling() -> float:
     """Seconds that this process has spent on compiling functions, or on loading them from the cache on disk."""
     return float(_COMPILING.duration) if _COMPILING.done else 0.0
+
+
+class _Watch(event.Listener):
+    """Hears of each function as it begins to be compiled; of those that are taken from the cache it does not."""
+
+    def __init__(self, tell: Callable[[str, int], object]) -> None:
+        self._tell, self._done = tell, 0
+
+    def on_start(self, event: event.Event) -> None:
+        self._tell(event.data["dispatcher"].py_func.__name__, self._done)
+
+    def on_end(self, event: event.Event) -> None:
+        del event
+        self._done += 1
+
+
+@contextmanager
+def watch_compiling(tell: Callable[[str, int], object]) -> Iterator[None]:
+    """Tell the name of each function that begins to be compiled meanwhile, and how many are finished."""
+    with event.install_listener("numba:compile", _Watch(tell)):
+        yield
 
 
 SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))).hexdigest()

@@ -124,7 +124,8 @@ def _bare_sample(experiment: Experiment, features: Features, skin: float) -> tup
     if not features.linear and experiment.installation == "preserve":
         # Local damping would work on what the packing left unbalanced as on the wave: constant loads hold it. They are
         # the packing's: neither cement nor time step of a sample may round them, since all lanes share them.
-        unloaded = _start_at_rest(experiment, scene, features, skin, single)
+        # It is read with loads of zero, which round nothing: the kernel without loads would be compiled for this alone.
+        unloaded = _start_at_rest(experiment, scene, replace(features, loads=True), skin, single)
         scene = replace(scene, load=-net_forces(replace(unloaded, time_step=np.full(features.lanes, _EXACT_STEP))))
     return single, scene
 
