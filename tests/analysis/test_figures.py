@@ -2,6 +2,7 @@
 
 import struct
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 from string import ascii_lowercase
 
@@ -17,7 +18,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableErr
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure, load_arrival, published_velocities
 from calcidem.analysis.figures.relations import _law_text, _symbol
-from calcidem.analysis.figures.samples import draw_preferential_paths
+from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import _received_peak_index
 from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range
 from calcidem.app.campaign.opened import open_campaign
@@ -121,6 +122,22 @@ def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> Non
     assert np.allclose(line.get_xdata(), 1e3 * analysis.store.packing().x[grains])
     rings = next(line for line in axes.lines if line.get_marker() == "o")
     assert len(rings.get_xdata()) == sample.features.path_hertz_contacts
+
+
+@pytest.mark.parametrize(("width", "length"), [(100.0, 20.0), (22.0, 5.0), (4.5, 1.0), (0.04, 0.01), (1500.0, 200.0)])
+def test_a_scale_bar_has_a_round_length(width: float, length: float) -> None:
+    """It is 1, 2 or 5 times a power of ten, and at most a quarter of the picture."""
+    assert style.round_length(width) == pytest.approx(length)
+
+
+def test_fine_grains_are_drawn_as_coarse_ones(analysis: CampaignAnalysis) -> None:
+    """The picture of a sample a hundred times as small is the same, but for the label of its scale bar."""
+    graph, sample = analysis.graphs[0], analysis.measured_samples(2.55)[0]
+    lengths = {name: 0.01 * getattr(graph.packing, name) for name in ("x", "y", "radius", "width", "height")}
+    fine = replace(graph, packing=replace(graph.packing, **lengths))
+    for draw in (draw_preferential_paths, draw_cemented_samples):
+        for large, small in zip(draw(graph, [sample]).axes, draw(fine, [sample]).axes, strict=True):
+            assert np.allclose(large.axis(), 100.0 * np.array(small.axis()))
 
 
 def test_the_way_of_the_wave_is_the_distance_of_its_velocities(analysis: CampaignAnalysis) -> None:

@@ -15,7 +15,17 @@ from PIL import Image
 
 from calcidem.analysis.figures.grains import draw_bands, draw_frame
 from calcidem.analysis.figures.signals import Arrival, draw_signal_pair
-from calcidem.analysis.figures.style import BLACK, CORRELATION_MAP, MM, MS, PALE, apply_style, new_figure, strip_axes
+from calcidem.analysis.figures.style import (
+    BLACK,
+    CORRELATION_MAP,
+    MM,
+    MS,
+    PALE,
+    PICTURE_MARGIN,
+    apply_style,
+    new_figure,
+    strip_axes,
+)
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.records import PackingRecord
 
@@ -31,7 +41,6 @@ _COLOURED = 0.999
 """Of all velocities; those above, of a few disks that rattle, have the last colour."""
 _DOTS = 90
 _MOVIE_RATE = 15
-_MARGIN_MM = 1.5
 
 
 class _SmallGifWriter(PillowWriter):
@@ -112,7 +121,7 @@ def draw_film(
     draw_bands(sample, packing, *half_widths)
     strip_axes(sample)
     sample.set_aspect("equal")
-    sample.set_xlim(-_MARGIN_MM, packing.width * MM + _MARGIN_MM)
+    sample.set_xlim(-PICTURE_MARGIN * packing.width * MM, (1.0 + PICTURE_MARGIN) * packing.width * MM)
     sample.set_ylim(low, high)
     sample.set_title(f"seed {arrival.seed} at {arrival.content:g} %")
     bar = figure.colorbar(moving, ax=sample, label="velocity along y (m/s)", shrink=0.7, extend="both")

@@ -16,6 +16,7 @@ from calcidem.analysis.figures.style import (
     GREEN,
     MM,
     P_CEMENT,
+    PICTURE_MARGIN,
     PURPLE,
     SAND_GRAIN,
     VERMILION,
@@ -76,8 +77,9 @@ def draw_grains(
     strip_axes(axes)
     axes.set_aspect("equal")
     bottom, top = max(low, 0.0) * MM, min(high, packing.height) * MM
-    axes.set_xlim(-1.5, packing.width * MM + 1.5)
-    axes.set_ylim(bottom - 1.5, top + 1.5)
+    margin = PICTURE_MARGIN * packing.width * MM
+    axes.set_xlim(-margin, packing.width * MM + margin)
+    axes.set_ylim(bottom - margin, top + margin)
 
 
 def draw_frame(axes: Axes, packing: PackingRecord) -> None:

@@ -23,7 +23,7 @@ from calcidem.analysis.figures.style import (
     SAND_GRAIN,
     VERMILION,
     apply_style,
-    draw_scale_bar,
+    draw_scale,
     letter_panels,
     new_figure,
 )
@@ -31,6 +31,11 @@ from calcidem.analysis.packing_graph import PackingGraph
 
 _PANEL_WIDTH = 3.4
 """Width in inches of a panel with a path; its text stands beside."""
+
+_DETAIL = 8.5
+"""Half of the width of an enlarged part, in mean radii."""
+_MARGIN, _LEAST_HEIGHT = 0.12, 0.3
+"""What is shown around paths, and to each side of the middle, over the width of the sample."""
 
 _SAND_KEY = Patch(facecolor=SAND_GRAIN, label="sand grain")
 _CLUSTER_KEY = Patch(facecolor=CLUSTER_GRAIN, label="grain in a C cluster")
@@ -44,7 +49,7 @@ _BARE_KEY = Line2D([], [], markersize=4.5, label="uncemented contact on it", **R
 def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]) -> Figure:
     """Draw two to four samples of one seed side by side, and below each an enlarged part (Figs. 2c, 2d and 5)."""
     packing = graph.packing
-    middle, half = packing.height / 2, min(0.011, packing.height / 4)
+    middle, half = packing.height / 2, min(_DETAIL * float(packing.radius.mean()), packing.height / 4)
     figure = new_figure(height=7.6)
     detail_share = 1.05 * packing.width / packing.height  # of the height of a whole sample, for a square as wide
     grid = figure.subplots(
@@ -66,8 +71,8 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]
             spine.set_linewidth(1.1)
             spine.set_edgecolor(BLACK)
     letter_panels(grid.ravel())
-    draw_scale_bar(grid[0][0], 0.0, -4.0, 20.0, "20 mm")
-    draw_scale_bar(grid[1][0], left * MM, (middle - half) * MM - 0.7, 5.0, "5 mm")
+    draw_scale(grid[0][0], 0.0, 0.0, packing.width * MM)
+    draw_scale(grid[1][0], left * MM, (middle - half) * MM, 2 * half * MM)
     figure.legend(handles=[_SAND_KEY, _CLUSTER_KEY, _P_KEY, _C_KEY], loc="outside lower center", ncols=4)
     return figure
 
@@ -91,8 +96,8 @@ def draw_measurement(
         scene.add_patch(
             Rectangle((0, bottom), width, damped_layer * MM, facecolor=GREY, alpha=0.45, linewidth=0, zorder=3)
         )
-        label = "strongly\ndamped layer"
-        scene.text(width / 2, bottom + damped_layer * MM / 2, label, ha="center", va="center", zorder=4)
+        place = (width / 2, bottom + damped_layer * MM / 2)
+        scene.text(*place, "strongly damped", ha="center", va="center", fontsize=7, zorder=4)
     draw_frame(scene, packing)
     draw_bands(scene, packing, transmitter_half_width, receiver_half_width)
     scene.set_xlim(-0.32 * width, 1.32 * width)
@@ -102,7 +107,7 @@ def draw_measurement(
     scene.text(-0.14 * width, height / 2, "transmitter", rotation=90, ha="right", va="center", color=VERMILION)
     scene.text(1.07 * width, height / 2, "receiver", rotation=270, ha="left", va="center", color=GREEN)
     _draw_way(scene, graph, None if arrival is None else arrival.distance)
-    draw_scale_bar(scene, 0.0, -4.0, 0.2 * width, f"{0.2 * width:g} mm")
+    draw_scale(scene, 0.0, 0.0, width)
     if arrival is None:
         signals.set_axis_off()
     else:
@@ -135,9 +140,9 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
     """Draw samples of one content, from slow to fast, with the path that the wave prefers (Fig. 12)."""
     packing = graph.packing
     heights = np.concatenate([packing.y[list(sample.path.grains)] for sample in samples])
-    margin = 0.012
-    low = max(0.0, min(float(heights.min()) - margin, packing.height / 2 - 0.03))
-    high = min(packing.height, max(float(heights.max()) + margin, packing.height / 2 + 0.03))
+    margin, least = _MARGIN * packing.width, _LEAST_HEIGHT * packing.width
+    low = max(0.0, min(float(heights.min()) - margin, packing.height / 2 - least))
+    high = min(packing.height, max(float(heights.max()) + margin, packing.height / 2 + least))
     figure = new_figure(height=0.9 + len(samples) * _PANEL_WIDTH * (high - low) / packing.width)
     panels = figure.subplots(len(samples), 1, squeeze=False)[:, 0]
     for axes, sample in zip(panels, samples, strict=True):
@@ -156,7 +161,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
         )
         axes.text(1.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", linespacing=1.5)
     letter_panels(panels)
-    draw_scale_bar(panels[-1], 0.0, low * MM - 2.5, 20.0, "20 mm")
+    draw_scale(panels[-1], 0.0, low * MM, packing.width * MM)
     figure.legend(
         handles=[_SAND_KEY, _CLUSTER_KEY, _P_KEY, _C_KEY, _PATH_KEY, _BARE_KEY], loc="outside lower center", ncols=3
     )

@@ -1,5 +1,6 @@
 """One look for all figures: colours, sizes, units, and how a figure is written to files."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -31,6 +32,11 @@ PALE = "#d9dde1"
 MM = MS = 1e3
 KHZ = 1e-3
 """Millimetres in a metre, milliseconds in a second, kilohertz in a hertz."""
+
+PICTURE_MARGIN = 0.015
+"""Margin around a picture of a sample, over the width of the sample."""
+_BAR_BELOW = 0.04
+"""Distance of a scale bar from its picture, over the width of the picture."""
 
 SAND_GRAIN = "#d3e0ea"
 CLUSTER_GRAIN = "#f6c667"
@@ -162,12 +168,14 @@ def strip_axes(axes: Axes) -> None:
         spine.set_visible(False)
 
 
-def draw_scale_bar(axes: Axes, x: float, y: float, length: float, text: str) -> None:
-    """Draw a scale bar; position and length in data units."""
-    axes.plot([x, x + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
+def draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
+    """Draw a scale bar below a picture of this width whose lower left corner is given; all in mm, the data's unit."""
+    length = round_length(width)
+    y = low - _BAR_BELOW * width
+    axes.plot([left, left + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
     axes.annotate(
-        text,
-        (x + length / 2, y),
+        f"{length:g} mm",
+        (left + length / 2, y),
         xytext=(0, -3),
         textcoords="offset points",
         ha="center",
@@ -175,6 +183,12 @@ def draw_scale_bar(axes: Axes, x: float, y: float, length: float, text: str) -> 
         fontsize=8.0,
         annotation_clip=False,
     )
+
+
+def round_length(width: float) -> float:
+    """Give the largest of 1, 2 and 5 times a power of ten that is at most a quarter of a width."""
+    power = 10.0 ** math.floor(math.log10(0.25 * width))
+    return max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= 0.25 * width)
 
 
 def render(figure: Figure, file_format: str, colours: int | None = None) -> bytes:

@@ -19,7 +19,6 @@ from calcidem.analysis.figures.style import (
     BLUE,
     CONTENT_LABEL,
     CONTENT_MAP,
-    GREEN,
     GREY,
     ORANGE,
     SEQUENCE,
@@ -155,7 +154,7 @@ def _draw_measured(axes: Axes, measured: Sequence[Target]) -> None:
             fmt="s",
             markersize=5,
             markerfacecolor="white",
-            color=GREEN,
+            color=BLACK,
             elinewidth=1.2,
             capsize=3,
             zorder=5,
@@ -215,7 +214,7 @@ def draw_histograms(
         axes.set_title(f"{row.content:g} %")
         for target in measured:
             if math.isclose(target.content, row.content, abs_tol=1e-6):
-                axes.axvline(target.vs, color=GREEN, linewidth=1.5, linestyle="--")
+                axes.axvline(target.vs, color=BLACK, linewidth=1.5, linestyle="--")
     letter_panels(panels[: len(rows)], fontsize=8.5, pad=19.0)  # numbers stand below
     for axes in panels[len(rows) :]:
         axes.set_axis_off()
