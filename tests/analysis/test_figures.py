@@ -127,7 +127,7 @@ def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> Non
 @pytest.mark.parametrize(("width", "length"), [(100.0, 20.0), (22.0, 5.0), (4.5, 1.0), (0.04, 0.01), (1500.0, 200.0)])
 def test_a_scale_bar_has_a_round_length(width: float, length: float) -> None:
     """It is 1, 2 or 5 times a power of ten, and at most a quarter of the picture."""
-    assert style.round_length(width) == pytest.approx(length)
+    assert style._round_length(width) == pytest.approx(length)
 
 
 def test_fine_grains_are_drawn_as_coarse_ones(analysis: CampaignAnalysis) -> None:

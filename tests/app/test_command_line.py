@@ -154,6 +154,10 @@ def test_init_writes_what_run_reads_and_keeps_what_is_there(workshop: "Workshop"
     assert "seeds = 116" in (workshop.folder / "paper.toml").read_text(encoding="utf-8")
     assert workshop.run("init", "own.toml", "--grain-size", "1mm", "--stress", "20kPa", "--contents", "0,3").code == 0
     assert "2 contents = 8 cells" in workshop.run("run", "own.toml", "--check").output
+    lattice = [f"{column}.5e-3,{row}.5e-3,5e-4" for row in range(30) for column in range(30)]
+    (workshop.folder / "disks.csv").write_text("\n".join(["x,y,radius", *lattice]), encoding="utf-8")
+    assert workshop.run("init", "disks.toml", "--disks", "disks.csv").code == 0
+    assert "if its disks are loose" in workshop.run("run", "disks.toml", "--check").output
 
 
 def test_a_campaign_from_run_to_export(workshop: "Workshop", invoke: Callable[..., str]) -> None:

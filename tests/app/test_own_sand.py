@@ -10,7 +10,7 @@ import pytest
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.own_sand import MINERALS, OwnSand, own_sand_text, parse_quantity
+from calcidem.app.config.own_sand import MINERALS, OwnSand, own_sand_text, parse_quantity, read_own_disks
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation
 from calcidem.dem.sample.packing import Packing
@@ -49,6 +49,22 @@ def test_a_written_configuration_is_that_of_the_grain() -> None:
     higher = OwnSand(0.3e-3, 800e3, "quartz", (0.0,))
     assert higher.overlap == pytest.approx(4.0 * fine.overlap)
     assert higher.velocity == pytest.approx(2.0**0.5 * fine.velocity)
+
+
+def test_own_disks_are_written_with_lengths_of_their_box(tmp_path: Path) -> None:
+    """Box and grain are those of the file; the bands fit the height that loose disks have once they are compressed."""
+    place = np.stack(np.meshgrid(np.arange(0.5, 36.0), np.arange(0.5, 60.0)), axis=-1).reshape(-1, 2)
+    radius = np.resize([0.3, 0.4, 0.5], len(place))
+    write_disks_csv(*(1e-3 * place).T, 1e-3 * radius, tmp_path / "disks.csv")
+    disks = read_own_disks(tmp_path / "disks.csv", tmp_path / "elsewhere")
+    assert (disks.file, disks.count) == ("../disks.csv", 2160)
+    assert disks.width == pytest.approx(36e-3)
+    assert disks.height == pytest.approx(60e-3 * np.pi * np.mean(radius**2) / 0.8, rel=1e-3)
+    own = OwnSand(disks.diameters[1], 100e3, "quartz", (0.0, 2.0), disks)
+    (tmp_path / "elsewhere").mkdir()
+    written = read_configuration(tomllib.loads(own_sand_text(own)), folder=tmp_path / "elsewhere")
+    assert written.packing.diameter == pytest.approx((0.6e-3, 1e-3))
+    assert written.wave.transmitter_half_width == pytest.approx(0.45 * disks.height, rel=1e-3)
 
 
 def test_grain_sizes_and_stresses_have_units() -> None:

@@ -34,7 +34,7 @@ _PANEL_WIDTH = 3.4
 
 _DETAIL = 8.5
 """Half of the width of an enlarged part, in mean radii."""
-_MARGIN, _LEAST_HEIGHT = 0.12, 0.3
+_AROUND_PATH, _LEAST_HEIGHT = 0.12, 0.3
 """What is shown around paths, and to each side of the middle, over the width of the sample."""
 
 _SAND_KEY = Patch(facecolor=SAND_GRAIN, label="sand grain")
@@ -140,7 +140,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
     """Draw samples of one content, from slow to fast, with the path that the wave prefers (Fig. 12)."""
     packing = graph.packing
     heights = np.concatenate([packing.y[list(sample.path.grains)] for sample in samples])
-    margin, least = _MARGIN * packing.width, _LEAST_HEIGHT * packing.width
+    margin, least = _AROUND_PATH * packing.width, _LEAST_HEIGHT * packing.width
     low = max(0.0, min(float(heights.min()) - margin, packing.height / 2 - least))
     high = min(packing.height, max(float(heights.max()) + margin, packing.height / 2 + least))
     figure = new_figure(height=0.9 + len(samples) * _PANEL_WIDTH * (high - low) / packing.width)

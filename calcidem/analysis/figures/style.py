@@ -170,7 +170,7 @@ def strip_axes(axes: Axes) -> None:
 
 def draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
     """Draw a scale bar below a picture of this width whose lower left corner is given; all in mm, the data's unit."""
-    length = round_length(width)
+    length = _round_length(width)
     y = low - _BAR_BELOW * width
     axes.plot([left, left + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
     axes.annotate(
@@ -185,7 +185,7 @@ def draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
     )
 
 
-def round_length(width: float) -> float:
+def _round_length(width: float) -> float:
     """Give the largest of 1, 2 and 5 times a power of ten that is at most a quarter of a width."""
     power = 10.0 ** math.floor(math.log10(0.25 * width))
     return max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= 0.25 * width)

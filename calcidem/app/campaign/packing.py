@@ -78,7 +78,7 @@ def new_packing(
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")
         return _packing_of_own_disks(configuration, check, watch)
-    tell("Packing: being made; this is done once and takes about a quarter of a minute for 4,700 disks.")
+    tell("Packing: being made; this is done once.")
     generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
     return make_packing(configuration.packing, configuration.sand, generator, check, watch)
 

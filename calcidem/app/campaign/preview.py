@@ -27,6 +27,8 @@ from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.environment import available_cores
 
+_LOOSE_DISKS = 20
+"""Time to bring a loose lattice to rest (porosity 0.33, 1,440 disks of two sizes) over that to make a packing."""
 _SHORTEST_PATH = 1.0
 """Wavelengths on the path below which P and S wave arrive as one."""
 _SHORTEST_WAVE = 6.0
@@ -109,7 +111,8 @@ def _cost_lines(
         return
     cost, cores = expected_cost(configuration, speeds, batches), available_cores()
     busy = max(1, min(cores, len(batches)))
-    packing = "" if is_packed else f", after {_rough_time(cost.packing_seconds)} for the packing"
+    loose = "" if configuration.packing_draw.file is None else f" ({_LOOSE_DISKS} times as long if its disks are loose)"
+    packing = "" if is_packed else f", after {_rough_time(cost.packing_seconds)} for the packing{loose}"
     all_cores = "" if busy == 1 else f", {_rough_time(cost.seconds / busy)} with --ranks 0 on {cores} cores"
     yield f"Time: about {_rough_time(cost.seconds)} on one core{all_cores}{packing}, kernels compiled."
     memory, free = _available_memory(), _free_space(configuration)

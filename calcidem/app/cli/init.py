@@ -27,6 +27,12 @@ def init_command(
         str | None,
         typer.Option(metavar="SIZE", help="Mean diameter of your own sand, such as 0.3mm."),
     ] = None,
+    disks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv", help="Or its disks: columns x, y and radius in m, as 'calcidem import' writes."
+        ),
+    ] = None,
     stress: Annotated[
         str | None,
         typer.Option(metavar="STRESS", help="Its confining stress; 100kPa if not given."),
@@ -39,15 +45,22 @@ def init_command(
     ] = None,
 ) -> None:
     """Write a configuration to start from: an example, or that of a sand of your own."""
-    if grain_size is None:
+    if grain_size is None and disks is None:
         for option, value in (("--stress", stress), ("--mineral", mineral), ("--contents", contents)):
             if value is not None:
-                raise typer.BadParameter("give --grain-size, too: it is for a sand of your own", param_hint=option)
+                raise typer.BadParameter(
+                    "give --grain-size or --disks, too: it is for a sand of your own", param_hint=option
+                )
         text = _example_text(preset or _FIRST, full=full)
     elif preset is not None or full:
-        raise typer.BadParameter("leave --preset and --full out: they are for examples", param_hint="--grain-size")
+        hint = "--grain-size" if disks is None else "--disks"
+        raise typer.BadParameter("leave --preset and --full out: they are for examples", param_hint=hint)
+    elif grain_size is not None and disks is not None:
+        raise typer.BadParameter("leave it out: the disks have their sizes", param_hint="--grain-size")
     else:
-        text = _own_text(grain_size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4")
+        text = _own_text(
+            disks or str(grain_size), stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent
+        )
     try:
         with file.open("x", encoding="utf-8") as target:
             target.write(text)
@@ -55,7 +68,7 @@ def init_command(
         if not file.is_file():
             raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file") from None
         problem = f"{file} exists and was left unchanged; run it with 'calcidem run {file}', or "
-        if grain_size is not None:
+        if grain_size is not None or disks is not None:
             raise typer.BadParameter(f"{problem}give another name") from None
         other, chosen = file.with_stem(f"{file.stem}-{preset or _FIRST}"), preset or _FIRST
         raise typer.BadParameter(f"{problem}write another with 'calcidem init {other} --preset {chosen}'") from None
@@ -71,16 +84,20 @@ def _example_text(preset: Preset, *, full: bool) -> str:
     return full_text(preset)
 
 
-def _own_text(grain_size: str, stress: str, mineral: str, contents: str) -> str:
-    """Text of the configuration of a sand that is described in words."""
-    from calcidem.app.config.own_sand import MINERALS, OwnSand, own_sand_text, parse_quantity  # as above
+def _own_text(size: str | Path, stress: str, mineral: str, contents: str, folder: Path) -> str:
+    """Text of the configuration of a sand: its size in words or the file of its disks, the others in words."""
+    # As above.
+    from calcidem.app.config.own_sand import MINERALS, OwnSand, own_sand_text, parse_quantity, read_own_disks
 
-    found = {}
-    for option, quantity, text in (("--grain-size", "grain size", grain_size), ("--stress", "stress", stress)):
+    def parse(option: str, quantity: str, text: str) -> float:
         try:
-            found[quantity] = parse_quantity(quantity, text)
+            return parse_quantity(quantity, text)
         except ValueError as error:
             raise typer.BadParameter(str(error), param_hint=option) from error
+
+    disks = read_own_disks(size, folder) if isinstance(size, Path) else None
+    diameter = float(f"{disks.diameters[1]:.3g}") if disks else parse("--grain-size", "grain size", str(size))
+    pressure = parse("--stress", "stress", stress)
     if mineral not in MINERALS:
         known = ", ".join(MINERALS)
         raise typer.BadParameter(
@@ -90,4 +107,4 @@ def _own_text(grain_size: str, stress: str, mineral: str, contents: str) -> str:
         percentages = [parse_percentage(part) for part in contents.split(",")]
     except typer.BadParameter as error:
         raise typer.BadParameter(error.message, param_hint="--contents") from error
-    return own_sand_text(OwnSand(found["grain size"], found["stress"], mineral, percentages))
+    return own_sand_text(OwnSand(diameter, pressure, mineral, percentages, disks))

@@ -20,6 +20,7 @@ from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import pluralize
 
+_FORMAT_OF_ENDING = {f".{layout}": layout for layout in Format if layout is not Format.TABLE}
 _DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "vs_error", "seconds")
 
 Columns = Mapping[str, NDArray[Any]]
@@ -36,7 +37,7 @@ def query_command(
     sort: Annotated[str, typer.Option(help='Columns to sort by, such as "-vs,seed"; "-" means descending.')] = "",
     limit: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Most rows to show.")] = None,
     layout: FormatOption = Format.TABLE,
-    out: Annotated[Path | None, typer.Option(help="File to write.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; .csv, .json or .parquet choose the format.")] = None,
     features: Annotated[
         bool,
         typer.Option("--features", help="Show correlations of path features with Vs instead."),
@@ -62,6 +63,8 @@ def query_command(
         found = find(database, selection, names, _split_list(sort), limit, campaign)
         rows, headings = _as_rows(found), _headings(names)
         remark = pluralize(len(rows), "cell")
+    if layout is Format.TABLE and out is not None:
+        layout = _FORMAT_OF_ENDING.get(out.suffix.lower(), layout)
     if layout is not Format.TABLE:
         tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
     elif out is None:
@@ -70,6 +73,8 @@ def query_command(
         from calcidem.storage.files import write_text_atomically
 
         write_text_atomically(out, _as_table(headings, rows, remark))
+    if out is not None:
+        typer.echo(f"Wrote {out}: {remark}")
 
 
 def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[RecordRows, str]:

@@ -92,8 +92,12 @@ def packing_lines(packing: Packing) -> Iterator[str]:
     )
     stresses = zip(WALL_NAMES, report.wall_stress, strict=True)
     yield f"  normal stress: {', '.join(f'{name} {stress:.1f} Pa' for name, stress in stresses)}"
+    mean, largest = (
+        f"{100.0 * overlap / float(packing.radius.mean()):.2g} %"
+        for overlap in (report.mean_overlap, report.largest_overlap)
+    )
     yield (
-        f"  overlap: mean {report.mean_overlap:.3g} m, largest {report.largest_overlap:.3g} m; "
+        f"  overlap: mean {mean}, largest {largest} of the mean radius; "
         f"unbalanced-force ratio {report.unbalanced_ratio:.2g}; made in {report.seconds:.0f} s ({report.steps} steps)"
     )
     yield f"  content hash {packing.content_hash}"

@@ -1,15 +1,18 @@
-"""The configuration of any sand, from its grain size, its stress and its mineral: ``calcidem init --grain-size``.
+"""The configuration of any sand, from its grain size or its disks, its stress and its mineral: ``calcidem init``.
 
 Each length is a multiple of the grain's diameter d, and each stiffness a multiple of that of the contact between two
 grains under the stress. So the samples of all sands under the same stress over modulus are one sample, and all of them
 are read alike; docs/your-sand.md has the formulas.
 """
 
+import json
 import math
+import os
 import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -19,6 +22,7 @@ from calcidem.dem.engine.material import Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.judgement import expected_overlap
 from calcidem.dem.sample.packing import PackingRule
+from calcidem.dem.sample.packing_file import checked_disks
 from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.dem.wave.pulse import cutoff_frequency
 
@@ -43,11 +47,35 @@ _CLUSTER, _P_WIDTH, _C_WIDTH = 4.7, 0.41, 0.52
 # walls, with transmitter and receiver, are wider than the path is long.
 _BOX = (30.0, 50.0)
 _LISTENING, _LAYER = 4.0, 5.0
+_SOLID = 0.8  # area of disks at rest over that of their box
 # Of the box's height.
 _TRANSMITTING, _RECEIVING = 0.45, 0.25
 
 _REAL_OVER_LATTICE = 0.5  # velocity without cement: 0.48 to 0.53 from 20 kPa to 1 MPa, of both minerals
 _GENTLE = 0.01  # stroke of the pulse over the overlap
+
+
+@dataclass(frozen=True, slots=True)
+class OwnDisks:
+    """Disks in a file, which replace the packing.
+
+    Attributes
+    ----------
+    file
+        As the configuration names it.
+    width, height
+        Of the box, m: up to the rightmost disk, and as high as the disks are expected to stand at rest.
+    diameters
+        Smallest, mean and largest, m.
+    count
+        Number of the disks.
+    """
+
+    file: str
+    width: float
+    height: float
+    diameters: tuple[float, float, float]
+    count: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +92,22 @@ class OwnSand:
         Key of `MINERALS`.
     contents
         Calcite contents, percent of the sand's mass.
+    disks
+        Its disks, where they are given.
     """
 
     grain_size: float
     stress: float
     mineral: str
     contents: Sequence[float]
+    disks: OwnDisks | None = None
+
+    @property
+    def box(self) -> tuple[float, float]:
+        """Width and height, m."""
+        if self.disks is not None:
+            return self.disks.width, self.disks.height
+        return _BOX[0] * self.grain_size, _BOX[1] * self.grain_size
 
     @property
     def sand(self) -> Sand:
@@ -114,6 +152,20 @@ class OwnSand:
         return _REAL_OVER_LATTICE * math.pi * self.grain_size * cutoff_frequency(stiffness, mass)
 
 
+def read_own_disks(file: Path, folder: Path) -> OwnDisks:
+    """Read disks for a configuration in a folder; `PackingFileError`, naming the line, if they are none."""
+    x, y, radius = checked_disks(file)
+    width = float(f"{np.max(x + radius):.6g}")
+    at_rest = float(np.pi * np.sum(radius**2)) / (_SOLID * width)  # below the lid, which compresses loose disks
+    return OwnDisks(
+        file=os.path.relpath(file, folder),
+        width=width,
+        height=min(float(np.max(y + radius)), at_rest),
+        diameters=(2.0 * float(radius.min()), 2.0 * float(radius.mean()), 2.0 * float(radius.max())),
+        count=len(radius),
+    )
+
+
 def parse_quantity(quantity: str, text: str) -> float:
     """Read a ``grain size`` or a ``stress`` with its unit, such as 0.3mm or 100 kPa; in SI units.
 
@@ -142,7 +194,8 @@ def own_sand_text(own: OwnSand) -> str:
     if problems := _content_problems(own):
         raise ConfigurationError("the sand", problems)
     text = _commented(own)
-    read_configuration(tomllib.loads(text), "the sand")  # refuses a stress that crushes the grains
+    if own.disks is None:  # of disks in a file there may be more to say, which 'run --check' does
+        read_configuration(tomllib.loads(text), "the sand")  # refuses a stress that crushes the grains
     return text
 
 
@@ -159,12 +212,11 @@ def _content_problems(own: OwnSand) -> list[Problem]:
 def _commented(own: OwnSand) -> str:
     """The text, whether it can be computed or not."""
     mineral, d = MINERALS[own.mineral], own.grain_size
-    gigapascals, width, height = mineral.shear_modulus / 1e9, _BOX[0] * d, _BOX[1] * d
-    disks = round((1.0 - PackingRule().porosity) * width * height / (0.25 * math.pi * d * d * _mean_square()), -1)
+    gigapascals, (width, height) = mineral.shear_modulus / 1e9, own.box
     waves = WAVELENGTHS * own.velocity / (width - 0.5 * _LISTENING * d)
     size, stress = f"{d * 1e3:g} mm", f"{own.stress / 1e3:g} kPa"
     rows = (
-        f"# {own.mineral.capitalize()} grains of {size} under {stress}: 'calcidem init --grain-size', see",
+        f"# {own.mineral.capitalize()} grains of {size} under {stress}, written by 'calcidem init'; see",
         "# docs/your-sand.md for formulas and sources.",
         f"# d = {_short(d)} m is the mean diameter. A disk is 1 m thick: a row of 1 m / d = {1.0 / d:.4g} grains.",
         "# SI units; contents in percent of the sand's mass. Keys that are left out have their defaults.",
@@ -175,12 +227,7 @@ def _commented(own: OwnSand) -> str:
         (f"contents = {sorted(map(float, own.contents))}", ""),
         "",
         "[packing]",
-        (f"width = {_short(width)}", f"{_BOX[0]:g} d: {WAVELENGTHS:g} wavelengths of path, each of 11 grains"),
-        (f"height = {_short(height)}", f"{_BOX[1]:g} d: side walls wider than the path; some {disks:.0f} disks in all"),
-        (
-            f"diameter = [{_short(_SIZES[0] * d)}, {_short(_SIZES[1] * d)}]",
-            f"{_SIZES[0]:g} d to {_SIZES[1]:g} d: equal disks would form a crystal",
-        ),
+        *_packing_rows(own),
         (f"stress = {_short(own.stress)}", f"{stress} on the lid"),
         "",
         "[sand]",
@@ -227,6 +274,27 @@ def _commented(own: OwnSand) -> str:
     )
     lines = (row if isinstance(row, str) else f"{row[0]:<40}# {row[1]}" if row[1] else row[0] for row in rows)
     return "\n".join((*lines, ""))
+
+
+def _packing_rows(own: OwnSand) -> tuple[tuple[str, str], ...]:
+    """Lines on box and disks, with their reasons."""
+    d, (width, height) = own.grain_size, own.box
+    if own.disks is not None:
+        good = " x ".join(f"{length:g} d" for length in _BOX)
+        sizes = " to ".join(f"{size * 1e3:.3g}" for size in own.disks.diameters[::2])
+        return (
+            (f"file = {json.dumps(own.disks.file, ensure_ascii=False)}", f"{own.disks.count} disks of {sizes} mm"),
+            (f"width = {width!r}", f"{width / d:.0f} d, and {height / d:.0f} d high at rest; {good} are good"),
+        )
+    disks = round((1.0 - PackingRule().porosity) * width * height / (0.25 * math.pi * d * d * _mean_square()), -1)
+    return (
+        (f"width = {_short(width)}", f"{_BOX[0]:g} d: {WAVELENGTHS:g} wavelengths of path, each of 11 grains"),
+        (f"height = {_short(height)}", f"{_BOX[1]:g} d: side walls wider than the path; some {disks:.0f} disks in all"),
+        (
+            f"diameter = [{_short(_SIZES[0] * d)}, {_short(_SIZES[1] * d)}]",
+            f"{_SIZES[0]:g} d to {_SIZES[1]:g} d: equal disks would form a crystal",
+        ),
+    )
 
 
 def _mean_square() -> float:

@@ -74,13 +74,13 @@ def packing_from_csv(
     return packing_at_rest(relax(scene, None, boxed, cost, check, OWN_DISKS), boxed, cost)
 
 
-def checked_disks(file: Path, width: float) -> tuple[Floats, Floats, Floats]:
+def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Floats, Floats]:
     """Return x, y, radius (N,) of the disks in a file, none of which overlaps another or the walls of a box too far.
 
-    `PackingFileError`, naming the line.
+    Without a width, m, the rightmost disk touches the right wall. `PackingFileError`, naming the line.
     """
     x, y, radius, lines = _read_disks(file)
-    _check_walls(file, lines, x, y, radius, width)
+    _check_walls(file, lines, x, y, radius, float(np.max(x + radius)) if width is None else width)
     refuse_deep_overlaps(file, lines, x, y, radius)
     return x, y, radius
 

@@ -73,10 +73,11 @@ def test_parquet(database: Path, invoke: Invoke, campaign: Campaign, tmp_path: P
 
 
 def test_out_writes_a_file(database: Path, invoke: Invoke, tmp_path: Path) -> None:
-    """With --out the answer goes into a file, the same as is shown without."""
-    file = tmp_path / "cells.csv"
-    assert invoke("query", database, "--format", "csv", "--out", file) == ""
-    assert file.read_text() == invoke("query", database, "--format", "csv")
+    """With --out the answer goes into a file, the same as is shown without; its ending chooses the format."""
+    for name, layout in (("cells.csv", "csv"), ("cells.JSON", "json"), ("cells.txt", "table")):
+        file = tmp_path / name
+        assert invoke("query", database, "--out", file) == f"Wrote {file}: 40 cells\n"
+        assert file.read_text() == invoke("query", database, "--format", layout)
 
 
 @pytest.mark.parametrize(

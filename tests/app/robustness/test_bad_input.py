@@ -100,6 +100,8 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
     "another mineral": (("init", "a.toml", "--grain-size", "3mm", "--mineral", "gold"), {}, "quartz, carbonate"),
     "a sand's content": (("init", "a.toml", "--grain-size", "3mm", "--contents", "1,x"), {}, "--contents"),
     "a sand of no size": (("init", "a.toml", "--stress", "20kPa"), {}, "give --grain-size"),
+    "disks with a size": (("init", "a.toml", "--disks", "good.toml", "--grain-size", "3mm"), {}, "have their sizes"),
+    "disks that are none": (("init", "a.toml", "--disks", "good.toml"), {}, "no column x, y, radius"),
     "a sand and an example": (("init", "a.toml", "--grain-size", "3mm", "--full"), {}, "leave --preset"),
     "a folder to write to": (("query", "quick.db", "--out", "folder"), {}, "folder is a folder or a device"),
     "no file for NetCDF": (("export", "quick.db", "folder"), {}, "folder"),
