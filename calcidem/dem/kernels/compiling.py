@@ -22,7 +22,7 @@ def seconds_compiling() -> float:
     return float(_COMPILING.duration) if _COMPILING.done else 0.0
 
 
-class _Watch(event.Listener):
+class _FunctionListener(event.Listener):
     """Hears of each function as it begins to be compiled; of those that are taken from the cache it does not."""
 
     def __init__(self, tell: Callable[[str, int], object]) -> None:
@@ -39,7 +39,7 @@ class _Watch(event.Listener):
 @contextmanager
 def watch_compiling(tell: Callable[[str, int], object]) -> Iterator[None]:
     """Tell the name of each function that begins to be compiled meanwhile, and how many are finished."""
-    with event.install_listener("numba:compile", _Watch(tell)):
+    with event.install_listener("numba:compile", _FunctionListener(tell)):
         yield
 
 
