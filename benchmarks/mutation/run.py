@@ -2,6 +2,8 @@
 
     python benchmarks/mutation/run.py [--rooms analysis sweep dem] [--mutants 40] [--seed 1]
 
+`tests/test_sentinels.py` keeps twenty of them.
+
 A mutant moves a number, or exchanges a sign, an operator, a comparison or a logical word. Those tests of the room run that
 import the mutated module. Kernels are left out, since each mutant of one would be compiled anew; their naive twins
 (tests/dem/test_naive.py) compare every term of them. Prints the survivors, and the share of killed mutants of each room.

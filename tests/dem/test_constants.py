@@ -1,23 +1,22 @@
 """Each constant of the reading is held by its tests: moved by 30 % up or down, one of them fails."""
 
 import ast
-import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from changed_copy import run_with_copy
+from places import CHECKOUT
 
-CHECKOUT = Path(__file__).parents[2]
-WAVE = Path("calcidem") / "dem" / "wave"
-JUDGES = [str(Path(__file__).with_name(name)) for name in ("test_reading.py", "test_section.py")]
+WAVE = CHECKOUT / "calcidem" / "dem" / "wave"
+JUDGES = ["tests/dem/test_reading.py", "tests/dem/test_section.py"]
 
 
 def constants() -> Iterator[tuple[str, str]]:
     """Module and name of each number of the reading and of the section, and of the stations."""
     for module in ("reading", "section", "domain"):
-        for node in ast.parse((CHECKOUT / WAVE / f"{module}.py").read_text(encoding="utf-8")).body:
+        for node in ast.parse((WAVE / f"{module}.py").read_text(encoding="utf-8")).body:
             if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant | ast.BinOp):
                 name = ast.unparse(node.targets[0])
                 if module != "domain" or name == "_STATIONS":
@@ -26,32 +25,20 @@ def constants() -> Iterator[tuple[str, str]]:
 
 def judge(folder: Path, module: str, name: str, factor: float) -> subprocess.CompletedProcess[str]:
     """Run the tests with a copy of the package in which a constant is another one; whole numbers stay whole."""
-    shutil.copytree(CHECKOUT / "calcidem", folder / "calcidem", ignore=shutil.ignore_patterns("__pycache__"))
-    path = folder / WAVE / f"{module}.py"
-    source = path.read_text(encoding="utf-8")
-    value = next(
-        node.value
-        for node in ast.parse(source).body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name
-    )
-    written = ast.unparse(value)
-    moved = factor * eval(written)  # noqa: S307 - a number of our own source
-    moved = round(moved) if isinstance(eval(written), int) else moved  # noqa: S307 - the same
-    lines = source.splitlines(keepends=True)
-    lines[value.lineno - 1] = f"{name} = {moved!r}\n"
-    path.write_text("".join(lines), encoding="utf-8")
-    options = [
-        "-x",
-        "-q",
-        "--no-header",
-        "-p",
-        "no:cacheprovider",
-        "--confcutdir",
-        str(Path(__file__).parent),
-        "--hypothesis-seed=0",
-    ]
-    command = [sys.executable, "-m", "pytest", *options, "--rootdir", str(CHECKOUT), *JUDGES]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)  # its folder comes first
+
+    def change(source: str) -> str:
+        value = next(
+            node.value
+            for node in ast.parse(source).body
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name
+        )
+        number = eval(ast.unparse(value))  # noqa: S307 - a number of our own source
+        moved = round(factor * number) if isinstance(number, int) else factor * number
+        lines = source.splitlines(keepends=True)
+        lines[value.lineno - 1] = f"{name} = {moved!r}\n"
+        return "".join(lines)
+
+    return run_with_copy(folder, f"dem/wave/{module}.py", change, JUDGES)
 
 
 @pytest.mark.full

@@ -39,6 +39,18 @@ def test_equal_identifiers_are_refused() -> None:
         Schedule((Batch(1, ("b",)), Batch(1, ("a",))))
 
 
+def test_batches_that_are_added_have_numbers_of_their_own() -> None:
+    """Neither those given later nor the parts of a split one have the number of another."""
+    schedule = Schedule((Batch(0, ("a", "b")), Batch(4, ("c",))))
+    further = schedule.extend([Batch(0, ("d",))])
+    first = schedule.take()
+    assert first is not None
+    schedule.settle(failed(first))
+    numbers = [batch.identifier for batch in iter(schedule.take, None)]
+    assert len({first.identifier, *numbers}) == 5
+    assert further[0].identifier in numbers
+
+
 def test_a_batch_that_raised_is_computed_again_cell_by_cell_next() -> None:
     """After an exception the single cells go ahead of everything that still waits."""
     schedule = Schedule((Batch(0, ("a", "b")), Batch(1, ("c", "d"))))

@@ -1,0 +1,50 @@
+"""Small errors that the tests have to notice: of `benchmarks/mutation/run.py`, a sentinel for each kind of module."""
+
+from pathlib import Path
+
+import pytest
+from changed_copy import run_with_copy
+
+SENTINELS = [
+    ("analysis/intervals.py", "np.sqrt((n - 1) / scipy", "np.sqrt((n - 2) / scipy", "analysis/test_intervals.py"),
+    ("analysis/stages.py", "(y[-1] - y[0]) / (x[-1]", "(y[-1] + y[0]) / (x[-1]", "analysis/test_stages.py"),
+    ("analysis/sensitivity.py", "self.second + self.rest", "self.second - self.rest", "analysis/test_sensitivity.py"),
+    ("analysis/weights.py", ") / np.sqrt(variance_x", ") * np.sqrt(variance_x", "analysis/test_weights.py"),
+    ("analysis/predictor.py", "np.array([-half, 0.0", "np.array([half, 0.0", "analysis/test_predictor.py"),
+    ("analysis/predictor.py", "+ 2.0 / (1.0 - level)", "+ 3.0 / (1.0 - level)", "analysis/test_predictor.py"),
+    ("analysis/sobol.py", "np.maximum(count - 1, 1)", "np.maximum(count, 1)", "analysis/test_sobol.py"),
+    ("dem/wave/pulse.py", "self.amplitude / self.frequency", "self.amplitude * self.frequency", "dem/test_pulse.py"),
+    ("dem/wave/pulse.py", "(cycle - sine_of_turns", "(cycle + sine_of_turns", "dem/test_pulse.py"),
+    ("dem/wave/error_estimate.py", "coarse / 24.0", "coarse / 12.0", "dem/test_error_estimate.py"),
+    ("dem/wave/error_estimate.py", "_CLOSING = 0.5", "_CLOSING = 0.65", "dem/test_error_estimate.py"),
+    (
+        "dem/wave/reading.py",
+        "travel + period) + (0.5",
+        "travel - period) + (0.5",
+        "dem/test_reading.py",
+    ),
+    ("dem/wave/maxima.py", "0.5 * (left", "0.4 * (left", "dem/test_maxima.py"),
+    ("dem/engine/material.py", "(2.0 / 3.0 * self.shear", "(1.0 / 3.0 * self.shear", "dem/test_verification.py"),
+    ("dem/sample/judgement.py", "LARGEST_OVERLAP = 0.1\n", "LARGEST_OVERLAP = 0.13\n", "dem/test_judgement.py"),
+    ("sweep/schedule.py", "losses >= _LOSSES_BEFORE_SPLIT", "losses > _LOSSES_BEFORE_SPLIT", "sweep/test_schedule.py"),
+    ("sweep/schedule.py", "losses < _LOSSES_BEFORE_Q", "losses <= _LOSSES_BEFORE_Q", "sweep/test_schedule.py"),
+    ("sweep/schedule.py", "default=-1) + 1", "default=-1) + 0", "sweep/test_schedule.py"),
+    ("sweep/forecast.py", "estimate(group) * scale", "estimate(group) / scale", "sweep/test_progress.py"),
+    ("sweep/progress.py", "divmod(minutes, 60)", "divmod(minutes, 61)", "sweep/test_progress.py"),
+]
+"""Module, its text and what stands there instead, and the tests that know it."""
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("module", "text", "instead", "judge"), SENTINELS)
+def test_a_small_error_is_noticed(tmp_path: Path, module: str, text: str, instead: str, judge: str) -> None:
+    """A test fails, and it is a test, not an import."""
+
+    def change(source: str) -> str:
+        assert source.count(text) == 1, source.count(text)
+        return source.replace(text, instead)
+
+    done = run_with_copy(tmp_path, module, change, [f"tests/{judge}"])
+    assert done.returncode == 1, done.stdout
+    assert "FAILED" in done.stdout
+    assert "error" not in done.stdout.splitlines()[-1]
