@@ -57,7 +57,7 @@ def cells(seeds: int) -> Iterator[CellResult]:
                 yield CellResult(
                     key,
                     CellStatus.NO_ARRIVAL,
-                    "no peak of the receiver continues the motion of the stations: change wave.frequency",
+                    "no peak of the receiver continues the motion of the stations",
                     rank=1,
                 )
                 continue

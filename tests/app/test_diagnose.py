@@ -4,18 +4,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from calcidem.analysis.doubt import _bias_of_failed, is_in_doubt
-from calcidem.app.campaign.diagnosis import diagnose
+from calcidem.app.campaign.diagnosis import describe_packing, diagnose, explain_refusal, find_remedies
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import new_packing
-from calcidem.app.campaign.remedies import Case, Remedy, explain_refusal, look_at_packing
-from calcidem.app.campaign.remedy_trials import RemedyTrial, TrialOutcome, rank_trials
 from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.config.calibrated import calibration_note
@@ -25,17 +22,16 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.reference import key_references
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import _velocity_remarks
-from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.error_estimate import ErrorParts, NumericalError
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.reading import (
     LEAST_COHERENCE,
+    PickRule,
     Verdict,
     find_candidates,
     read_section,
-    record_duration,
     velocity_spectrum,
 )
 from calcidem.dem.wave.section import Section
@@ -44,7 +40,7 @@ from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection
 
-SEEDS, CONTENT = (1, 2, 3, 4), 0.66
+SEEDS, CONTENT, SMOOTHING = (1, 2, 3, 4), 0.66, PickRule().smoothing
 
 
 def store_campaign(path: Path, configuration: Configuration, packing: Packing, *, store_sections: bool = True) -> Path:
@@ -80,24 +76,15 @@ def unread(slow_pulse: Configuration, small_packing: Packing, tmp_path_factory: 
 
 
 @pytest.fixture(scope="module")
-def case(small_configuration: Configuration, small_packing: Packing) -> Case:
-    """Give a cell that has a velocity."""
-    experiment = small_configuration.experiment(small_packing)
-    return case_of(experiment, measure(replace(experiment, early_stop=False), CONTENT, (1,))[0].record.section)
+def experiment(small_configuration: Configuration, small_packing: Packing) -> Experiment:
+    """Give an experiment in which waves are read."""
+    return small_configuration.experiment(small_packing)
 
 
-def case_of(experiment: Experiment, section: Section) -> Case:
-    """Read a section."""
-    pick = experiment.pick
-    return Case(experiment, section, read_section(section, pick), find_candidates(section, pick.smoothing), None)
-
-
-def undecided(case: Case) -> Section:
-    """Section that ends a little before the arrival is certain."""
-    arrival = case.reading.arrival
-    assert arrival is not None
-    (decided,) = (one.decided for one in case.candidates if one.index == arrival.index)
-    return case.section.until(int(0.9 * decided / case.section.sampling_interval))
+@pytest.fixture(scope="module")
+def section(experiment: Experiment) -> Section:
+    """Give the section of a cell that has a velocity."""
+    return measure(replace(experiment, early_stop=False), CONTENT, (1,))[0].record.section
 
 
 def test_every_unread_cell_has_its_number_a_remedy_and_a_picture(
@@ -113,8 +100,8 @@ def test_every_unread_cell_has_its_number_a_remedy_and_a_picture(
         for cell in cells:
             assert f"seed {cell.key.seed}, {CONTENT:g} %: no arrival, {cell.reason}" in said
             assert cell.finding in words
-            assert f"{cell.case.reading.error:.1%}; {campaign.config['pick']['largest_error']:.1%} is allowed" in words
-            assert cell.remedies[0].name == "wave.frequency"
+            assert f"{cell.reading.error:.1%}; {campaign.config['pick']['largest_error']:.1%} is allowed" in words
+            assert str(cell.remedies[0]) == 'wave.frequency = "auto"'
             assert all(str(remedy) in said for remedy in cell.remedies)
             assert (tmp_path / f"seed{cell.key.seed}_content{CONTENT:g}_diagnosis.png").stat().st_size > 10_000
     assert [cell.key.seed for cell in cells] == [*SEEDS]
@@ -122,139 +109,125 @@ def test_every_unread_cell_has_its_number_a_remedy_and_a_picture(
     assert unread.read_bytes() == before
 
 
-def test_the_wavelengths_that_are_asked_for_give_velocities(unread: Path, invoke: Callable[..., str]) -> None:
-    """With the highest frequency proposed most cells are read, as the changed experiment measures them."""
+def test_remedies_are_added_until_there_is_a_velocity(unread: Path, invoke: Callable[..., str]) -> None:
+    """With 2.5 wavelengths on the path a cell is read, as the changed experiment measures it, and that is said."""
     before = unread.read_bytes()
-    said = invoke("diagnose", unread, "--try", len(SEEDS))
-    assert f"Tried on {len(SEEDS)} of {len(SEEDS)} cells; nothing is stored" in said
+    said = invoke("diagnose", unread, "--seed", 1, "--try")
     with open_campaign(unread) as campaign:
-        diagnoses = campaign.diagnose()
-        trials = campaign.try_remedies(diagnoses, count=len(SEEDS))
-        (trial,) = (trial for trial in trials if trial.remedy.name == "wave.frequency")
-        assert trial.remedy.value == max(cell.remedies[0].value for cell in diagnoses)
-        expected = measure(trial.remedy.apply(campaign.experiment()), CONTENT, SEEDS)
-    assert trial.velocities == {cell.seed: cell.vs for cell in expected}
-    assert trial.read > len(SEEDS) / 2
-    assert not trial.neighbours
-    row = next(line for line in said.splitlines() if str(trial.remedy) in line and " of 4, " in line)
-    assert f"{trial.read} of 4, {trial.outcome}" in row
-    assert f"frequency = [{trial.remedy.value:g}" in said.replace(".0]", "]")
+        (cell,) = campaign.diagnose(seed=1)
+        ((remedy, vs, reason),) = cell.try_remedies()
+        (expected,) = measure(remedy.apply(campaign.experiment()), CONTENT, (1,))
+    assert len(cell.remedies) > 1
+    assert vs == expected.vs is not None
+    assert cell.expected[0] < vs < cell.expected[1]
+    assert not reason
+    assert f"tried: Vs {vs:.0f} m/s" in said
     assert unread.read_bytes() == before
+
+
+def test_a_record_that_is_too_short_becomes_long_enough(
+    small_configuration: Configuration, small_packing: Packing, tmp_path: Path
+) -> None:
+    """The proposed `wave.slowest` gives the velocity that the sample has with any long record."""
+    plan = CampaignPlan(name="short", seeds=(1,), contents=(CONTENT,))
+    short = replace(small_configuration, campaign=plan, wave=replace(small_configuration.wave, slowest=2000.0))
+    with open_campaign(store_campaign(tmp_path / "short.db", short, small_packing)) as campaign:
+        (cell,) = campaign.diagnose()
+        ((remedy, vs, _),) = cell.try_remedies()
+    assert cell.reading.verdict is Verdict.TOO_SHORT
+    assert f"the record ends at {1e3 * cell.section.duration:.3g} ms" in cell.finding
+    assert remedy.name == "wave.slowest"
+    (expected,) = measure(small_configuration.experiment(small_packing), CONTENT, (1,))
+    assert vs == expected.vs
 
 
 def test_sections_that_were_not_stored_are_computed_again(
     unread: Path, slow_pulse: Configuration, small_packing: Packing, tmp_path: Path
 ) -> None:
-    """Without stored sections a cell is diagnosed as with them, to the last bit; with them nothing is computed."""
+    """Without stored sections a cell is diagnosed as with them, to the last bit."""
     bare = store_campaign(tmp_path / "bare.db", slow_pulse, small_packing, store_sections=False)
-    told: list[str] = []
     with open_campaign(unread) as full, open_campaign(bare) as campaign:
-        (one,), (other,) = diagnose(full.store, Selection(2), told.append), campaign.diagnose(seed=2)
-    assert not told
+        (one,), (other,) = diagnose(full.store, Selection(2)), campaign.diagnose(seed=2)
     assert (other.finding, other.remedies) == (one.finding, one.remedies)
-    assert np.array_equal(other.case.section.across, one.case.section.across)
+    assert np.array_equal(other.section.across, one.section.across)
 
 
-def test_each_verdict_has_its_number_and_a_remedy_for_it(case: Case, slow_pulse: Configuration) -> None:
-    """A section made silent, cut, put out of order or of long waves says by how much, and what changes that."""
-    experiment, section = case.experiment, case.section
-    assert case.reading.arrival is not None
-    silent = replace(section, across=section.across // 1000, along=section.along // 1000)
-    cut = undecided(case)
+def test_each_verdict_has_its_number_and_a_remedy_for_it(experiment: Experiment, section: Section) -> None:
+    """A section made silent, cut, or put out of order says by how much, and what changes that."""
+    quiet = replace(section, across=section.across.copy())
+    quiet.across[:, -1] //= 1000
+    arrival = read_section(section).arrival
+    assert arrival is not None
+    cut = section.until(len(arrival.clean) // 2 + 20)
     order = [*reversed(range(len(section.places) - 1)), -1]
     mixed = replace(section, across=np.roll(section.across, 40, axis=0)[:, order])
     mixed.across[:, -1] = section.across[:, -1]
-    low = replace(experiment, frequencies=((0.0, 100.0), slow_pulse.excitation.table.frequency * 2))
-    long_waves = measure(low, CONTENT, (1,))[0].record.section
+    strict = replace(experiment, pick=replace(experiment.pick, largest_error=1e-3))
     known = {f"{key.section}.{key.name}" for key in key_references()}
-    expected = (
-        (silent, Verdict.SILENT, "is needed", {"wave.frequency", "wave.damping"}),
-        (cut, Verdict.TOO_SHORT, f"the record ends at {1e3 * cut.duration:.3g} ms", {"wave.slowest"}),
-        (mixed, Verdict.NO_LINE, f"{LEAST_COHERENCE:g} is needed", {"wave.frequency"}),
-        (long_waves, Verdict.UNCERTAIN, "near field", {"wave.frequency", "pick.largest_error"}),
+    silent, lost = (replace(section, across=section.across.copy()) for _ in range(2))
+    silent.across[:] //= 10000
+    lost.across[:, -2:] //= 1000
+    speed = section.distance * section.frequency / WAVELENGTHS
+    cases = (
+        (experiment, silent, Verdict.SILENT, "0.1% is needed", "wave.transmitter_half_width"),
+        (experiment, lost, Verdict.SILENT, "0.1% is needed", "wave.damping"),
+        (experiment, quiet, Verdict.SILENT, "0.1% is needed", "wave.listening_depth"),
+        (experiment, cut, Verdict.TOO_SHORT, f"the record ends at {1e3 * cut.duration:.3g} ms", "wave.slowest"),
+        (experiment, mixed, Verdict.NO_LINE, f"{LEAST_COHERENCE:g} is needed", "wave.listening_depth"),
+        (strict, section, Verdict.UNCERTAIN, "0.1% is allowed", "wave.listening_depth"),
     )
-    assert {verdict for _, verdict, *_ in expected} == set(Verdict)
-    for recorded, verdict, words, names in expected:
-        found = case_of(experiment, recorded)
-        number, remedies = explain_refusal(found)
-        assert found.reading.verdict is verdict
-        assert words in number
-        proposed = {remedy.name for remedy in remedies}
-        assert names <= proposed <= known
-        assert all(remedy.needs_packing or remedy.apply(experiment) != experiment for remedy in remedies)
+    assert {verdict for _, _, verdict, *_ in cases} == set(Verdict)
+    for used, recorded, verdict, words, name in cases:
+        reading = read_section(recorded, used.pick)
+        assert reading.verdict is verdict
+        assert words in explain_refusal(used, recorded, reading, None)
+        remedies = tuple(find_remedies(used, recorded, verdict, speed))
+        assert remedies[0].name == name
+        assert {remedy.name for remedy in remedies} <= known
+        assert all(remedy.apply(used) != used for remedy in remedies)
 
 
-def test_a_longer_record_is_as_long_as_the_decision_needs(case: Case) -> None:
-    """The proposed `wave.slowest` makes a record in which the peak is decided, and not three times as long."""
-    experiment, section = case.experiment, case.section
-    cut = case_of(experiment, undecided(case))
-    (remedy,) = (one for one in explain_refusal(cut)[1] if one.name == "wave.slowest")
-    needed = min(one.decided for one in cut.candidates if one.decided > cut.section.duration)
-    length = record_duration(section.distance, float(remedy.value), section.frequency, experiment.pick.smoothing)
-    present = record_duration(section.distance, experiment.wave.slowest, section.frequency, experiment.pick.smoothing)
-    assert length >= needed
-    assert length < 1.3 * max(needed, present)
+def test_wavelengths_on_the_path_decide_about_the_frequency(experiment: Experiment, section: Section) -> None:
+    """Too long and too short waves ask for another frequency, and where grains transmit none, for a wider box."""
+    usual = section.distance * section.frequency / WAVELENGTHS
+    for speed, other in ((usual, False), (2.0 * usual, True), (0.5 * usual, True)):
+        remedies = find_remedies(experiment, section, Verdict.UNCERTAIN, speed)
+        assert ('wave.frequency = "auto"' in map(str, remedies)) == other
+    near = replace(section, places=tuple(0.3 * place for place in section.places))
+    found = [remedy.name for remedy in find_remedies(experiment, near, None, usual)]
+    assert found == ["packing.width", "wave.frequency"]
+    with pytest.raises(ValueError, match="another packing"):
+        next(find_remedies(experiment, near, None, usual)).apply(experiment)
 
 
-@pytest.mark.parametrize("part", ErrorParts._fields)
-def test_the_largest_part_of_the_numerical_error_has_a_remedy(part: str, case: Case) -> None:
-    """Whatever makes the numerical error, its size is said, and a key is proposed with a value that it accepts."""
-    parts = ErrorParts(**{name: 0.2 if name == part else 0.0 for name in ErrorParts._fields})
-    for regime in get_args(Regime):
-        experiment = replace(case.experiment, wave=replace(case.experiment.wave, regime=regime, precision="float32"))
-        error = NumericalError(0.02, 0.2, parts)
-        number, remedies = explain_refusal(replace(case, experiment=experiment, error=error))
-        assert f"{part} (20.0%)" in number
-        assert remedies
-        assert all(remedy.apply(experiment) != experiment for remedy in remedies)
+def test_a_large_numerical_error_says_its_bound(experiment: Experiment, section: Section) -> None:
+    """Its remedy is in the reason; the section supports none."""
+    reading = read_section(section, experiment.pick)
+    assert "20.0%; 5% is allowed" in explain_refusal(experiment, section, reading, 0.2)
 
 
-def test_the_spectrum_passes_through_the_candidates(case: Case) -> None:
+def test_the_spectrum_passes_through_the_candidates(section: Section) -> None:
     """The arrival is one of the candidates, and the spectrum at its velocity is its coherence."""
-    arrival = case.reading.arrival
+    arrival, candidates = read_section(section).arrival, find_candidates(section, SMOOTHING)
     assert arrival is not None
-    (same,) = (one for one in case.candidates if one.index == arrival.index)
+    (same,) = (one for one in candidates if one.index == arrival.index)
     assert (same.travel_time, same.coherence) == (arrival.travel_time, arrival.coherence)
-    velocities = np.array([case.section.distance / one.travel_time for one in case.candidates])
-    spectrum = velocity_spectrum(case.section, case.experiment.pick.smoothing, velocities)
-    assert spectrum == pytest.approx(
-        [one.coherence for one in case.candidates], abs=1e-2
-    )  # P is taken off up to a sample
-    assert np.isnan(velocity_spectrum(case.section, case.experiment.pick.smoothing, np.array([1.0])))
+    velocities = np.array([section.distance / one.travel_time for one in candidates])
+    spectrum = velocity_spectrum(section, SMOOTHING, velocities)
+    assert spectrum == pytest.approx([one.coherence for one in candidates], abs=1e-2)  # P is taken off up to a sample
+    assert np.isnan(velocity_spectrum(section, SMOOTHING, np.array([1.0])))
 
 
-def test_a_packing_that_carries_no_wave_is_told(small_packing: Packing) -> None:
-    """Deep overlaps ask for less stress, too few contacts for a denser packing; a good one asks for nothing."""
-    assert look_at_packing(small_packing, 1e11)[1] == ()
-    report, radius = small_packing.report, float(small_packing.radius.mean())
-    deep = replace(small_packing, report=replace(report, largest_overlap=0.2 * radius))
-    (stress,) = look_at_packing(deep, 1e11)[1]
-    assert stress.name == "packing.stress"
-    assert 0.2 < float(stress.value) / max(report.wall_stress) < 0.5**1.5
-    loose = replace(small_packing, report=replace(report, coordination_number_without_rattlers=2.5))
-    text, (porosity,) = look_at_packing(loose, 1e11)
+def test_a_packing_that_carries_no_wave_is_told(experiment: Experiment) -> None:
+    """Deep overlaps and too few contacts are described with their remedies; a good packing is described alone."""
+    packing = experiment.packing
+    assert "packing." not in describe_packing(experiment)
+    deep = replace(experiment, packing=replace(packing, radius=1.05 * packing.radius))
+    assert "packing.stress: the largest overlap" in describe_packing(deep)
+    report = replace(packing.report, coordination_number_without_rattlers=2.5)
+    text = describe_packing(replace(experiment, packing=replace(packing, report=report)))
     assert "2.50 contacts per disk" in text
-    assert porosity.name == "packing.porosity"
-    assert float(porosity.value) < report.porosity
-
-
-def test_tried_remedies_are_ranked_by_their_outcome() -> None:
-    """One that reads all cells and leaves the others alone comes first, one that reads none has failed."""
-    remedy = Remedy("wave.frequency", 9e3, "")
-    best = RemedyTrial(5.0, remedy, {1: 220.0, 2: 199.0}, {3: (200.0, 200.0), 4: (210.0, 211.0)})
-    expected = [
-        (best, TrialOutcome.WORKS),
-        (replace(best, velocities={1: 230.0, 2: None}), TrialOutcome.HELPS),
-        (replace(best, neighbours={}), TrialOutcome.UNCHECKED),
-        (replace(best, neighbours={3: (200.0, 210.0)}), TrialOutcome.MOVES),
-        (replace(best, neighbours={3: (200.0, None)}, velocities={1: 221.0, 2: None}), TrialOutcome.LOSES),
-        (replace(best, velocities={1: None, 2: None}), TrialOutcome.FAILED),
-        (replace(best, velocities={}, neighbours={}, refusal="too loud"), TrialOutcome.REFUSED),
-        (replace(best, content=7.0), TrialOutcome.WORKS),
-    ]
-    trials = [trial for trial, _ in expected]
-    assert rank_trials(reversed(trials)) == trials
-    assert [trial.outcome for trial in trials] == [outcome for _, outcome in expected]
+    assert "lower packing.porosity" in text
 
 
 @pytest.mark.parametrize(("measured", "failed"), [(7, 1), (5, 3), (111, 5), (39, 9)])
@@ -320,12 +293,9 @@ def test_the_first_natural_edit_is_understood(tmp_path: Path, invoke: Callable[.
             campaign.status_counts().get((c, CellStatus.NO_ARRIVAL), 0) for c in campaign.record.contents
         )
         assert all(cell.reason and cell.remedies and cell.finding for cell in diagnoses)
-        assert len(list((tmp_path / "pictures").iterdir())) == min(12, len(diagnoses))
-        experiment = campaign.experiment()
-        for trial in campaign.try_remedies(diagnoses, count=3):
-            seeds = [*trial.velocities, *trial.neighbours]
-            vs = {cell.seed: cell.vs for cell in measure(trial.remedy.apply(experiment), trial.content, seeds)}
-            assert trial.velocities == {seed: vs[seed] for seed in trial.velocities}
-            assert {seed: after for seed, (_, after) in trial.neighbours.items()} == {
-                s: vs[s] for s in trial.neighbours
-            }
+        assert len(list((tmp_path / "pictures").iterdir())) == len(diagnoses)
+        for cell in diagnoses[:3]:
+            experiment = campaign.experiment()
+            for remedy, vs, _ in cell.try_remedies():
+                experiment = remedy.apply(experiment)
+                assert vs == measure(experiment, cell.key.content, (cell.key.seed,))[0].vs

@@ -20,7 +20,6 @@ from calcidem.dem.wave.reading import (
     read_section,
     reading_error,
     record_duration,
-    slowest_in_record,
     smooth,
     velocity_spectrum,
 )
@@ -570,12 +569,3 @@ def test_a_record_that_is_cut_has_the_same_bits_or_none(seeds: range, cuts: int)
             assert cut(given, needed - 1).verdict is Verdict.TOO_SHORT, seed
     assert read > 0.8 * len(seeds)
     assert ended or len(seeds) < 100
-
-
-@pytest.mark.parametrize("travel", [0.4, 0.9, 1.5, 4.0])
-def test_the_slowest_wave_in_a_record_is_that_which_needs_it(travel: float) -> None:
-    """Length of record and slowest velocity are inverse for paths of any number of periods."""
-    velocity = DISTANCE * FREQUENCY / travel
-    lasts = record_duration(DISTANCE, velocity, FREQUENCY, 0.2)
-    assert slowest_in_record(lasts, DISTANCE, FREQUENCY, 0.2) == pytest.approx(velocity, rel=1e-12)
-    assert slowest_in_record(0.5 / FREQUENCY, DISTANCE, FREQUENCY) == np.inf

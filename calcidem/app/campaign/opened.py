@@ -34,7 +34,6 @@ from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
 from calcidem.app.campaign.identity import refuse_other_configuration
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
 from calcidem.app.campaign.prediction import draw_pattern, pattern_features, predict_velocity
-from calcidem.app.campaign.remedy_trials import RemedyTrial, rank_trials, try_remedies
 from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
@@ -490,7 +489,8 @@ class Campaign(Closable):
     ) -> tuple[Diagnosis, ...]:
         """Say of cells without a velocity why they have none, and which values may give them one.
 
-        See `calcidem.app.campaign.diagnosis.diagnose`; each has ``draw()``, a picture of its section.
+        See `calcidem.app.campaign.diagnosis.diagnose`; each has ``draw()``, a picture of its section, and
+        ``try_remedies()``, which computes it again with other values.
 
         Examples
         --------
@@ -499,13 +499,6 @@ class Campaign(Closable):
         ...     print(cell.key, cell.reason, *cell.remedies)
         """
         return diagnose(self.store, Selection(seed, content))
-
-    def try_remedies(self, diagnoses: Sequence[Diagnosis], count: int = 4) -> tuple[RemedyTrial, ...]:
-        """Compute some of these cells again with each of their remedies, and rank these; nothing is written.
-
-        See `calcidem.app.campaign.remedy_trials.try_remedies`.
-        """
-        return tuple(rank_trials(try_remedies(self.store, diagnoses, count)))
 
     def content_hash(self, packing_index: int = 0) -> str | None:
         """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.

@@ -100,7 +100,7 @@ _CURES = {
 }
 
 
-def largest_part(experiment: Experiment, parts: ErrorParts, most: float) -> str:
+def _largest_part(experiment: Experiment, parts: ErrorParts, most: float) -> str:
     """Name of the part of a bound that has to become smaller; ``most`` is what the bound may be."""
     if error_bound(parts) <= most:  # then the signal's shape makes it
         return "regime" if experiment.wave.regime == "linear" else "noise"
@@ -109,10 +109,10 @@ def largest_part(experiment: Experiment, parts: ErrorParts, most: float) -> str:
 
 def cure_of(experiment: Experiment, parts: ErrorParts, most: float) -> str:
     """What makes the largest part of a bound smaller; ``most`` is what the bound may be."""
-    largest = largest_part(experiment, parts, most)
+    largest = _largest_part(experiment, parts, most)
     if largest != "regime":
         return _CURES[largest]
-    if turning_error(experiment) > most:
+    if _turning_error(experiment) > most:
         return "the contacts overlap too far for a fixed geometry, at any amplitude; choose regime = 'finite'"
     return "lower amplitude, or choose regime = 'finite'"
 
@@ -263,12 +263,12 @@ def _geometry_error(experiment: Experiment, frequency: float) -> float:
     if wave.regime == "finite":
         return 0.0
     overlap = packing.report.mean_overlap
-    return turning_error(experiment) + (
+    return _turning_error(experiment) + (
         _STIFFENING * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0
     )
 
 
-def turning_error(experiment: Experiment) -> float:
+def _turning_error(experiment: Experiment) -> float:
     """First part of `_geometry_error`."""
     return _TURNING * experiment.packing.report.mean_overlap / float(np.mean(experiment.packing.radius))
 

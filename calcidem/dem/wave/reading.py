@@ -74,12 +74,12 @@ ONSET = 0.1
 
 
 class Verdict(StrEnum):
-    """Why a section gives no velocity; `calcidem.app.campaign.remedies` has a number and remedies for each."""
+    """Why a section gives no velocity; `calcidem.app.campaign.diagnosis` has a number and remedies for each."""
 
-    SILENT = "no motion above 0.1 % of v0 arrived: lower damping or frequency, or record for longer (wave.slowest)"
-    TOO_SHORT = "the record ends before the S wave is certain: record for longer (wave.slowest)"
-    NO_LINE = "no peak of the receiver continues the motion of the stations: change wave.frequency"
-    UNCERTAIN = "the standard error of the reading is above pick.largest_error: raise wave.frequency"
+    SILENT = "no motion above 0.1 % of v0 arrived"
+    TOO_SHORT = "the record ends before the S wave is certain"
+    NO_LINE = "no peak of the receiver continues the motion of the stations"
+    UNCERTAIN = "the standard error of the reading is above pick.largest_error"
 
 
 @dataclass(frozen=True, slots=True)
@@ -344,17 +344,6 @@ def record_duration(distance: float, velocity: float, frequency: float, smoothin
     """Length of record in which a pulse without dispersion is read, s; SI units."""
     travel, period = distance / velocity, 1.0 / frequency
     return max(P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
-
-
-def slowest_in_record(duration: float, distance: float, frequency: float, smoothing: float = _SMOOTHING) -> float:
-    """Velocity of the slowest pulse that is read in a record of this length, m/s: the inverse of `record_duration`.
-
-    It is infinite where no pulse is.
-    """
-    period = 1.0 / frequency
-    left = duration - (0.5 + 2.0 * smoothing) * period
-    travel = min(left / P_TO_S, left - period)
-    return distance / travel if travel > 0.0 else float("inf")
 
 
 def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool:
