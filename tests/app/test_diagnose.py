@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import norm
 
 from calcidem.analysis.doubt import _bias_of_failed, is_in_doubt
-from calcidem.app.campaign.diagnosis import describe_packing, diagnose, explain_refusal, find_remedies
+from calcidem.app.campaign.diagnosis import _explain_refusal, _find_remedies, _judged_packing, diagnose
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.campaign.stored_packing import packing_record
@@ -180,8 +180,8 @@ def test_each_verdict_has_its_number_and_a_remedy_for_it(experiment: Experiment,
     for used, recorded, verdict, words, name in cases:
         reading = read_section(recorded, used.pick)
         assert reading.verdict is verdict
-        assert words in explain_refusal(used, recorded, reading, None)
-        remedies = tuple(find_remedies(used, recorded, verdict, speed))
+        assert words in _explain_refusal(used, recorded, reading, None)
+        remedies = tuple(_find_remedies(used, recorded, verdict, speed))
         assert remedies[0].name == name
         assert {remedy.name for remedy in remedies} <= known
         assert all(remedy.apply(used) != used for remedy in remedies)
@@ -191,19 +191,19 @@ def test_wavelengths_on_the_path_decide_about_the_frequency(experiment: Experime
     """Too long and too short waves ask for another frequency, and where grains transmit none, for a wider box."""
     usual = section.distance * section.frequency / WAVELENGTHS
     for speed, other in ((usual, False), (2.0 * usual, True), (0.5 * usual, True)):
-        remedies = find_remedies(experiment, section, Verdict.UNCERTAIN, speed)
+        remedies = _find_remedies(experiment, section, Verdict.UNCERTAIN, speed)
         assert ('wave.frequency = "auto"' in map(str, remedies)) == other
     near = replace(section, places=tuple(0.3 * place for place in section.places))
-    found = [remedy.name for remedy in find_remedies(experiment, near, None, usual)]
+    found = [remedy.name for remedy in _find_remedies(experiment, near, None, usual)]
     assert found == ["packing.width", "wave.frequency"]
     with pytest.raises(ValueError, match="another packing"):
-        next(find_remedies(experiment, near, None, usual)).apply(experiment)
+        next(_find_remedies(experiment, near, None, usual)).apply(experiment)
 
 
 def test_a_large_numerical_error_says_its_bound(experiment: Experiment, section: Section) -> None:
     """Its remedy is in the reason; the section supports none."""
     reading = read_section(section, experiment.pick)
-    assert "20.0%; 5% is allowed" in explain_refusal(experiment, section, reading, 0.2)
+    assert "20.0%; 5% is allowed" in _explain_refusal(experiment, section, reading, 0.2)
 
 
 def test_the_spectrum_passes_through_the_candidates(section: Section) -> None:
@@ -221,11 +221,11 @@ def test_the_spectrum_passes_through_the_candidates(section: Section) -> None:
 def test_a_packing_that_carries_no_wave_is_told(experiment: Experiment) -> None:
     """Deep overlaps and too few contacts are described with their remedies; a good packing is described alone."""
     packing = experiment.packing
-    assert "packing." not in describe_packing(experiment)
+    assert "packing." not in _judged_packing(experiment)
     deep = replace(experiment, packing=replace(packing, radius=1.05 * packing.radius))
-    assert "packing.stress: the largest overlap" in describe_packing(deep)
+    assert "packing.stress: the largest overlap" in _judged_packing(deep)
     report = replace(packing.report, coordination_number_without_rattlers=2.5)
-    text = describe_packing(replace(experiment, packing=replace(packing, report=report)))
+    text = _judged_packing(replace(experiment, packing=replace(packing, report=report)))
     assert "2.50 contacts per disk" in text
     assert "lower packing.porosity" in text
 

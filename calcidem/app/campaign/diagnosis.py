@@ -151,7 +151,7 @@ def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -
     else:
         section = section_of(cell.section)
     reading, speed, expected = read_section(section, experiment.pick), math.nan, None
-    verdict, finding = reading.verdict, explain_refusal(experiment, section, reading, cell.error_bound)
+    verdict, finding = reading.verdict, _explain_refusal(experiment, section, reading, cell.error_bound)
     if cell.status is CellStatus.UNSTABLE:
         verdict, finding = None, "A guard ended the run."
     try:
@@ -165,12 +165,12 @@ def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -
             f"are expected, and {section.frequency * section.distance / speed:.2g} wavelengths on the path of "
             f"{1e3 * section.distance:.1f} mm; {1e3 * section.duration:.3g} ms were recorded."
         )
-    remedies = tuple(find_remedies(experiment, section, verdict, speed))
-    known = cell.key, cell.status, cell.reason, "" if others_are_read else describe_packing(experiment)
+    remedies = tuple(_find_remedies(experiment, section, verdict, speed))
+    known = cell.key, cell.status, cell.reason, "" if others_are_read else _judged_packing(experiment)
     return Diagnosis(*known, finding, remedies, experiment, section, reading, expected)
 
 
-def describe_packing(experiment: Experiment) -> str:
+def _judged_packing(experiment: Experiment) -> str:
     """What a packing is like, and what is wrong with it, in sentences."""
     report, radius = experiment.packing.report, float(np.mean(experiment.packing.radius))
     text = (
@@ -181,7 +181,7 @@ def describe_packing(experiment: Experiment) -> str:
     return " ".join([text, *(f"packing.{fault.text}." for fault in judge_disks(experiment.packing, experiment.sand))])
 
 
-def explain_refusal(experiment: Experiment, section: Section, reading: Reading, bound: float | None) -> str:
+def _explain_refusal(experiment: Experiment, section: Section, reading: Reading, bound: float | None) -> str:
     """Return the number that refused a cell, in a sentence; ``bound`` is that of the numerical error."""
     pick, candidates = experiment.pick, find_candidates(section, experiment.pick.smoothing)
     if reading.verdict is Verdict.SILENT:
@@ -204,7 +204,7 @@ def explain_refusal(experiment: Experiment, section: Section, reading: Reading, 
     return f"The {pick.method.replace('_', ' ')} is more than a quarter of a period from the stacked arrival."
 
 
-def find_remedies(experiment: Experiment, section: Section, verdict: Verdict | None, speed: float) -> Iterator[Remedy]:
+def _find_remedies(experiment: Experiment, section: Section, verdict: Verdict | None, speed: float) -> Iterator[Remedy]:
     """Follow the wave to where it is lost; ``speed`` is the static speed of the sample, m/s, NaN if it has none."""
     wave, packing, silent = experiment.wave, experiment.packing, verdict is Verdict.SILENT
     motion = section.across.max(axis=0, initial=0) * RESOLUTION

@@ -43,7 +43,7 @@ def diagnose_command(
     with read_campaign(database, campaign) as store:
         found = diagnose(store, Selection(seed, content))
         if layout is not Format.TABLE:
-            tell_rows([_row(one) for one in found], layout)
+            tell_rows([_table_row(one) for one in found], layout)
             return
         typer.echo(printable("\n".join(_overview_lines(store, found))))
         for one in found:
@@ -55,7 +55,7 @@ def diagnose_command(
                 typer.echo(f"  Wrote {save(one.draw(), out, name, ('png',))[0]}")
 
 
-def _row(one: "Diagnosis") -> dict[str, Any]:
+def _table_row(one: "Diagnosis") -> dict[str, Any]:
     """What is said of a cell."""
     said = {name: str(getattr(one, name)) for name in ("status", "reason", "finding", "packing")}
     return {"seed": one.key.seed, "content": one.key.content, **said, "remedies": "; ".join(map(str, one.remedies))}

@@ -22,7 +22,7 @@ _MOST_EXPECTED = (
     0.05  # expected overlap of a mean contact over the radius, above which the largest one is surely too deep
 )
 _LARGEST_OVER_EXPECTED = 3.0  # 1.9 to 3.9 in 19 packings of 390 disks, from 1e-3 to 0.3 of a radius
-ISOSTATIC = 3.0
+_ISOSTATIC = 3.0
 """Contacts per disk, rattlers left out, below which a packing with friction has no stiffness against shear."""
 _PLANAR = 6.0  # contacts per disk that a planar graph stays below (Euler)
 _LOOSEST = 0.3  # porosity of packings that hardly carry load
@@ -110,7 +110,7 @@ def judge_disks(packing: Packing, sand: Sand) -> tuple[Fault, ...]:
         found.append(Fault("stress", text + _softer(deepest, lid, sand), refused=deepest > LARGEST_OVERLAP))
     found += judge_porosity(report.porosity, packing.radius)
     contacts = report.coordination_number_without_rattlers
-    if contacts >= _PLANAR or contacts < ISOSTATIC:
+    if contacts >= _PLANAR or contacts < _ISOSTATIC:
         bound = (
             "fewer than 6 is the most that disks can have" if contacts >= _PLANAR else "3 are needed to resist shear"
         )

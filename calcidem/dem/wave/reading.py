@@ -38,7 +38,7 @@ _STEEPEST = 0.5
 LEAST_COHERENCE = 0.5
 """Smallest stack of an S wave: the mean over all stations of its amplitude over the largest one."""
 
-P_TO_S = 2.1
+_P_TO_S = 2.1
 """Largest ratio of P to S wave speed: the S wave arrives within this multiple of the P wave's travel time."""
 
 _STRETCH = 0.04
@@ -343,7 +343,7 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
 def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = _SMOOTHING) -> float:
     """Length of record in which a pulse without dispersion is read, s; SI units."""
     travel, period = distance / velocity, 1.0 / frequency
-    return max(P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
+    return max(_P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
 
 
 def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool:
@@ -464,7 +464,7 @@ def _line_to(prepared: _Prepared, index: int) -> tuple[Floats, float]:
 
 def _horizon(prepared: _Prepared, travel: float) -> int:
     """Samples that decide whether a peak after this travel is the S wave: later a slower one would have come."""
-    return int(prepared.peak + max(P_TO_S * travel, travel + prepared.period)) + 1
+    return int(prepared.peak + max(_P_TO_S * travel, travel + prepared.period)) + 1
 
 
 def _largest(clean: Floats) -> Floats:
