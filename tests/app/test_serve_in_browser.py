@@ -150,7 +150,7 @@ def test_the_map_grows_during_a_run(browser: Chromium, workshop: "Workshop") -> 
     assert len(maps) > 2
     assert counted == sorted(counted, key=lambda text: int(text.split()[0]))
     assert any(state and state.startswith("Running on ") and "with 2 workers" in state for state in states)
-    browser.wait_for("document.getElementById('connection').classList.contains('lost')")
+    browser.wait_for("document.getElementById('connection').textContent.startsWith('The server has ended. All cells')")
     assert browser.evaluate("document.querySelector('.campaign p:nth-of-type(3)').textContent").startswith("48 of 48")
     assert "refused" not in finished.output + finished.errors
     assert address[3] not in finished.output + finished.errors

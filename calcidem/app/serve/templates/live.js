@@ -319,7 +319,10 @@ const connection = (text, isLost) => {
   byId("connection").classList.toggle("lost", isLost);
 };
 stream.addEventListener("open", () => connection("Live: what is stored shows here within seconds.", false));
-stream.addEventListener("error", () => connection("The connection is lost: the server has ended, or can't be reached. Below is what was stored before.", true));
+stream.addEventListener("error", () => {
+  const isComplete = campaigns.size > 0 && [...campaigns.values()].every(({ status }) => !status.cells.pending);
+  connection(isComplete ? "The server has ended. All cells are below; “calcidem serve DB” shows them again." : "The connection is lost: the server has ended, or can't be reached. Below is what was stored before.", !isComplete);
+});
 stream.addEventListener("status", (event) => takeStatus(JSON.parse(event.data)));
 stream.addEventListener("cells", (event) => takeCells(JSON.parse(event.data)));
 addEventListener("resize", () => later("growth", showGrowth));
