@@ -1,12 +1,17 @@
 """Which kernels a campaign compiles before its first cell."""
 
 import contextlib
+import pickle
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
 import pytest
 
-from calcidem.app.campaign.task import EnoughSeenError, kernel_compilations
+from calcidem.app.campaign.task import CellComputation, EnoughSeenError, kernel_compilations
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Installation, Regime
 from calcidem.dem.kernels.features import Features
@@ -56,3 +61,27 @@ def test_the_kernels_of_the_cells_are_compiled_and_no_others(
     assert len([features for features in compiled if features.recording]) == len(
         {content > 0.0 for content in contents}
     )
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="each process for itself")
+def test_two_processes_of_an_executor_compile_two_kernels_at_the_same_time(
+    small_configuration: Configuration, small_packing: Packing, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Each takes a kernel that no other compiles, and has a computation once all are there."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    together = threading.Barrier(2, timeout=30.0)
+    compiled: list[int] = []
+
+    def compilations(*_: object) -> list[object]:
+        def compile_kernel(number: int) -> None:
+            compiled.append(number)
+            if len(compiled) <= 2:
+                together.wait()
+
+        return [lambda number=number: compile_kernel(number) for number in range(2)]
+
+    monkeypatch.setattr("calcidem.app.campaign.task.kernel_compilations", compilations)
+    told = pickle.dumps(CellComputation(small_configuration, small_packing))
+    with ThreadPoolExecutor(2) as pool:
+        assert len(list(pool.map(pickle.loads, [told] * 2))) == 2
+    assert set(compiled[:2]) == {0, 1}

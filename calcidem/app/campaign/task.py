@@ -62,8 +62,8 @@ _AT_REST_AT_ONCE = 1e300
 class CellComputation:
     """The computation of a batch up to the bytes that are stored, a `calcidem.sweep.attempt.Compute`.
 
-    It is prepared at its first batch, or where it is unpickled: there, the kernels are compiled first, once for all
-    processes of a machine that begin together.
+    It is prepared at its first batch, or where it is unpickled: there, the kernels are compiled first, each by one of
+    the processes of a machine that begin together.
 
     Attributes
     ----------
@@ -130,14 +130,20 @@ def _prepared_computation(configuration: Configuration, packing: Packing, versio
         for compile_kernel in compilations:
             compile_kernel()
         return CellComputation(configuration, packing)
-    with (Path(tempfile.gettempdir()) / f"calcidem-kernels-{os.getuid()}.lock").open("w", encoding="ascii") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            fcntl.flock(file, fcntl.LOCK_SH)  # another process compiles: wait for it, and load what it leaves on disk
-        else:
-            for compile_kernel in compilations:
+    with contextlib.ExitStack() as stack:
+        others = []
+        for number, compile_kernel in enumerate(compilations):
+            path = Path(tempfile.gettempdir()) / f"calcidem-kernel-{number}-{os.getuid()}.lock"
+            file = stack.enter_context(path.open("w", encoding="ascii"))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                others.append(file)  # another process compiles it: this one takes the next
+            else:
                 compile_kernel()
+                fcntl.flock(file, fcntl.LOCK_UN)
+        for file in others:
+            fcntl.flock(file, fcntl.LOCK_SH)  # wait for it, and load what it leaves on disk
     return CellComputation(configuration, packing)
 
 
