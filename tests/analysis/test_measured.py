@@ -49,6 +49,8 @@ def test_measured_velocities_lie_over_every_figure_of_vs_against_content(analysi
     assert sum(more) == sum(
         any(abs(t.content - row.content) < 1e-6 for t in measured) for row in analysis.distributions
     )
+    (far,) = (axes for axes in marked.axes if axes.get_title(loc="left").endswith(" 9 %"))
+    assert far.get_xlim()[1] > 2000.0  # a mark outside of the samples widens its panel
 
 
 def test_a_report_has_the_misfit_only_where_something_was_measured(analysis: CampaignAnalysis) -> None:
@@ -58,3 +60,4 @@ def test_a_report_has_the_misfit_only_where_something_was_measured(analysis: Cam
     assert table is not None
     assert [row[0] for row in table.rows] == ["0.66"]
     assert "outside the campaign's range: 1" in table.caption
+    assert len(set(table.header)) == len(table.header)

@@ -215,6 +215,8 @@ def draw_histograms(
         for target in measured:
             if math.isclose(target.content, row.content, abs_tol=1e-6):
                 axes.axvline(target.vs, color=BLACK, linewidth=1.5, linestyle="--")
+                low, high = axes.get_xlim()
+                axes.set_xlim(min(low, 0.97 * target.vs), max(high, 1.03 * target.vs))
     letter_panels(panels[: len(rows)], fontsize=8.5, pad=19.0)  # numbers stand below
     for axes in panels[len(rows) :]:
         axes.set_axis_off()

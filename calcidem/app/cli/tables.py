@@ -71,7 +71,9 @@ def vs_table(store: Store, selection: Selection) -> Table:
             _other_outcomes(columns["status"][here]),
         )
     whole = error_budget(columns)
-    remarks = [f"standard error of Vs: {budget_text(whole)}; reading m/s: part of sd that is error of the readings"]
+    remarks = [
+        f"standard error of Vs: {budget_text(whole)}; reading m/s: sd that errors of the readings alone would give"
+    ]
     if any(str(cell).endswith("*") for column in table.columns for cell in column.cells):
         remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
     if doubtful:

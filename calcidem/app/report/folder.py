@@ -12,7 +12,7 @@ from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.style import save
 from calcidem.app.report.sections import TABLES, make_or_explain
-from calcidem.app.report.wording import Table
+from calcidem.app.report.wording import ABSENT, Table
 from calcidem.storage.files import spreadsheet_value
 from calcidem.storage.netcdf.export import write_netcdf
 
@@ -55,4 +55,9 @@ def _write_table(table: Table, file: Path) -> None:
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(table.header)
-        writer.writerows([spreadsheet_value(value) for value in row] for row in table.rows)
+        writer.writerows([spreadsheet_value(_typed(value)) for value in row] for row in table.rows)
+
+
+def _typed(value: str) -> str:
+    """Value with the signs that programs read: the minus of a keyboard, and nothing where it is missing."""
+    return "" if value == ABSENT else value.replace("\N{MINUS SIGN}", "-")
