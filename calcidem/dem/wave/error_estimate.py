@@ -32,6 +32,7 @@ _USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `lin
 _USUAL_ROUGHNESS = 0.25  # the same over what smoothing removes
 _USUAL_LOSS = 0.45  # of the bound of what the transmitter loses by slip, which moves a peak to one side alone
 _USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
+_EACH_OF_TWO = 0.71  # of the difference of two runs, whose errors are as large as each other: 1 / sqrt(2)
 _WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)
 _PART_OF_PERIOD = 16  # distance of the places that tell the width of a peak, as a part of the period
 
@@ -151,11 +152,12 @@ def estimate_error(
     frequency, travel_time = record.section.frequency, arrival.travel_time
     shift = _shift_by_change(record.section, arrival)
     parts = _error_parts(experiment, record, arrival, shift)
+    weight = 1.0
     if chatter is not None:
-        parts = parts._replace(chatter=chatter)
+        parts, weight = parts._replace(chatter=chatter), _EACH_OF_TWO / _USUAL
     share = _largest_nonlinearity(record, frequency * travel_time).share
     change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * arrival.roughness
-    others = parts.precision + parts.noise + parts.chatter + parts.unbalanced + parts.breaking
+    others = parts.precision + parts.noise + weight * parts.chatter + parts.unbalanced + parts.breaking
     if experiment.wave.regime == "small":
         others += parts.regime
     step = _USUAL_STEP * record.time_step / record.stability_limit
