@@ -112,3 +112,6 @@ def test_unequal_lengths_and_too_few_velocities_are_refused() -> None:
         scan_ratio(envelopes[1:], velocity, seeds)
     with pytest.raises(ValueError, match="at least three"):
         scan_ratio(envelopes, np.where(np.arange(velocity.size) < 2, velocity, np.nan), seeds)
+    three = np.where(np.arange(velocity.size) % 4 == 0, velocity, np.nan)
+    three[np.flatnonzero(np.isfinite(three))[3:]] = np.nan
+    assert scan_ratio(envelopes, three, seeds, replicates=2).n == 3
