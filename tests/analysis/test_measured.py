@@ -49,6 +49,7 @@ def test_measured_velocities_lie_over_every_figure_of_vs_against_content(analysi
     assert sum(more) == sum(
         any(abs(t.content - row.content) < 1e-6 for t in measured) for row in analysis.distributions
     )
+    assert [len(figure.legends) for figure in (plain, marked)] == [0, 1]
     (far,) = (axes for axes in marked.axes if axes.get_title(loc="left").endswith(" 9 %"))
     assert far.get_xlim()[1] > 2000.0  # a mark outside of the samples widens its panel
 

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -208,13 +209,14 @@ def draw_histograms(
     lines = math.ceil(len(rows) / columns)
     figure = new_figure(height=0.45 + 1.5 * lines)
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
+    marks: list[Line2D] = []
     for axes, row in zip(panels, rows, strict=False):
         values = vs.sel(content=row.content).to_numpy()
         _draw_histogram(axes, values[np.isfinite(values)], row.vs)
         axes.set_title(f"{row.content:g} %")
         for target in measured:
             if math.isclose(target.content, row.content, abs_tol=1e-6):
-                axes.axvline(target.vs, color=BLACK, linewidth=1.5, linestyle="--")
+                marks.append(axes.axvline(target.vs, color=BLACK, linewidth=1.5, linestyle="--", label="measured mean"))
                 low, high = axes.get_xlim()
                 axes.set_xlim(min(low, 0.97 * target.vs), max(high, 1.03 * target.vs))
     letter_panels(panels[: len(rows)], fontsize=8.5, pad=19.0)  # numbers stand below
@@ -222,6 +224,8 @@ def draw_histograms(
         axes.set_axis_off()
     figure.supxlabel(VS_LABEL, fontsize=9)
     figure.supylabel("probability density (own scales)", fontsize=9)
+    if marks:
+        figure.legend(handles=marks[:1], loc="outside lower right")
     return figure
 
 
@@ -234,7 +238,8 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
         axes.axvline(row.mean, color=BLUE, linewidth=4, alpha=0.7)
         axes.set_xlim(0.9 * row.mean, 1.1 * row.mean)
         text = "one sample" if row.n == 1 else f"all {row.n}\nequal"
-        axes.text(0.05, 0.92, text, transform=axes.transAxes, fontsize=7, va="top")
+        box = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.0}  # over a measured mean
+        axes.text(0.05, 0.92, text, transform=axes.transAxes, fontsize=7, va="top", zorder=5, bbox=box)
         return
     # Freedman and Diaconis make single bars of small samples, so at least Sturges' number is taken.
     axes.hist(values, bins="auto", density=True, color=SKY, alpha=0.75, edgecolor="white", linewidth=0.5)

@@ -50,7 +50,7 @@ def velocity_table(analysis: CampaignAnalysis) -> Table:
     return Table(
         "Shear-wave velocity at each content. Brackets hold 95 % intervals: of the mean by Student's t, of the "
         "standard deviation by chi-square (fewer than 8 samples) or by Bonett's formula, which corrects for "
-        "kurtosis. Reading error is the part of the standard deviation that the errors of the readings make, their "
+        "kurtosis. Reading error is the standard deviation that errors of the readings alone would give, their "
         "root mean square; it is left out where all samples are the same. The range of new samples holds for "
         "normal velocities. p is that of the Jarque-Bera test simulated for this number of samples. Cells not "
         "computed yet and cells that gave no velocity are counted apart; neither is in the other columns. Marked "
