@@ -98,7 +98,7 @@ WRONG = {
     ),
     "disks too large for the box": (
         "[packing]\nwidth = 0.008\n",
-        ("packing.diameter", "at least 4 disks have to fit across the box"),
+        ("packing.diameter", "at least 4 disks must fit across the box"),
     ),
     "receiver narrower than a grain": (
         "[wave]\nreceiver_half_width = 1e-4\n",

@@ -1,1 +1,1 @@
-"""Scenes, their states, and how they are advanced and read."""
+"""Scenes and their states: starting, advancing, readout."""

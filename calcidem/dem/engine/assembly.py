@@ -1,4 +1,4 @@
-"""Turns a scene into the arrays of the kernel: order, neighbours, stiffnesses."""
+"""Builds the kernel's arrays from a scene: order, neighbours, stiffnesses."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ from calcidem.dem.kernels.layout import (
 )
 
 _ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
-_BLOWN_UP = 1e100  # m: far beyond any scene, and its square is still a number
+_BLOWN_UP = 1e100  # m: far beyond any scene, yet its square does not overflow
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +44,7 @@ class Assembly:
     Attributes
     ----------
     order
-        (N,) the scene's disks in the order of the arrays: sorted along the longer side, so that the neighbours of a
-        disk are near it in memory.
+        (N,) the scene's disks in memory order: sorted along the longer side, which keeps neighbours close in memory.
     grains, pairs, wall_pairs, walls
         See `layout`. Here, outside the kernel, the bond forces are (M, 3, L).
     """
@@ -87,15 +86,15 @@ def _memory_order(scene: Scene) -> Integers:
 def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
     """Pairs of disks whose rims are less than ``skin`` apart: (M, 2), sorted, first < second.
 
-    ``centres`` are (N, 2) or, in any of several samples, (N, 2, K).
+    ``centres`` are (N, 2), or (N, 2, K) for pairs that are near in any of K samples.
     """
     samples = centres.reshape(len(centres), 2, -1)
     middle = samples.mean(axis=2)
     aside = samples - middle[:, :, None]
     largest, apart = float(radius.max()), float(length(aside[:, 0], aside[:, 1]).max())
-    if apart > largest:  # one tree would find too much
+    if apart > largest:  # a single tree would find too many pairs
         return np.unique(np.concatenate([near_pairs(one, radius, skin) for one in np.moveaxis(samples, 2, 0)]), axis=0)
-    # The tree looks a little further than need be: which of its pairs are near enough is decided here.
+    # The tree searches slightly too far; the exact test follows.
     reach = (2.0 * (largest + apart) + skin) * (1.0 + 1e-9)
     found = cKDTree(middle).query_pairs(reach, output_type="ndarray")
     between = samples[found[:, 0]] - samples[found[:, 1]]
@@ -105,20 +104,20 @@ def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
 
 
 def pair_keys(pairs: Integers, count: int) -> npt.NDArray[np.int64]:
-    """(M,) one number for each pair (M, 2) of ``count`` things, whichever comes first; they sort as pairs do."""
+    """(M,) keys of pairs (M, 2) of ``count`` items. The order of the two ends does not matter; keys sort like pairs."""
     ends = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
     keys: npt.NDArray[np.int64] = np.minimum(*ends) * count + np.maximum(*ends)
     return keys
 
 
 def is_among(values: npt.NDArray[np.int64], ascending: npt.NDArray[np.int64]) -> Flags:
-    """(M,) whether each value is one of some that ascend."""
+    """(M,) True where a value is in the sorted array."""
     place = np.searchsorted(ascending, values)
     return np.asarray(np.append(ascending, -1)[place] == values)
 
 
 def lanes_of_bits(bits: Integers, lanes: int) -> Flags:
-    """(M, L) truth values of words (M,) whose bit l is lane l."""
+    """(M, L) flags from words (M,) whose bit l is lane l."""
     return ((bits[:, None] >> np.arange(lanes, dtype=np.uint32)) & 1).astype(bool)
 
 
@@ -130,16 +129,15 @@ def assemble(
     Parameters
     ----------
     scene
-        What to assemble.
+        Scene to assemble.
     centres
-        (N, 2, K) present centres of the disks in one or more samples, m: where neighbours are looked for.
+        (N, 2, K) present centres of the disks in one or more samples, m, for the neighbour search.
     skin
-        Pairs whose rims are closer than this in any of the samples are listed, m.
+        Pairs whose rims are closer than this in any sample are listed, m.
     lanes, dtype
-        Width and precision.
+        Number of lanes and precision.
     old
-        Assembly so far, of which disks, and walls where they have gone, are kept; without it the walls are where the
-        scene has them.
+        Previous assembly. Its disks and moved walls are kept; without it the walls start at their scene positions.
 
     Returns
     -------
@@ -151,7 +149,7 @@ def assemble(
     cemented = np.zeros(0, dtype=np.int64)
     if scene.bonds is not None and len(scene.bonds.pairs):
         cemented = pair_keys(np.argsort(order)[np.asarray(scene.bonds.pairs)], scene.count)
-    # A sample that has blown up has no neighbours worth listing, and must not harm the others.
+    # A sample that has blown up must not disturb the others, so its neighbours are not listed.
     samples = np.flatnonzero((np.abs(centres) < _BLOWN_UP).all(axis=(0, 1)))
     present = centres[order][:, :, samples]
     near = near_pairs(present, radius, skin) if len(samples) else np.zeros((0, 2), dtype=np.int64)
@@ -200,8 +198,8 @@ def _assemble_pairs(
 ) -> Pairs:
     """Pairs of disks with the constants of their contact laws.
 
-    All arrays are in memory order. ``listed`` (M,) holds the keys of the pairs, sorted, ``cemented`` (B,) those of the
-    scene's bonds.
+    All arrays are in memory order. ``listed`` (M,) holds the sorted keys of the pairs. ``cemented`` (B,) holds the keys
+    of the scene's bonds.
     """
     count = len(listed)
     first, second = np.divmod(listed, scene.count)
@@ -243,7 +241,7 @@ def _cement_pairs(bare: Pairs, scene: Scene, radius: Floats, places: Integers, l
         return bare
     dtype, ends = bare.hertz.dtype, (radius[bare.first], radius[bare.second])
     bits = np.zeros(len(bare.first), dtype=np.uint32)
-    # A pair that is named twice is cemented in the lanes of both.
+    # A pair listed twice is cemented in the lanes of both entries.
     np.bitwise_or.at(bits, places, scene.bonds.bits)
     bits &= np.uint32(2**lanes - 1)
     linear = np.zeros((len(bits), 3))
@@ -258,9 +256,9 @@ def _cement_pairs(bare: Pairs, scene: Scene, radius: Floats, places: Integers, l
 
 
 def share_assembly(single: Assembly, scene: Scene, lanes: int) -> Assembly | None:
-    """Assembly of samples of one scene from that of the scene without bonds and loads, in one lane.
+    """Assembly of samples of one scene, from its one-lane assembly without bonds and loads.
 
-    Shear forces that it has are those of all lanes. None where cement spans a gap that is not listed.
+    All lanes inherit its shear forces. None if cement spans a gap that is not listed.
     """
     pairs, wall_pairs, dtype = single.pairs, single.wall_pairs, single.pairs.hertz.dtype
     places = np.zeros(0, dtype=np.int64)
@@ -329,7 +327,7 @@ def _breaking_limits(strength: Floats) -> Floats:
 def _near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, moved: Floats) -> Integers:
     """Disks nearer to a wall than their ``reach`` (N,), in any sample of ``centres`` (N, 2, K): (V, 2) disk and wall.
 
-    Which of several walls of one side a disk faces is fixed by its reference position.
+    Where several walls form one side, a disk's reference position decides which of them it faces.
     """
     found = [np.zeros((0, 2), dtype=np.int64)]
     for index, wall in enumerate(scene.walls):

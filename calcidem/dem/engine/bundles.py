@@ -1,8 +1,7 @@
-"""Bundles: the arrays of one sample in the form in which the kernel computes `ABREAST` pairs, or disks, at once.
+"""Bundles: arrays of one sample, laid out so that the kernel computes `ABREAST` pairs or disks at once.
 
-Pairs are dealt out to bundles in the order of the list, anew for each block of disks (see `layout.Front`), so that the
-last bundle of a block may have places left. They are filled with the block's last pair, without stiffness: its forces
-are zeros, and zeros change no sum.
+Pairs fill bundles in list order, separately for each block of disks (see `layout.Front`). Spare places in a block's
+last bundle repeat its last pair with zero stiffness. Its forces are zero and change no sum.
 """
 
 from dataclasses import dataclass
@@ -17,23 +16,23 @@ from calcidem.dem.kernels.layout import ROTATION, XY, Floats, Grains, Integers, 
 from calcidem.dem.kernels.records import RECORD
 
 _HISTORY_NUMBERS = {"shear": 1, "root": 1, "bond_force": 3}
-"""Histories of a pair, and their numbers."""
+"""Histories of a pair, and the count of values in each."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bundles:
-    """Which pairs are in which bundle.
+    """Assignment of pairs to bundles.
 
     Attributes
     ----------
     start
-        (N + 1,) at the first disk of each block, and after the last disk: its first bundle.
+        (N + 1,) first bundle of a block, stored at the block's first disk; the last entry closes the list.
     pair
-        (B, 8) pairs of the bundles.
+        (B, 8) pairs in each bundle.
     place
-        (M,) where each pair is among the places of all bundles, counted through.
+        (M,) place of each pair, counted through all bundles.
     filling
-        Bundle and place of those that are filled up.
+        Bundle and place of each spare place.
     """
 
     start: Integers
@@ -43,7 +42,7 @@ class Bundles:
 
 
 def plan_bundles(pairs: Pairs, block: int, count: int) -> Bundles:
-    """Deal the pairs of ``count`` disks out, block by block."""
+    """Assign the pairs of ``count`` disks to bundles, block by block."""
     border = np.append(np.arange(0, count, block), count)
     first_pair = pairs.start[border]
     needed = -(-np.diff(first_pair) // ABREAST)
@@ -59,7 +58,7 @@ def plan_bundles(pairs: Pairs, block: int, count: int) -> Bundles:
 
 
 def bundle(system: System, bundles: Bundles, features: Features) -> System:
-    """The arrays of one sample in bundles and records; what is no part of pairs and disks is that of the system."""
+    """Arrays of one sample as bundles and records; all other arrays are shared with the system."""
     grains, motion, watch = system.grains, system.motion, system.watch
     return system._replace(
         grains=_bundle_grains(grains, features),
@@ -70,7 +69,7 @@ def bundle(system: System, bundles: Bundles, features: Features) -> System:
 
 
 def unbundle(bundled: System, bundles: Bundles, system: System, features: Features) -> None:
-    """Bring what the kernel has changed in bundles and records back to a system, in place."""
+    """Copy the kernel's changes in bundles and records back to the system, in place."""
     moving = slice(X, ROTATION + 1) if features.rotation else XY
     for records, array in zip(bundled.motion, system.motion, strict=True):
         disks = array.reshape(-1, 3)
@@ -87,7 +86,7 @@ def unbundle(bundled: System, bundles: Bundles, system: System, features: Featur
 
 
 def _records(values: Floats) -> Floats:
-    """(4 N', 1) records of values (N, 2 or 3), filled up with zeros to a multiple of eight disks."""
+    """(4 N', 1) records of values (N, 2 or 3), padded with zeros to a multiple of eight disks."""
     count, width = values.shape
     records = aligned_zeros((count + -count % ABREAST, RECORD), values.dtype)
     records[:count, :width] = values
@@ -95,7 +94,7 @@ def _records(values: Floats) -> Floats:
 
 
 def _bundle_grains(grains: Grains, features: Features) -> Grains:
-    """Disks with the constants of their motion as records: the inverse of mass and inertia in one."""
+    """Disks with their constants of motion as records: inverse mass and inertia in one array."""
     inverse = np.column_stack([grains.inverse_mass, grains.inverse_mass, grains.inverse_inertia])
     damping = np.broadcast_to(grains.damping[:, None], inverse.shape)
     return grains._replace(
@@ -106,7 +105,7 @@ def _bundle_grains(grains: Grains, features: Features) -> Grains:
 
 
 def _histories(features: Features) -> list[str]:
-    """Histories of pairs that the kernel uses, apart from whether bonds are intact."""
+    """Histories of pairs that the kernel uses, except the state of bonds."""
     uses = {
         "shear": not features.linear,
         "root": features.rescaling or features.finite or features.midpoint,
@@ -116,7 +115,7 @@ def _histories(features: Features) -> list[str]:
 
 
 def _stiffnesses(features: Features) -> list[str]:
-    """Constants that make the forces of a pair."""
+    """Constants that determine the forces of a pair."""
     uses = {
         "tangent": features.linear,
         "hertz": not features.linear,
@@ -128,9 +127,9 @@ def _stiffnesses(features: Features) -> list[str]:
 
 
 def _bundle_pairs(pairs: Pairs, bundles: Bundles, radius: Floats, features: Features) -> Pairs:
-    """Pairs in bundles: (B, 8) for (M,) and (B, K, 8) for (M, K); disks are the rows where their records begin.
+    """Pairs in bundles: (B, 8) for (M,) and (B, K, 8) for (M, K); disks become the first row of their records.
 
-    What the kernel does not need is left as it is: dealing out costs what some steps cost.
+    Arrays that the kernel does not need stay unchanged, because bundling costs as much as several steps.
     """
 
     def dealt(array: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -16,9 +16,9 @@ def stored_energy(
     Parameters
     ----------
     scene, features
-        Whose contacts they are.
+        Scene and its features.
     assembly
-        With the histories that belong to the present position.
+        Assembly with the histories at the present position.
     overlap, wall_overlap
         (M, L) and (V, L) of its pairs, m.
     """
@@ -50,6 +50,6 @@ def _hertz_energy(coefficient: Floats, overlap: Floats, shear_ratio: float) -> t
 
 
 def _spring_energy(force: Floats, stiffness: Floats) -> Floats:
-    """Summed F^2 / (2 k) of springs (M, L); those without stiffness carry nothing."""
+    """Sum of F^2 / (2 k) over springs (M, L); springs without stiffness carry nothing."""
     safe = np.where(stiffness > 0.0, stiffness, 1.0)
     return np.asarray(np.where(stiffness > 0.0, force.astype(float) ** 2 / (2.0 * safe), 0.0).sum(axis=0))

@@ -1,7 +1,7 @@
-"""What the fields of a dataclass accept: bounds and units stand in their annotations, and are checked from there.
+"""Bounds and units of dataclass fields, declared in their annotations and checked from there.
 
-The vocabulary is that of `annotated_types`, which pydantic knows, too: `Interval` and `Predicate` for what is possible,
-`Unit` for what it is measured in. A string among them says what to give where the bounds do not say it.
+The vocabulary is that of `annotated_types`, which pydantic also understands: `Interval` and `Predicate` for bounds,
+`Unit` for units. A string in the annotation describes the accepted values where bounds cannot.
 """
 
 import math
@@ -25,12 +25,12 @@ PositivePart = Annotated[float, Interval(gt=0.0, le=1.0)]
 
 
 class FieldError(ValueError):
-    """Values that a class refuses, in words that name field, value and remedy.
+    """Refused values; the message names field, value and remedy.
 
     Attributes
     ----------
     fields
-        Names of the fields that the rule is about; the first is the one that the words begin with.
+        Names of the fields that the rule concerns; the message begins with the first.
     """
 
     def __init__(self, message: str, *fields: str) -> None:
@@ -38,7 +38,7 @@ class FieldError(ValueError):
         self.fields = fields
 
     def __str__(self) -> str:
-        """The words alone."""
+        """The message alone."""
         return str(self.args[0])
 
 
@@ -48,16 +48,16 @@ def require(condition: bool, name: str, value: object, cure: str, *others: str) 
     Parameters
     ----------
     condition, name, value, cure
-        What has to hold, and what is said otherwise.
+        Condition that must hold, and the parts of the message if it does not.
     others
-        Further fields that the condition compares this one with.
+        Further fields in the condition.
     """
     if not condition:
         raise FieldError(f"{name} = {value}: {cure}", name, *others)
 
 
 def require_fields(owner: "DataclassInstance") -> None:
-    """Raise a `FieldError` if a field has a value that its annotation does not accept."""
+    """Raise a `FieldError` if an annotation does not accept its field's value."""
     for name, hint in field_hints(type(owner)).items():
         value = getattr(owner, name)
         require(_fits(hint, value), name, value, f"give {accepted_values(hint)}")
@@ -70,7 +70,7 @@ def field_hints(kind: type["DataclassInstance"]) -> dict[str, Any]:
 
 
 def accepted_values(hint: Any) -> str:  # noqa: ANN401 - a type hint has no type of its own
-    """What an annotation accepts, in words that can follow "give"; empty if that is all that its type can hold."""
+    """Values that an annotation accepts, worded to follow "give"; empty if it accepts all values of its type."""
     notes = tuple(_notes(hint))
     words = [note for note in notes if isinstance(note, str)]
     bounds = [note for note in notes if isinstance(note, Interval)]
@@ -91,14 +91,14 @@ def unit_of(hint: Any) -> str:  # noqa: ANN401 - as above
 
 
 def _notes(hint: Any) -> Iterator[object]:  # noqa: ANN401 - as above
-    """All that an annotation says beside types: first of the whole, then of its parts."""
+    """All entries of an annotation except types: those of the whole first, then those of its parts."""
     yield from getattr(hint, "__metadata__", ())
     for inner in get_args(hint):
         yield from _notes(inner)
 
 
 def _in_words(bounds: Interval, number: str) -> str:
-    """Numbers in an interval."""
+    """Describe an interval."""
     low, high = (bounds.gt if bounds.ge is None else bounds.ge), (bounds.lt if bounds.le is None else bounds.le)
     if high is not None:
         return f"a {number} in {'(' if bounds.ge is None else '['}{low:g}, {high:g}{')' if bounds.le is None else ']'}"
@@ -106,7 +106,7 @@ def _in_words(bounds: Interval, number: str) -> str:
 
 
 def _fits(hint: Any, value: object) -> bool:  # noqa: ANN401 - as above
-    """Whether an annotation accepts a value; its type is for type checkers and for pydantic to see to."""
+    """Whether an annotation accepts a value; type checkers and pydantic check its type."""
     arguments = get_args(hint)
     match get_origin(hint):
         case origin if origin is Annotated:
@@ -123,7 +123,7 @@ def _fits(hint: Any, value: object) -> bool:  # noqa: ANN401 - as above
 
 
 def _meets(note: object, value: Any) -> bool:  # noqa: ANN401 - of any field
-    """Whether a value meets what one entry of an annotation asks for."""
+    """Whether a value satisfies one entry of an annotation."""
     if isinstance(note, Predicate):
         return bool(note.func(value))
     if not isinstance(note, Interval):

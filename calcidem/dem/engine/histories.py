@@ -1,4 +1,4 @@
-"""Histories of contacts: what they begin with, and how they outlive a new list of neighbours."""
+"""Contact histories: initial values, and transfer to a new neighbour list."""
 
 from typing import NamedTuple
 
@@ -19,10 +19,10 @@ def listed_pairs(assembly: Assembly) -> Integers:
 
 
 def install_forces(scene: Scene, assembly: Assembly, features: Features, preload: Preload | None) -> None:
-    """Give the contacts of a new assembly the forces they start with: preloaded shear, and the cement's share of them.
+    """Set the initial contact forces of a new assembly: preloaded shear, and the cement's share of the forces.
 
-    In the linear regime the forces are those added to the reference state: its preload moves nothing, and tells only
-    how far each contact is from slipping.
+    In the linear regime forces are increments to the reference state. The preload moves nothing; it sets only how far
+    each contact is from slipping.
     """
     pairs, wall_pairs = assembly.pairs, assembly.wall_pairs
     if preload is not None:
@@ -30,7 +30,7 @@ def install_forces(scene: Scene, assembly: Assembly, features: Features, preload
     if features.linear:
         return
     if not features.finite:
-        # Without contact search a gap stays a gap; it is listed only because some lane has cement in it.
+        # Without contact search a gap stays a gap; it is listed only because cement fills it in some lane.
         gaps = pairs.geometry[:, OVERLAP] <= 0.0
         pairs.hertz[gaps] = pairs.mindlin[gaps] = 0.0
     pairs.root[...] = overlap_roots(pairs.geometry[:, OVERLAP], features.lanes, pairs.shear.dtype)
@@ -53,14 +53,14 @@ def install_forces(scene: Scene, assembly: Assembly, features: Features, preload
 
 
 def _preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Floats:
-    """(M,) preloaded shear force of every listed pair, zero where there is none."""
+    """(M,) preloaded shear force of every listed pair; zero without preload."""
     given, forces = np.asarray(preload.pairs), np.asarray(preload.shear)
     wanted = f"give shape ({len(forces)}, 2), as many as forces"
     require(given.shape == (len(forces), 2), "preload.pairs", given.shape, wanted)
     first, last = (int(given.min()), int(given.max())) if given.size else (0, 0)
     inside = first >= 0 and last < scene.count
     require(inside, "preload.pairs", f"{first} to {last}", f"use indices 0 to {scene.count - 1}")
-    # Swapping the two ends turns both n and the relative motion, so the number stays the same.
+    # Swapping the ends reverses both n and the relative motion, so the value stays the same.
     keys = pair_keys(np.argsort(assembly.order)[given.astype(np.int64)], scene.count)
     listed = pair_keys(listed_pairs(assembly), scene.count)
     known = is_among(keys, listed)
@@ -70,14 +70,14 @@ def _preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Flo
 
 
 def renew_assembly(scene: Scene, old: Assembly, displacement: Floats, skin: float) -> Assembly:
-    """Assembly with the neighbours of the present places; histories of pairs that stay are kept.
+    """Assembly with the neighbours at the present positions; pairs that stay keep their histories.
 
     Parameters
     ----------
     scene
-        What is moving.
+        Moving scene.
     old
-        Its assembly so far.
+        Its previous assembly.
     displacement
         (N, 2, L) m, in memory order.
     skin
@@ -97,7 +97,7 @@ def renew_assembly(scene: Scene, old: Assembly, displacement: Floats, skin: floa
 
 
 def _hand_down(fresh: NamedTuple, old: NamedTuple, keys: list[npt.NDArray[np.int64]], names: tuple[str, ...]) -> None:
-    """Give a list, in place, what its pairs had in the old one; both have increasing keys."""
+    """Copy the values of pairs in the old list to the new one, in place; both have increasing keys."""
     place = np.searchsorted(keys[1], keys[0])
     known = np.flatnonzero(np.append(keys[1], -1)[place] == keys[0])
     place = place[known]
@@ -106,7 +106,7 @@ def _hand_down(fresh: NamedTuple, old: NamedTuple, keys: list[npt.NDArray[np.int
 
 
 def _wall_keys(assembly: Assembly) -> npt.NDArray[np.int64]:
-    """(V,) one number for each pair of disk and wall, increasing in the order of the list; walls are counted on."""
+    """(V,) key of each contact of disk and wall, increasing in list order."""
     disks, wall_pairs = len(assembly.order), assembly.wall_pairs
     pairs = np.column_stack([wall_pairs.disk, wall_pairs.wall + disks])
     return pair_keys(pairs, disks + len(assembly.walls.normal))

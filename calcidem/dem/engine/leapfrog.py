@@ -26,34 +26,34 @@ from calcidem.dem.kernels.layout import (
 from calcidem.dem.kernels.records import RECORD
 from calcidem.dem.kernels.steps import advance_steps
 
-_REACH = 0.45  # part of the skin a disk may move before a new list; below 1/2: the step that crosses it is finished
-_REACH_TOGETHER = 0.35  # the same where several steps are under way then
+_REACH = 0.45  # part of the skin a disk may move before relisting; below 1/2, since that step is completed first
+_REACH_TOGETHER = 0.35  # the same with several steps in flight
 _STEPS_TOGETHER = 4
 _SMALLEST_BLOCK = 32
 
 
 @dataclass(frozen=True, slots=True)
 class StepControl:
-    """How the step of a state follows its limit.
+    """Control of the time step by its limit.
 
     Attributes
     ----------
     fraction
-        Part of the limit that a step is chosen as.
+        Chosen step over its limit.
     per_contact
-        Steps that resolve an impact when the fraction is `SAFETY`; 0: impacts are not resolved.
+        Steps per impact if the fraction is `SAFETY`; 0: impacts are not resolved.
     fixed
-        True: the caller has given the step, which is never changed; a limit below it is an error.
+        True: the caller has set the step. It never changes, and a limit below it is an error.
     next_look
-        Step at which the limit is looked at again.
+        Number of the step at which the limit is checked next.
     stability
-        (L,) s, stability limit at the overlaps of the last look that had to compute it.
+        (L,) s, stability limit when it was last computed.
     overlap
-        (2, L) m, largest and summed overlap at that look.
+        (2, L) m, largest and summed overlap at that time.
     began
         Steps and time (L,) at which the present step was chosen.
     energy
-        (2, L) J/m: at the start, and the largest so far; NaN before the first step.
+        (2, L) J/m, energy at the start and largest so far; NaN before the first step.
     """
 
     fraction: float
@@ -68,36 +68,36 @@ class StepControl:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Everything that changes while a scene is advanced.
+    """All variables that change while a scene is advanced.
 
     Attributes
     ----------
     scene
         The scene and its reference geometry.
     features
-        What the kernel was told to do.
+        Features of the kernel in use.
     time_step
         (L,) s.
     critical_time_step
-        (L,) s, its limit at the last look: the lower bound of `stability.critical_time_step`, and where disks move
-        freely not more than a twentieth of the shortest contact they may make.
+        (L,) s, limit of the step at the last check: the lower bound of `stability.critical_time_step`. For freely
+        moving disks it is at most a twentieth of the shortest possible contact.
     control
-        How the one follows the other.
+        Control of the step by this limit.
     steps
-        Steps done.
+        Completed steps.
     skin
-        Rims of disks up to this far apart are listed as pairs, m; zero where nothing new can touch.
+        Disks whose rims are up to this far apart are listed as pairs, m; zero if no new contacts can form.
     assembly
         Neighbours and histories of the contacts, in memory order.
     motion
         Displacements and velocities, in memory order.
     origin
-        (N, 2, L) displacements when the neighbours were listed.
+        (N, 2, L) displacements when neighbours were listed.
     wall_origin
-        (W, L) displacements of the walls along their normals, at that time.
+        (W, L) displacements of the walls along their normals at that time.
     account
-        (4, L) J/m: work of the walls and of held disks that move, losses of contacts (friction, changing shear
-        stiffness, broken bonds), local damping, work of the loads.
+        (4, L) J/m: work of walls and of moving held disks, contact losses (friction, changing shear stiffness, broken
+        bonds), local damping, work of the loads.
     """
 
     scene: Scene
@@ -125,7 +125,7 @@ class State:
         return reference + self.to_scene_order(self.motion.displacement[:, XY, lane])
 
     def velocity(self, lane: int = 0) -> Floats:
-        """(N, 2) velocities half a step before `time` (at time zero: then), m/s, in the order of the scene."""
+        """(N, 2) velocities half a step before `time`, initially those at time zero, m/s, in the order of the scene."""
         return self.to_scene_order(self.motion.velocity[:, XY, lane])
 
     def spin(self, lane: int = 0) -> Floats:
@@ -137,19 +137,19 @@ class State:
         return self.to_scene_order(self.motion.displacement[:, ROTATION, lane])
 
     def to_scene_order(self, values: Floats) -> Floats:
-        """Values of the disks brought from memory order back to the order of the scene."""
+        """Reorder values of the disks from memory order to the order of the scene."""
         result = np.empty_like(values, dtype=float)
         result[self.assembly.order] = values
         return result
 
 
 def _steps_together(features: Features) -> int:
-    """Steps in flight; a servo answers to the forces of the step before, and an account is summed up in their order."""
+    """Steps in flight; one with a servo, which needs the previous forces, or an account, which sums in step order."""
     return 1 if features.servo or features.account else _STEPS_TOGETHER
 
 
 def _make_front(state: State) -> Front:
-    """Empty scratch for the steps in flight, see `layout.Front`."""
+    """Empty work arrays for the steps in flight, see `layout.Front`."""
     assembly, together = state.assembly, _steps_together(state.features)
     block = max(_SMALLEST_BLOCK, int((assembly.pairs.second - assembly.pairs.first).max(initial=0)))
     if state.features.bundled:
@@ -168,10 +168,10 @@ def _make_front(state: State) -> Front:
 
 
 def run_in_place(state: State, steps: int, recording: Recording) -> State:
-    """Let the kernel change a state in place for ``steps`` steps, with new lists of pairs where they are needed."""
+    """Advance a state in place by ``steps`` steps, relisting pairs when needed."""
     done = 0
     if state.features.search and steps > 0 and _left_reach(state):
-        # In the last step of an earlier call, which had no next step to renew its list for.
+        # The reach was left in the last step of an earlier call, which did not relist.
         state = _renew_neighbours(state)
     while done < steps:
         count = run_kernel(state, steps - done, recording._replace(offset=recording.offset + done))
@@ -183,12 +183,12 @@ def run_in_place(state: State, steps: int, recording: Recording) -> State:
 
 
 def _reach(state: State) -> float:
-    """How far a disk may go from where the pairs were listed before they are listed anew, m."""
+    """Distance that a disk may move before pairs are relisted, m."""
     return (_REACH if _steps_together(state.features) == 1 else _REACH_TOGETHER) * state.skin
 
 
 def _left_reach(state: State) -> bool:
-    """Whether a disk or a wall has gone that far."""
+    """Whether a disk or a wall has moved further than `_reach`."""
     moved = state.motion.displacement[:, XY] - state.origin
     walls = state.assembly.walls.motion[:, NORMAL_PATH] - state.wall_origin
     reach = _reach(state)
@@ -196,7 +196,7 @@ def _left_reach(state: State) -> bool:
 
 
 def run_kernel(state: State, steps: int, recording: Recording) -> int:
-    """Let the kernel change a state in place; return the steps it did."""
+    """Run the kernel on a state in place; return the number of completed steps."""
     assembly = state.assembly
     system = System(
         grains=assembly.grains,
@@ -219,19 +219,19 @@ def run_kernel(state: State, steps: int, recording: Recording) -> int:
 
 
 def _rows(array: Floats) -> Floats:
-    """View of an array as rows of lanes, the shape in which kernels find their way fastest."""
+    """View of an array as rows of lanes, the shape that kernels index fastest."""
     return array.reshape(-1, array.shape[-1])
 
 
 def no_recording(state: State) -> Recording:
-    """Stand-in for a call in which nothing is driven or recorded."""
+    """Placeholder for calls without prescribed motion and recording."""
     dtype, lanes = state.motion.velocity.dtype, state.features.lanes
     return Recording(
         drive=np.zeros((0, lanes), dtype),
         driven=-1,
         driven_disks=np.zeros(0, dtype=np.int64),
         offset=0,
-        stride=np.iinfo(np.int64).max,  # never write: there is no room for samples
+        stride=np.iinfo(np.int64).max,  # never write: the buffer holds no samples
         receiver=0,
         listeners=np.zeros(0, dtype=np.int64),
         groups=np.zeros(2, dtype=np.int64),
@@ -241,7 +241,7 @@ def no_recording(state: State) -> Recording:
 
 
 def duplicate(state: State) -> State:
-    """Copy of everything the kernel changes in place."""
+    """Copy of all arrays that the kernel changes in place."""
     pairs, walls = state.assembly.pairs, state.assembly.walls
     wall_pairs = state.assembly.wall_pairs
     assembly = replace(
@@ -260,9 +260,9 @@ def duplicate(state: State) -> State:
 
 
 def look_ahead(state: State) -> State:
-    """Return the state one step later, with histories that belong to the present position.
+    """Return the state one step later, with histories at the present position.
 
-    At time zero the histories do so already, hence nothing slides in that step.
+    At time zero the histories already belong to it, so nothing slides in that step.
     """
     ahead = duplicate(state)
     if state.steps == 0:
@@ -278,18 +278,17 @@ def _halt(state: State) -> None:
 
 
 def start_leapfrog(state: State) -> State:
-    """First step from a state whose velocities are those of time zero: half a kick, then a drift.
+    """First step from a state with velocities at time zero: half a kick, then a drift.
 
-    The leapfrog starts with velocities at half a step. The acceleration at time zero comes from the kernel
-    itself, which does one step on a copy at rest; damping, which needs the velocity, is added here. What friction or
-    strength cuts off the forces that contacts start with is cut at time zero, before anything moves, in scenes that
-    resolve impacts; in others by the first step.
+    The leapfrog starts with velocities at half a step. One kernel step on a copy at rest gives the acceleration at time
+    zero. Damping depends on the velocity and is added here. Initial forces beyond friction or strength are cut off at
+    time zero, before any motion, in scenes that resolve impacts. In others the first step cuts them off.
     """
     dt = state.time_step.astype(state.motion.velocity.dtype)
     probe = duplicate(state)
     _halt(probe)
     run_kernel(probe, 1, no_recording(state))
-    # A packing that is relaxed goes on from forces at the limit of friction, which rounding alone puts beyond it.
+    # A relaxed packing continues from forces at the limit of friction; rounding alone can put them beyond it.
     current = _with_contacts_of(state, probe) if state.features.midpoint else duplicate(state)
     kick = probe.motion.velocity / 2.0
     if state.features.damping:
@@ -304,7 +303,7 @@ def start_leapfrog(state: State) -> State:
 
 
 def _with_contacts_of(state: State, probe: State) -> State:
-    """Copy of a state with the histories of contacts, and their losses, of another state at the same position."""
+    """Copy of a state with the contact histories and losses of another state at the same position."""
     pairs, wall_pairs = probe.assembly.pairs, probe.assembly.wall_pairs
     assembly = replace(
         state.assembly,
@@ -321,9 +320,8 @@ def _with_contacts_of(state: State, probe: State) -> State:
 def change_step(state: State, ahead: State, step: Floats) -> State:
     """Return the state one step later, with new steps (L,).
 
-    The leapfrog is brought to the present, where velocities are the mean of those half a step before and after, and
-    begins anew, so that a change costs no order. ``ahead`` is what `look_ahead` gives; lanes that keep their step end
-    there.
+    The leapfrog restarts from the present, with the mean of the velocities half a step before and after. A change
+    therefore keeps the order of the scheme. ``ahead`` is the result of `look_ahead`, kept in lanes with equal steps.
     """
     if state.steps == 0:
         return replace(state, time_step=step)
@@ -363,7 +361,7 @@ def change_step(state: State, ahead: State, step: Floats) -> State:
 
 
 def _renew_neighbours(state: State) -> State:
-    """Return the same state with its pair list made anew."""
+    """Return the state with a new pair list."""
     displacement = state.motion.displacement[:, XY]
     assembly = renew_assembly(state.scene, state.assembly, displacement, state.skin)
     return replace(

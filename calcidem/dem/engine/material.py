@@ -37,7 +37,7 @@ class Sand:
     friction: NotNegative = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse what no material can be."""
+        """Refuse impossible materials."""
         require_fields(self)
 
     @property
@@ -84,20 +84,20 @@ class Cement:
     bond_stiffness_ratio: Positive = 1.0
     linear_modulus: Annotated[NotNegative, Unit("Pa")] = 0.0
     linear_stiffness_ratio: Positive = 1.0
-    tensile_strength: Annotated[float, Interval(gt=0.0), Unit("Pa")] = 5.0e9  # infinite if it never breaks
+    tensile_strength: Annotated[float, Interval(gt=0.0), Unit("Pa")] = 5.0e9  # infinite: never breaks
     cohesion: Annotated[float, Interval(gt=0.0), Unit("Pa")] = 2.0e10
     friction_angle: Annotated[float, Interval(ge=0.0, lt=90.0), Unit("degrees")] = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what no cement can be."""
+        """Refuse impossible cements."""
         require_fields(self)
 
     def bond_stiffness(self, radius_first: Floats, radius_second: Floats) -> Floats:
         """Stiffness of a parallel bond: (M, 3) normal, shear (N/m) and rotational (N m).
 
-        ``k_n A = E / (R1 + R2) 2 R_b``, shear 1 / ratio of it, ``k_n I = E / (R1 + R2) 2 R_b^3 / 3``, with
-        ``R_b = min(R1, R2)`` and unit thickness: the parallel bond of Potyondy & Cundall (2004), A bonded-particle
-        model for rock, doi:10.1016/j.ijrmms.2004.09.011.
+        ``k_n A = E / (R1 + R2) 2 R_b``, the shear stiffness is this over the ratio, and
+        ``k_n I = E / (R1 + R2) 2 R_b^3 / 3``, with ``R_b = min(R1, R2)`` and unit thickness: the parallel bond of
+        Potyondy & Cundall (2004), A bonded-particle model for rock, doi:10.1016/j.ijrmms.2004.09.011.
         """
         bond_radius = np.minimum(radius_first, radius_second)
         per_area = self.bond_modulus / (np.asarray(radius_first) + np.asarray(radius_second))

@@ -1,10 +1,10 @@
-"""Elementary functions whose bits are the same everywhere.
+"""Elementary functions with identical bits on every processor.
 
-NumPy and the C library choose their sine, arcsine or power by the processor (SIMD width, FMA), and the results differ
-in the last bit; a chaotic packing makes another sample of that. IEEE 754 fixes ``+ - * /`` and the square root to the
-last bit, so what is made of these alone, in a fixed order, is the same on every processor. Whatever a stored number
-depends on comes from here: lengths, powers, angles, sums of products; no BLAS, no LAPACK, no FFT. NumPy's own sum of a
-contiguous array has a fixed order (pairwise), which a test checks.
+NumPy and the C library select their sine, arcsine or power by processor (SIMD width, FMA). The results differ in the
+last bit, and in a chaotic packing such a difference leads to another sample. IEEE 754 fixes ``+ - * /`` and the square
+root to the last bit. Functions that use only these, in a fixed order, therefore agree on every processor. All stored
+numbers depend only on such lengths, powers, angles and sums of products: no BLAS, no LAPACK, no FFT. NumPy sums a
+contiguous array in a fixed (pairwise) order, which a test checks.
 """
 
 import math
@@ -16,25 +16,25 @@ import numpy.typing as npt
 from calcidem.dem.kernels.layout import Floats
 
 _TERMS = 9
-"""Of the series of sine and cosine: what is left out at an eighth of a turn is below 1e-17."""
+"""Terms of the series of sine and cosine: the remainder at an eighth of a turn is below 1e-17."""
 _ARC_TERMS = 27
-"""Of the series of the arcsine: what is left out at 1/2 is below 1e-17."""
+"""Terms of the series of the arcsine: the remainder at 1/2 is below 1e-17."""
 
 
 def length(x: Floats, y: Floats) -> Floats:
-    """Length of vectors, ``sqrt(x^2 + y^2)``, to 1 unit in the last place; squares must neither over- nor underflow."""
+    """Length of vectors, ``sqrt(x^2 + y^2)``, to 1 unit in the last place; squares must not over- or underflow."""
     return np.asarray(np.sqrt(x * x + y * y))
 
 
 def three_halves(value: Floats) -> Floats:
-    """Power 1.5 of values that are not negative, to 1.5 units in the last place."""
+    """Power 1.5 of non-negative values, to 1.5 units in the last place."""
     return np.asarray(value * np.sqrt(value))
 
 
 def root(value: Floats, degree: int) -> Floats:
-    """Root of a small degree of values that are not negative, to 2 units in the last place.
+    """Root of small degree of non-negative values, to 2 units in the last place.
 
-    Newton's iteration from a start on a straight line over one power of two, where 6 steps are enough up to degree 5.
+    Newton's iteration starts from a straight line over one power of two; 6 steps suffice up to degree 5.
     """
     part, exponent = np.frexp(np.asarray(value, dtype=float))
     whole = -(-exponent // degree)
@@ -49,7 +49,7 @@ def root(value: Floats, degree: int) -> Floats:
 
 
 def _horner(coefficients: Sequence[float], x: Floats) -> Floats:
-    """Polynomial in x, the coefficient of the lowest power first."""
+    """Polynomial in x, coefficients in ascending order of powers."""
     total = np.full_like(x, coefficients[-1])
     for coefficient in coefficients[-2::-1]:
         total = total * x + coefficient
@@ -60,7 +60,7 @@ def sine_of_turns(turns: npt.ArrayLike) -> Floats:
     """``sin(2 pi t)`` of a number of turns t from -1 to 1, to 2 units in the last place; exact at multiples of 1/4."""
     t = np.asarray(turns, dtype=float)
     size = np.abs(t)
-    # Each of these differences is exact where it is taken.
+    # Each of these differences is exact in its range.
     half = np.where(size > 0.5, size - 0.5, size)  # noqa: PLR2004 - half a turn
     quarter = np.where(half > 0.25, 0.5 - half, half)  # noqa: PLR2004 - a quarter
     beyond = quarter > 0.125  # noqa: PLR2004 - an eighth
@@ -73,12 +73,12 @@ def sine_of_turns(turns: npt.ArrayLike) -> Floats:
 
 
 def arc_sine(value: npt.ArrayLike) -> Floats:
-    """Angle in [0, pi / 2] whose sine is a value in [0, 1], to 3 units in the last place.
+    """Arcsine in [0, pi / 2] of values in [0, 1], to 3 units in the last place.
 
-    Its series up to 1/2, and ``pi / 2 - 2 arcsin(sqrt((1 - x) / 2))`` above.
+    Power series up to 1/2, ``pi / 2 - 2 arcsin(sqrt((1 - x) / 2))`` above.
     """
     x = np.asarray(value, dtype=float)
-    large = x > 0.5  # noqa: PLR2004 - as said
+    large = x > 0.5  # noqa: PLR2004 - as above
     reduced = np.where(large, np.sqrt(np.maximum(0.5 * (1.0 - x), 0.0)), x)
     square = reduced * reduced
     angle = reduced + reduced * square * _horner(_ARC, square)
@@ -86,13 +86,13 @@ def arc_sine(value: npt.ArrayLike) -> Floats:
 
 
 def tangent_of_degrees(degrees: float) -> float:
-    """Tangent of an angle in [0, 90) degrees, to 1e-13 of itself."""
+    """Tangent of an angle in [0, 90) degrees, to a relative error of 1e-13."""
     turns = degrees / 360.0
     return float(sine_of_turns(turns) / sine_of_turns(0.25 - turns))
 
 
 def interpolate(x: float, places: Sequence[float], values: Sequence[float]) -> float:
-    """Linear interpolation in a table of increasing places; its first or last value outside."""
+    """Linear interpolation in a table of increasing places; constant beyond its ends."""
     if x <= places[0]:
         return float(values[0])
     for left, right, low, high in zip(places[:-1], places[1:], values[:-1], values[1:], strict=True):
@@ -102,7 +102,7 @@ def interpolate(x: float, places: Sequence[float], values: Sequence[float]) -> f
 
 
 def sliding_products(signal: Floats, weights: Floats) -> Floats:
-    """Sum of products of the weights and the part of a signal (T, ...) under them, at each place where they fit."""
+    """Sliding dot product of weights with a signal (T, ...), at each place where the weights fit."""
     places = len(signal) - len(weights) + 1
     total: Floats = np.zeros((max(0, places), *signal.shape[1:]))
     product = np.empty_like(total)

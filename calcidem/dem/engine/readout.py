@@ -1,7 +1,7 @@
 """Reading a state: contact forces, unbalanced force, energies.
 
-Histories of contacts belong to the position before the last drift. To read them at the present position
-the kernel itself does one step on a copy, so that no law is written a second time.
+Contact histories belong to the position before the last drift. One kernel step on a copy brings them to the present
+position, so no contact law is implemented twice.
 """
 
 from dataclasses import dataclass, replace
@@ -38,18 +38,18 @@ class ContactForces:
     Attributes
     ----------
     pairs
-        (C, 2) indices of the disks in the scene, first and second. Which of two is the first follows the order in
-        memory, along the longer side of the scene. Forces are what the first does to the second.
+        (C, 2) indices of the first and second disk in the scene. The first comes first in memory, along the longer side
+        of the scene. Forces are those of the first disk on the second.
     overlap
         (C,) m.
     normal, shear
         (C,) N/m on the second disk, along n from the first to the second (compression positive) and along
-        ``t = (-n_y, n_x)``. Seen from the other end n, t and the force turn round, so both numbers stay the same.
+        ``t = (-n_y, n_x)``. From the other end n, t and the force are reversed, so both values stay the same.
     moment
-        (C,) N, of the bond on the second disk, positive counterclockwise; its opposite is on the first. The shear force
-        adds ``-shear`` times the arm to both, arms being radii less half of the overlap.
+        (C,) N, of the bond on the second disk, positive counterclockwise; its opposite acts on the first. The shear
+        force adds ``-shear`` times the arm to both. An arm is the radius less half of the overlap.
     bonded
-        (C,) True where an intact bond is.
+        (C,) True for intact bonds.
     """
 
     pairs: Integers
@@ -85,23 +85,23 @@ class WallForces:
 class Energies:
     """Energies of one lane, J per metre of thickness; the balance is ``supplied = stored + lost``.
 
-    The last four are sums since half a step after the start and are kept only if the state was started with the
-    ``account`` feature.
+    The last four are summed from half a step after the start, and only if the state was started with the ``account``
+    feature.
 
     Attributes
     ----------
     kinetic
-        ``m v(n - 1/2) v(n + 1/2) / 2``, of the velocities half a step before and after: with their product linear
-        springs keep their energy to rounding at any stable step. A little below zero where everything turns round.
+        ``m v(n - 1/2) v(n + 1/2) / 2``, with the velocities half a step before and after. With their product, linear
+        springs conserve energy to rounding at any stable step. It is slightly negative where all velocities reverse.
     elastic
         Stored in contacts and bonds.
     wall_work
-        Work of moving walls and of held disks that move.
+        Work of moving walls and of moving held disks.
     contact_loss
-        Friction, shear energy that vanishes with changing stiffness, and what broken bonds take with them; also what
-        friction or strength cuts off the forces that contacts start with.
+        Loss by friction, by changing shear stiffness, by broken bonds, and by cutting initial forces off at the limits
+        of friction or strength.
     damping_loss
-        Taken by local damping.
+        Dissipated by local damping.
     load_work
         Work of the constant external forces and moments.
     """
@@ -130,13 +130,13 @@ def wall_overlaps(state: State) -> Floats:
 
 
 def contact_forces(state: State, lane: int = 0) -> ContactForces:
-    """Forces between the disks at the present position, except in the ``linear`` regime, which has none of its own."""
+    """Forces between the disks at the present position; `ValueError` in the ``linear`` regime, which has none."""
     _refuse_linear(state)
     return _contact_forces(state, look_ahead(state), lane)
 
 
 def _contact_forces(state: State, ahead: State, lane: int) -> ContactForces:
-    """Forces between the disks; ``ahead`` is what `look_ahead` gives."""
+    """Forces between the disks; ``ahead`` is the result of `look_ahead`."""
     pairs = ahead.assembly.pairs
     ends = listed_pairs(state.assembly)
     depth = overlaps(state)[:, lane]
@@ -162,12 +162,12 @@ def _contact_forces(state: State, ahead: State, lane: int) -> ContactForces:
 
 
 def _lane_of(bits: Integers, lane: int) -> Flags:
-    """Truth values of one lane."""
+    """Flags of one lane."""
     return ((bits >> np.uint32(lane)) & 1).astype(bool)
 
 
 def wall_contacts(state: State, lane: int = 0) -> WallForces:
-    """Forces of walls on each disk at the present position, except in the ``linear`` regime (see `contact_forces`)."""
+    """Forces of walls on disks at the present position; `ValueError` in the ``linear`` regime."""
     _refuse_linear(state)
     wall_pairs = look_ahead(state).assembly.wall_pairs
     depth = wall_overlaps(state)[:, lane]
@@ -189,21 +189,21 @@ def wall_reactions(state: State, lane: int = 0) -> Floats:
 def net_forces(state: State, lane: int = 0) -> Floats:
     """(N, 3) net force (N/m) and moment (N) on the disks without damping, in the order of the scene.
 
-    Taken from what one step of the kernel does to the velocities of a copy; zero for disks that are held.
+    They follow from the change of velocities in one kernel step on a copy; zero for held disks.
     """
     return _net_forces(state, _look_undamped(state), lane)
 
 
 def _look_undamped(state: State) -> State:
-    """What `look_ahead` gives, of disks without damping."""
+    """Result of `look_ahead` without damping."""
     undamped = state.assembly.grains._replace(damping=np.zeros_like(state.assembly.grains.damping))
     return look_ahead(replace(state, assembly=replace(state.assembly, grains=undamped)))
 
 
 def _net_forces(state: State, ahead: State, lane: int) -> Floats:
-    """(N, 3) net force and moment on the disks; ``ahead`` is what `_look_undamped` gives."""
+    """(N, 3) net force and moment on the disks; ``ahead`` is the result of `_look_undamped`."""
     before = state.motion.velocity[:, :, lane] if state.steps else 0.0
-    # In double precision from here on: NumPy 1 would divide single-precision numbers by a double in single precision.
+    # Convert to double precision: NumPy 1 would divide single-precision arrays by a double in single precision.
     change = (ahead.motion.velocity[:, :, lane] - before).astype(float) / state.time_step[lane]
     inertia = np.column_stack([state.scene.mass, state.scene.mass, state.scene.inertia])
     return state.to_scene_order(change) * inertia
@@ -222,14 +222,14 @@ def unbalanced_ratio(state: State, lane: int = 0) -> float:
 
 
 def energies(state: State, lane: int = 0) -> Energies:
-    """Energies of one lane at the present position, except in the ``linear`` regime (see `contact_forces`)."""
+    """Energies of one lane at the present position; `ValueError` in the ``linear`` regime."""
     _refuse_linear(state)
     ahead = look_ahead(state)
     velocity = state.motion.velocity[:, :, lane].astype(float)
     following = ahead.motion.velocity[:, :, lane] if state.steps else velocity
     account = state.account[:, lane].astype(float)
     if state.steps:
-        # Forces do work from half step to half step; the losses of contacts belong to the present position.
+        # Work is summed from half step to half step; contact losses belong to the present position.
         account = 0.5 * (account + ahead.account[:, lane])
     account[CONTACT_LOSS] = ahead.account[CONTACT_LOSS, lane]
     order = state.assembly.order
@@ -249,4 +249,4 @@ def energies(state: State, lane: int = 0) -> Energies:
 def _refuse_linear(state: State) -> None:
     """Raise a `ValueError` for a state of the ``linear`` regime."""
     if state.features.linear:
-        raise ValueError("regime = linear: it knows only forces added to the reference state; use small or finite")
+        raise ValueError("regime = linear: only force increments to the reference state are known; use small or finite")

@@ -1,4 +1,4 @@
-"""A scene: disks, walls, bonds, how they are damped and what they carry. Built from plain arrays, checked once."""
+"""Scene of disks, walls and bonds with damping and loads. Built from plain arrays and checked once."""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -24,19 +24,19 @@ class Wall:
     point, normal
         (2,) m and unit vector.
     friction
-        Coulomb coefficient; a contact takes the smaller of its two ends.
+        Coulomb coefficient; a contact takes the smaller one of disk and wall.
     velocity
-        (normal, tangential) m/s, the tangent being ``(-n_y, n_x)``.
+        (normal, tangential) m/s; the tangent is ``(-n_y, n_x)``.
     span
-        Range along the tangent coordinate (``point`` at 0) that this wall covers: a disk belongs to it by its
-        reference position, so several walls can make up one side.
+        Range of the tangential coordinate (0 at ``point``) that this wall covers. A disk's reference position assigns
+        it to a wall, so several walls can form one side.
     servo_force
-        Normal force per metre of thickness that a servo holds, N/m; None for a wall without servo.
+        Normal force per metre of thickness held by a servo, N/m; None without servo.
     servo_speed
         Largest speed of the servo, m/s.
     servo_gain
-        Part of the lacking force that the servo corrects in a step by the stiffness of the wall's own contacts; 1 is
-        PFC's stability limit.
+        Part of the force deviation that the servo corrects per step, based on the stiffness of the wall's contacts; 1
+        is PFC's stability limit.
     """
 
     point: tuple[float, float]
@@ -49,7 +49,7 @@ class Wall:
     servo_gain: float = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse walls without direction, roughness below zero and empty spans."""
+        """Refuse normals that are not unit vectors, negative friction and empty spans."""
         require(abs(np.hypot(*self.normal) - 1.0) < 1e-9, "normal", self.normal, "give a vector of length 1")  # noqa: PLR2004 - rounding of a hand-typed unit vector
         require(self.friction >= 0.0, "friction", self.friction, "give a coefficient of 0 or more")
         require(self.span[0] < self.span[1], "span", self.span, "give (lower, upper) with lower < upper")
@@ -83,9 +83,9 @@ class Bonds:
     lanes
         (B,) bit l is set if the pair is cemented in lane l; all lanes by default.
     installation
-        How a bond starts on a loaded contact: ``preserve`` carries the contact's force over (the linear group
-        takes it if there is one, the bond if not), ``zero`` drops it, ``pfc_absolute`` drops it and lets the linear
-        group jump to k_n times the overlap, as PFC does.
+        Start of a bond on a loaded contact. ``preserve`` transfers the contact's force to the linear group, or to the
+        bond without one. ``zero`` drops it. ``pfc_absolute`` drops it and sets the linear group to k_n times the
+        overlap, as PFC does.
     """
 
     pairs: Integers
@@ -94,7 +94,7 @@ class Bonds:
     installation: Installation = "preserve"
 
     def __post_init__(self) -> None:
-        """Refuse malformed pairs and an installation without its spring."""
+        """Refuse malformed pairs and ``pfc_absolute`` without linear group."""
         pairs = np.asarray(self.pairs)
         require(pairs.ndim == 2 and pairs.shape[1] == 2, "bonds.pairs", pairs.shape, "give an array of shape (B, 2)")  # noqa: PLR2004 - two ends
         different = bool(np.all(pairs[:, 0] != pairs[:, 1]))
@@ -105,7 +105,7 @@ class Bonds:
         known = ("preserve", "zero", "pfc_absolute")
         require(self.installation in known, "installation", self.installation, f"choose one of {', '.join(known)}")
         if self.installation == "pfc_absolute":
-            cure = "needs linear_modulus > 0: it is the linear group that jumps"
+            cure = "needs linear_modulus > 0 for its linear group"
             require(self.cement.linear_modulus > 0.0, "installation", self.installation, cure)
 
     @property
@@ -134,7 +134,7 @@ class Preload:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Disks with their surroundings; the reference geometry from which displacements are measured.
+    """Disks and their boundary conditions; the reference geometry of all displacements.
 
     Attributes
     ----------
@@ -145,21 +145,21 @@ class Scene:
     walls
         Rigid walls.
     bonds
-        Cemented pairs, None for none.
+        Cemented pairs; None without cement.
     damping
         Local damping factor alpha in [0, 1], one for all or (N,).
     held
-        (N,) True for a disk that keeps its velocity and spin whatever pushes it.
+        (N,) True for a disk whose velocity and spin no force changes.
     load
         (N, 3) constant external force x, y (N/m) and moment (N).
     gravity
-        Acceleration x, y, m/s^2: each disk has the load of its mass beside its own.
+        Acceleration x, y, m/s^2; the weight of each disk adds to its load.
     rotation
-        False forbids all rotation.
+        False suppresses all rotation.
     rescaling
-        Shear rescaling mode 1 of PFC (True) or 0. Mode 1 never creates energy, and forgets: each time the overlap of a
-        contact that sticks falls from d to e, its shear force is multiplied by ``sqrt(e / d)``, so that vibration wears
-        it off. Mode 0 keeps the force and may create energy.
+        Shear rescaling mode 1 of PFC (True) or 0. In mode 1, the shear force of a sticking contact is multiplied by
+        ``sqrt(e / d)`` whenever its overlap falls from d to e. This never creates energy, but vibration wears the force
+        off. Mode 0 keeps the force and may create energy.
     """
 
     x: Floats
@@ -176,7 +176,7 @@ class Scene:
     rescaling: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse arrays that do not describe disks."""
+        """Refuse invalid arrays."""
         count = len(np.atleast_1d(self.radius))
         require(count > 0, "radius", "empty", "give at least one disk")
         for name in ("x", "y", "radius"):
@@ -222,5 +222,5 @@ class Scene:
         return total
 
     def per_disk(self, value: npt.ArrayLike) -> Floats:
-        """One number spread over the disks, or the (N,) array as it is."""
+        """(N,) array of a single number or of values for each disk."""
         return np.broadcast_to(np.asarray(value, dtype=float), (self.count,)).copy()

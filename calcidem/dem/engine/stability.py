@@ -26,24 +26,24 @@ from calcidem.dem.kernels.layout import (
 
 _Entry = tuple[int, int]
 
-_UPPER = ((X, X), (X, Y), (Y, Y), (X, ROTATION), (Y, ROTATION), (ROTATION, ROTATION))  # entries of a matrix
+_UPPER = ((X, X), (X, Y), (Y, Y), (X, ROTATION), (Y, ROTATION), (ROTATION, ROTATION))  # entries of a symmetric matrix
 
 _RING_INERTIA = 2.0  # moment of inertia of a ring over a disk's
-_POWER_STEPS = 12  # of the power method that finds weights of the disks
-_LEAST_WEIGHT = 1e-6  # of the largest: no weight may be zero
+_POWER_STEPS = 12  # iterations of the power method for the weights of the disks
+_LEAST_WEIGHT = 1e-6  # smallest weight over the largest; no weight may be zero
 _ROUNDED_UP = 1.0 + 1e-12  # covers the rounding of a bound
-_SWEEPS = 6  # of Jacobi's rotations; they converge quadratically
+_SWEEPS = 6  # sweeps of Jacobi rotations; they converge quadratically
 
 
 class _Springs(NamedTuple):
-    """Ends of contacts at disks.
+    """Contacts, each seen from one of its disks.
 
     Attributes
     ----------
     disk
-        (M,) the disk of each.
+        (M,) disk of each contact.
     n
-        (M, 2) unit vector that points to it.
+        (M, 2) unit vector towards it.
     normal, shear
         (M, L) stiffnesses, N/m.
     arm, twist
@@ -59,12 +59,12 @@ class _Springs(NamedTuple):
 
     @property
     def trace(self) -> Floats:
-        """(M, L) trace of what each adds to its disk's matrix."""
+        """(M, L) trace of each contact's term in its disk's matrix."""
         return np.asarray(self.normal + self.shear * (1.0 + 2.0 * (self.arm * self.arm)) + self.twist)
 
     @property
     def entries(self) -> Floats:
-        """(M, L, 6) entries `_UPPER` of what each adds to its disk's matrix."""
+        """(M, L, 6) entries `_UPPER` of each contact's term in its disk's matrix."""
         n_x, n_y = self.n[:, X, None], self.n[:, Y, None]
         normal, shear, turned = self.normal, self.shear, -np.sqrt(2.0) * self.arm
         entries = np.empty((*turned.shape, len(_UPPER)))
@@ -86,15 +86,15 @@ def critical_time_step(
 ) -> Floats:
     """Rigorous lower bound of the critical time step of a sample, (L,) s.
 
-    The arguments are those of `critical_time_step_of_disks`, which is cheaper and some 15 to 30 % lower.
+    The arguments are those of `critical_time_step_of_disks`, which is cheaper and about 15 to 30 % lower.
 
     Notes
     -----
     Central differences are stable iff ``dt < 2 / omega_max``. With the coordinates of `critical_time_step_of_disks`
     ``omega_max^2`` is the largest eigenvalue of the symmetric matrix A of 3 x 3 blocks ``A_ij = K_ij / sqrt(m_i m_j)``.
-    By Gershgorin's theorem for blocks, with any positive weights x of the disks, it is at most
-    ``max_i (lambda_max(A_ii) + sum_j |A_ij| x_j / x_i)`` (Feingold & Varga 1962, doi:10.2140/pjm.1962.12.1241). Some
-    rounds of the power method on the matrix of these norms find good weights. A wall does not move and has no A_ij.
+    By Gershgorin's theorem for blocks, for any positive weights x of the disks, it is at most
+    ``max_i (lambda_max(A_ii) + sum_j |A_ij| x_j / x_i)`` (Feingold & Varga 1962, doi:10.2140/pjm.1962.12.1241). A few
+    iterations of the power method on the matrix of these norms give good weights. A wall is fixed and has no A_ij.
     """
     first, second, at_walls = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
     squared = _squares_of_stiffest((first, second, at_walls), assembly, features)[1].max(axis=0, initial=0.0)
@@ -126,24 +126,24 @@ def critical_time_step_of_disks(
     *,
     rings: bool = False,
 ) -> Floats:
-    """Rigorous lower bound (L,) of the critical time step, s, from each disk alone: cheap, for a step that is watched.
+    """Rigorous lower bound (L,) of the critical time step, s, from each disk alone: cheap enough for repeated checks.
 
-    ``overlap`` (M, L) and ``wall_overlap`` (V, L) are the present ones of the listed pairs, which set the
-    stiffness of Hertz contacts; those of the reference geometry by default. ``rings``: the disks have the moments of
-    inertia of rings, see `scaled_densities`.
+    ``overlap`` (M, L) and ``wall_overlap`` (V, L) of the listed pairs set the stiffness of Hertz contacts; by default
+    they are those of the reference geometry. With ``rings`` the disks have the moments of inertia of rings, see
+    `scaled_densities`.
 
     Notes
     -----
     Central differences are stable iff ``dt < 2 / omega_max``, and ``omega_max^2`` is the largest ``u K u / u M u``.
-    With the scaled rotation ``R theta / sqrt 2`` the three inertias of a disk are all ``m_i``, and a contact adds
+    With the scaled rotation ``R theta / sqrt 2`` the three inertias of a disk are all ``m_i``. A contact then adds
     ``k_n (n (u_i - u_j))^2 + k_s (s_i u_i + s_j u_j)^2 + k_theta (theta_i - theta_j)^2`` to ``u K u``, with
-    ``s = (t, sqrt 2 a / R)`` up to signs. The arm a from the centre to the contact is R, and longer by half of the gap
-    where cement spans one. Since ``(a - b)^2 <= 2 a^2 + 2 b^2``, that is at most twice what its two ends would add if
-    each moved alone, so ``omega_max^2 <= max_i 2 lambda_max(B_i) / m_i`` with the 3 x 3 matrices
-    ``B_i = sum over contacts of k_n n n^T + k_s s s^T + (2 k_theta / R_i^2) e3 e3^T``. A bond that may break gives way
-    to the sand's contact; whichever of the two is stiffer counts. A wall does not move, so its contacts count half.
-    Local damping multiplies a force by up to ``1 + alpha``, as a mass smaller by that factor would: it lowers the limit
-    to ``2 / (omega sqrt(1 + alpha))``.
+    ``s = (t, sqrt 2 a / R)`` up to signs. The arm a from the centre to the contact is R, plus half of the gap where
+    cement spans one. Since ``(a - b)^2 <= 2 a^2 + 2 b^2``, this is at most twice the sum for its two ends moving alone.
+    Hence ``omega_max^2 <= max_i 2 lambda_max(B_i) / m_i`` with the 3 x 3 matrices
+    ``B_i = sum over contacts of k_n n n^T + k_s s s^T + (2 k_theta / R_i^2) e3 e3^T``. A bond that may break reverts to
+    the sand's contact, so the stiffer of the two counts. A wall is fixed, so its contacts count half. Local damping
+    multiplies a force by up to ``1 + alpha``, like a mass smaller by that factor. It lowers the limit to
+    ``2 / (omega sqrt(1 + alpha))``.
 
     O'Sullivan & Bray (2004), doi:10.1108/02644400410519794, show that the critical time step depends on the present
     contacts, and that rules of thumb overestimate it.
@@ -156,7 +156,7 @@ def critical_time_step_of_disks(
 
 
 def _step_of_squares(scene: Scene, squared: Floats) -> Floats:
-    """Critical time step (L,), s, of bounds on the square of the highest frequency, rad^2/s^2."""
+    """Critical time step (L,), s, from bounds on the square of the highest frequency, rad^2/s^2."""
     with np.errstate(divide="ignore"):
         return np.where(squared > 0.0, 2.0 / np.sqrt(squared), _no_contact_step(scene))
 
@@ -164,8 +164,8 @@ def _step_of_squares(scene: Scene, squared: Floats) -> Floats:
 def _coupling(first: _Springs, second: _Springs, features: Features) -> Floats:
     """Spectral norms (M, L), N/m, of the blocks of stiffness that couple the two disks of each contact.
 
-    Along the normal that is k_n. Of the block of shear and rotation, ``k_s s_i s_j^T - 2 k_theta / (R_i R_j) e3 e3^T``,
-    the sum of the squared singular values and their product are known.
+    The normal part is k_n. For the block of shear and rotation, ``k_s s_i s_j^T - 2 k_theta / (R_i R_j) e3 e3^T``, the
+    product of the singular values and the sum of their squares are known.
     """
     normal, shear = first.normal, first.shear
     if not features.rotation:
@@ -182,12 +182,12 @@ def _coupling(first: _Springs, second: _Springs, features: Features) -> Floats:
 def scaled_densities(
     scene: Scene, assembly: Assembly, features: Features, overlap: Floats, wall_overlap: Floats, highest: float
 ) -> tuple[Grains, Floats]:
-    """Disks that come to rest in fewer steps, and the limit of the step with them, (L,) s.
+    """Disks with scaled densities, which come to rest in fewer steps, and their step limit, (L,) s.
 
-    Where only the state of rest counts, the stiffest disks need not set the step of all (density scaling, as PFC's
-    'timestep scale'). Disks get the moment of inertia of rings, since they are stiffest against turning. Those whose
-    part in the bound of `critical_time_step_of_disks` is above ``highest``, a share of the largest, then get so heavy
-    that it is not. All lanes share their masses and the step. The other arguments are those of that function.
+    If only the state of rest counts, the stiffest disks need not limit the step (density scaling, as PFC's 'timestep
+    scale'). Disks are stiffest in rotation, so they receive the moment of inertia of rings. Each disk has its own bound
+    in `critical_time_step_of_disks`. Bounds above ``highest`` times the largest are then lowered to it by added mass.
+    All lanes share masses and step. The other arguments are those of that function.
     """
     springs = _at_rings(_springs_at_disks(scene, assembly, features, overlap, wall_overlap))
     disks, squares = _squares_of_stiffest(springs, assembly, features, highest)
@@ -203,7 +203,7 @@ def scaled_densities(
 
 
 def _at_rings(springs: Sequence[_Springs]) -> tuple[_Springs, ...]:
-    """The same contacts of disks that have the moments of inertia of rings."""
+    """The same contacts for disks with the moments of inertia of rings."""
     root = np.sqrt(_RING_INERTIA)
     return tuple(side._replace(arm=side.arm / root, twist=side.twist / _RING_INERTIA) for side in springs)
 
@@ -211,9 +211,9 @@ def _at_rings(springs: Sequence[_Springs]) -> tuple[_Springs, ...]:
 def _squares_of_stiffest(
     springs: Sequence[_Springs], assembly: Assembly, features: Features, share: float = 1.0
 ) -> tuple[Integers, Floats]:
-    """Disks (K,), all those among them whose part in the bound reaches a share of the largest, and the parts (K, L)."""
+    """Disks (K,), at least those whose part in the bound reaches a share of the largest, and their parts (K, L)."""
     factor = 2.0 * _inverse_masses(assembly)
-    # An eigenvalue is at most the trace, so few can be larger than that of the disk with the largest trace.
+    # The trace bounds an eigenvalue, so few disks can exceed the disk with the largest trace.
     most = factor * sum(_sum_over_disks(side.disk, side.trace, len(factor)) for side in springs)
     tops = np.unique(most.argmax(axis=0))
     least = (factor[tops] * _largest_eigenvalue(_contact_matrices(springs, tops, features))).max(axis=0)
@@ -231,24 +231,24 @@ def squared_frequencies(
 
 
 def _inverse_masses(assembly: Assembly) -> Floats:
-    """Inverse masses (N, 1), 1/kg; local damping acts on a force as smaller masses would."""
+    """Inverse masses (N, 1), 1/kg; local damping counts as a smaller mass."""
     grains = assembly.grains
     return np.asarray((grains.inverse_mass.astype(float) * (1.0 + grains.damping.astype(float)))[:, None])
 
 
 def _sums(disk: Integers, count: int) -> csr_array:
-    """Matrix (count, M) that adds up values of disks (M,), each sum in the order of its terms."""
+    """Matrix (count, M) that sums values over disks (M,), each sum in the order of its terms."""
     return csr_array((np.ones(len(disk)), (disk, np.arange(len(disk)))), shape=(count, len(disk)))
 
 
 def _sum_over_disks(disk: Integers, values: Floats, count: int) -> Floats:
-    """Sums (count, ...) of values (M, ...) of disks (M,), each added up in their order."""
+    """Sums (count, ...) of values (M, ...) over disks (M,), in order."""
     sums: Floats = _sums(disk, count) @ values.reshape(len(disk), int(np.prod(values.shape[1:])))
     return sums.reshape(count, *values.shape[1:])
 
 
 def _contact_matrices(springs: Sequence[_Springs], disks: Integers, features: Features) -> Floats:
-    """Matrices (K, L, 3, 3) of `critical_time_step_of_disks` of some disks (K,), which increase."""
+    """Matrices (K, L, 3, 3) of `critical_time_step_of_disks` for increasing disks (K,)."""
     number = np.full(max(values.max(initial=-1) for values in (disks, *(side.disk for side in springs))) + 1, -1)
     number[disks] = np.arange(len(disks))
     chosen = [np.flatnonzero(number[side.disk] >= 0) for side in springs]
@@ -263,11 +263,10 @@ def _contact_matrices(springs: Sequence[_Springs], disks: Integers, features: Fe
 
 
 def _largest_eigenvalue(matrices: Floats) -> Floats:
-    """Upper bound (...) of the eigenvalues of symmetric matrices (..., 3, 3) without negative ones, good to 1e-12.
+    """Upper bound (...) of the eigenvalues of positive semidefinite matrices (..., 3, 3), accurate to 1e-12.
 
-    Jacobi's rotations in a fixed order, made of ``+ - * /`` and square roots alone, since LAPACK's last bits depend on
-    the processor. Off the diagonal next to nothing is left, and Gershgorin's circles cover it; the last factor covers
-    the rounding.
+    Jacobi rotations in a fixed order use only ``+ - * /`` and square roots, since LAPACK's last bits depend on the
+    processor. Gershgorin's circles cover the tiny off-diagonal rest; the last factor covers rounding.
     """
     scale = matrices[..., 0, 0] + matrices[..., 1, 1] + matrices[..., 2, 2]
     scaled = matrices / np.where(scale > 0.0, scale, 1.0)[..., None, None]
@@ -285,10 +284,10 @@ def _largest_eigenvalue(matrices: Floats) -> Floats:
 
 
 def _rotate(entry: dict[tuple[int, int], Floats], pq: _Entry, pr: _Entry, qr: _Entry) -> None:
-    """Turn the entry (p, q) of symmetric matrices into zero by a rotation of the axes p and q, in place."""
+    """Eliminate the entry (p, q) of symmetric matrices by a rotation of the axes p and q, in place."""
     p, q = pq
     off, gap = entry[pq], entry[q, q] - entry[p, p]
-    # Tangent of the smaller angle: t^2 + t gap / off = 1, without a division by ``off``, which may be zero.
+    # Tangent of the smaller angle: t^2 + t gap / off = 1, computed without dividing by ``off``, which may be zero.
     below = np.abs(gap) + np.sqrt(gap * gap + 4.0 * (off * off))
     twice = 2.0 * off / np.where(below > 0.0, below, 1.0)
     tangent = np.where(gap < 0.0, -twice, twice)
@@ -302,7 +301,7 @@ def _rotate(entry: dict[tuple[int, int], Floats], pq: _Entry, pr: _Entry, qr: _E
 def _springs_at_disks(
     scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
 ) -> tuple[_Springs, ...]:
-    """First ends of the contacts between disks, second ends, and half of each contact with a wall."""
+    """Contacts between disks from their first and from their second disk, and half of each wall contact."""
     normal, shear, twist = pair_stiffness(assembly, features, scene.sand.shear_ratio, overlap)
     pairs, wall_pairs, walls = assembly.pairs, assembly.wall_pairs, assembly.walls
     radius = assembly.grains.radius.astype(float)
@@ -324,7 +323,7 @@ def _springs_at_disks(
 
 
 def _no_contact_step(scene: Scene) -> float:
-    """Step for disks that touch nothing yet: limit of a contact pressed in by a thousandth of a radius."""
+    """Step for disks without contacts: limit of a contact with an overlap of a thousandth of a radius."""
     smallest = float(np.min(scene.radius))
     coefficient = float(scene.sand.hertz_coefficient(np.array(smallest), np.array(smallest)))
     stiffness = 1.5 * coefficient * np.sqrt(1e-3 * smallest)
@@ -332,7 +331,7 @@ def _no_contact_step(scene: Scene) -> float:
 
 
 def hertz_tangent(coefficient: Floats, overlap: Floats) -> Floats:
-    """Normal stiffness of Hertz contacts, 3/2 h_n sqrt(overlap), N/m; zero where nothing overlaps."""
+    """Normal stiffness of Hertz contacts, 3/2 h_n sqrt(overlap), N/m; zero without overlap."""
     pressed: Floats = np.maximum(overlap, 0.0).astype(float)
     return 1.5 * coefficient.astype(float)[:, None] * np.sqrt(pressed)
 

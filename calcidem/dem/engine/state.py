@@ -1,4 +1,4 @@
-"""Starting and advancing a scene. States are values: advancing makes a new one."""
+"""Starting and advancing a scene. States are values: advancing returns a new one."""
 
 from dataclasses import replace
 
@@ -15,21 +15,21 @@ from calcidem.dem.engine.step_control import SAFETY, is_watched, look, refuse_bl
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import ROTATION, XY, Floats, Integers, Motion
 
-SKIN = 0.2  # pairs are listed up to this part of the mean radius apart
-_BUNDLED_DISKS = 256  # from this number on bundles save more than their preparation costs, 0.1 ms a call and more
+SKIN = 0.2  # largest gap of listed pairs over the mean radius
+_BUNDLED_DISKS = 256  # from this number on, bundles save more than their preparation costs (at least 0.1 ms a call)
 _SMOOTH_STEPS, _ROUGH_STEPS = 25.0, 36.0
-"""Of the default step in a Hertz contact without and with friction.
+"""Default steps per Hertz contact without and with friction.
 
-Energy comes back to 5e-4 with 25 steps, to 1e-3 at the limit (20 steps). A contact that sticks sways along itself
-`sqrt(3 k_s / k_n)`, some 1.6, times as fast as it bounces: after oblique impacts, radii up to 1 : 6, velocities and rim
-speeds are good to 0.4 % of the speed of impact with 36 steps, to 0.6 % with 25.
+An impact returns its energy to 5e-4 with 25 steps, to 1e-3 at the limit (20 steps). A sticking contact oscillates in
+shear `sqrt(3 k_s / k_n)`, about 1.6, times as fast as normal to it. After oblique impacts (radii up to 1 : 6)
+velocities and rim speeds are accurate to 0.4 % of the impact speed with 36 steps, to 0.6 % with 25.
 """
 
 
 def choose_features(
     scene: Scene, regime: Regime, lanes: int = 1, *, slip: bool = True, breakage: bool = True, account: bool = False
 ) -> Features:
-    """Features a scene needs in a regime: ``finite``, ``small`` (fixed geometry) or ``linear`` (fixed stiffness)."""
+    """Features for a scene and a regime: ``finite``, ``small`` (fixed geometry) or ``linear`` (fixed stiffness)."""
     linear = regime == "linear"
     bonds = scene.bonds is not None and len(scene.bonds.pairs) > 0
     group = bonds and scene.bonds is not None and bool(scene.bonds.cement.linear_modulus > 0.0)
@@ -53,7 +53,7 @@ def choose_features(
     )
 
 
-def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from the default, by keyword
+def start(  # noqa: PLR0913 - entry to the engine: every departure from the default is a keyword
     scene: Scene,
     *,
     regime: Regime = "finite",
@@ -77,29 +77,28 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
     scene
         Disks at their reference positions.
     regime
-        ``finite``: displacements of any size. ``small``: normals stay as they are. ``linear``: stiffnesses too.
+        ``finite``: displacements of any size. ``small``: fixed normals. ``linear``: fixed normals and stiffnesses.
     features
-        Overrides what `choose_features` finds.
+        Overrides the features of `choose_features`.
     precision
-        Of all arrays of the kernel.
+        Precision of all arrays of the kernel.
     time_step
-        s, one number or (L,), which is kept. By default a part of the critical time step, which gets smaller when that
-        does.
+        Fixed step, s, one number or (L,). By default a part of the critical time step, which decreases with it.
     step_fraction
-        That part.
+        Default step over the critical time step.
     velocity, spin
         (N, 2) m/s and (N,) rad/s at time zero.
     preload
         Shear forces of the reference state.
     skin_fraction
-        Pairs are listed up to this part of the mean radius apart. Small where disks move little, since listed pairs
-        cost time; large where they move far, since a new list costs more. By default 0.2, or 0 without contact search.
+        Largest gap of listed pairs over the mean radius. Choose it small for small motion, since listed pairs cost
+        time, and large for large motion, since relisting costs more. Default 0.2, or 0 without contact search.
     steps_per_contact
-        Steps in the shortest impact at the default step; by default 25, and 36 where grains rub. With 0 the step
-        is that of the stability limit at the start, and only the caller watches it: for waves in scenes at rest.
+        Steps per shortest impact at the default step; default 25, or 36 with friction. With 0 the step follows the
+        stability limit at the start and only the caller checks it later: for waves in scenes at rest.
     single
-        State of the same scene without bonds and loads, in one lane, with the same skin and preload: its neighbours and
-        constants are taken as they are, which saves half of the time.
+        One-lane state of the same scene without bonds and loads, with the same skin and preload. Reuse of its
+        neighbours and constants saves half of the time.
     """
     chosen = features or choose_features(scene, regime)
     dtype = np.dtype(precision)
@@ -111,9 +110,9 @@ def start(  # noqa: PLR0913 - the way into the engine: how a scene differs from 
         centres = np.column_stack([scene.x, scene.y])[:, :, None]
         assembly = assemble(scene, centres, skin, chosen.lanes, dtype)
     else:
-        preload = None  # it is there already
+        preload = None  # already included
     install_forces(scene, assembly, chosen, preload)
-    # A step that stays is worth the price of a tight bound; one that is watched is bounded again and again.
+    # A fixed step justifies the cost of a tight bound; the bound of a checked step is recomputed often.
     watched = not chosen.linear and steps_per_contact != 0.0
     limit = (critical_time_step_of_disks if watched else critical_time_step)(scene, assembly, chosen)
     state = State(
@@ -161,7 +160,7 @@ def _first_motion(
     velocity: Floats | None,
     spin: Floats | None,
 ) -> Motion:
-    """Disks at their reference positions, with the velocities they are given."""
+    """Disks at their reference positions, with the given velocities."""
     shape = (scene.count, 3, lanes)
     motion = Motion(displacement=aligned_zeros(shape, dtype), velocity=aligned_zeros(shape, dtype))
     for name, values, components in (("velocity", velocity, XY), ("spin", spin, ROTATION)):
@@ -174,11 +173,11 @@ def _first_motion(
 
 
 def advance(state: State, steps: int) -> State:
-    """State after ``steps`` more steps; the given one is left as it is.
+    """State after ``steps`` more steps; the given state is unchanged.
 
-    The step gets smaller where contacts stiffen, or disks become faster, so much that it has to; it stays as it is if
-    it was given to `start`. `UnstableRunError` if a given step is above the limit of what the scene has become, a disk
-    moves by more than a tenth of a radius in a step or at no number, or energy comes from nowhere.
+    The step decreases when stiffer contacts or faster disks require it, unless `start` fixed it. `UnstableRunError` if
+    a fixed step exceeds the present limit, a disk moves by more than a tenth of a radius in a step or by NaN, or energy
+    is created.
     """
     end = state.steps + steps
     current = duplicate(state)

@@ -1,4 +1,4 @@
-"""The stiffness of a sample against shear, from its contacts alone: nothing moves in time."""
+"""Static shear stiffness of a sample from its contacts, without time integration."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,18 +16,18 @@ from calcidem.dem.engine.stability import pair_stiffness
 from calcidem.dem.kernels.layout import FIRST_ARM, NORMAL_X, NORMAL_Y, SECOND_ARM, Flags, Floats, Integers
 
 _GROUND = 1e-9
-"""Stiffness that holds each disk to the mean strain, over the median one of a contact: what hangs on nothing stays."""
+"""Stiffness that ties each disk to the mean strain, over the median contact stiffness; it holds loose disks."""
 
 
 class ShearedPart(NamedTuple):
-    """A part of a sheared sample.
+    """Part of a sheared sample.
 
     Attributes
     ----------
     modulus
         Mean shear stress over mean shear strain, Pa.
     solid
-        Share of its area that disks fill.
+        Area fraction of disks.
     """
 
     modulus: float
@@ -35,27 +35,27 @@ class ShearedPart(NamedTuple):
 
 
 def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
-    """Motion of all disks at rest in a simple shear ``u_y = x``: (N, 3) m and rad, in the order of the scene.
+    """Static motion of all disks in a simple shear ``u_y = x``: (N, 3) m and rad, in the order of the scene.
 
-    All contacts stick, with the stiffness that they have in the state. Contacts with walls do not count. `ValueError`
-    if a bond is broken, no disk touches another, or no disk is held.
+    All contacts stick, with their stiffness in the state. Wall contacts do not count. `ValueError` if a bond is broken,
+    no disk touches another, or no disk is held.
 
     Parameters
     ----------
     state
-        With all its bonds intact.
+        State with all bonds intact.
     held
-        (N,) disks that follow the shear, but turn freely. All others come to rest.
+        (N,) disks that follow the shear, but rotate freely. All others reach equilibrium.
     lane
-        Which sample.
+        Sample.
 
     Notes
     -----
-    The factorization is SuperLU's, whose last bits depend on the processor.
+    SuperLU factorizes the matrix; its last bits depend on the processor.
     """
     pairs, order = state.assembly.pairs, state.assembly.order
     whole = bool(np.all((pairs.cemented ^ pairs.intact) >> np.uint32(lane) & 1 == 0))
-    require(whole, "state", "with broken bonds", "their contacts have no one stiffness")
+    require(whole, "state", "with broken bonds", "their contacts have no single stiffness")
     require(bool(np.any(held)), "held", "no disk", "give disks that follow the shear")
     strain_matrix, stiffness = _contact_springs(state, lane)
     require(bool(np.any(stiffness > 0.0)), "state", "without contacts", "give disks that touch")
@@ -76,7 +76,7 @@ def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
 
 
 class ShearedTriangles(NamedTuple):
-    """The triangles between neighbouring centres (Delaunay) of a sheared sample; sums over them are those of a part.
+    """Delaunay triangles between centres of a sheared sample; their sums give the values of a part.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class ShearedTriangles(NamedTuple):
     middle
         (K, 2) centroids, m.
     area, solid
-        (K,) m^2; solid is what disks fill.
+        (K,) m^2; ``solid`` is the area of the disks.
     strain, stress
         (K,) shear strain and shear stress, times area.
     """
@@ -98,7 +98,7 @@ class ShearedTriangles(NamedTuple):
     stress: Floats
 
     def among(self, chosen: Flags) -> ShearedPart:
-        """The part that these triangles (K,) make; at least one."""
+        """Part formed by the chosen triangles (K,), at least one."""
         area, strain, stress = (float(values[chosen].sum()) for values in (self.area, self.strain, self.stress))
         return ShearedPart(stress / strain, float(self.solid[chosen].sum()) / area)
 
@@ -106,8 +106,8 @@ class ShearedTriangles(NamedTuple):
 def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTriangles:
     """Strain and stress of each triangle of a sheared sample.
 
-    The stress of a part is ``sum(branch f) / area`` over its contacts (Love 1927): half of a contact belongs to each of
-    the two triangles that have it as a side, so that one on the rim of a part belongs to it by half.
+    The stress of a part is ``sum(branch f) / area`` over its contacts (Love 1927). Each of the two triangles that share
+    a contact as a side takes half of it, so a contact on the rim of a part counts half.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTri
     moments = 0.5 * (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])
     corners = Delaunay(centres).simplices
     sides = centres[np.roll(corners, 1, axis=1)] - centres[np.roll(corners, -1, axis=1)]  # opposite to each corner
-    double = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]  # area, below zero if clockwise
+    double = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]  # area, negative if clockwise
     # A linear function has the gradient sum(value times normal of the opposite side) over twice the area.
     shear = motion[corners, 0] * sides[:, :, 0] - motion[corners, 1] * sides[:, :, 1]
     return ShearedTriangles(
@@ -138,8 +138,8 @@ def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTri
 def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: int = 0) -> list[ShearedPart]:
     """Shear modulus and density of parts of a sheared sample.
 
-    A part is made of the triangles (`sheared_triangles`) that have all their corners in it. `ValueError` if a part has
-    fewer than three neighbours.
+    A part consists of the triangles (`sheared_triangles`) with all corners in it. `ValueError` if a part has no
+    triangle.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: in
     triangles, found = sheared_triangles(state, motion, lane), []
     for part in parts:
         chosen = np.asarray(part[triangles.corners].all(axis=1))
-        require(bool(chosen.any()), "parts", int(part.sum()), "give three neighbouring disks and more to each")
+        require(bool(chosen.any()), "parts", int(part.sum()), "give at least three neighbouring disks to each")
         found.append(triangles.among(chosen))
     return found
 
@@ -164,7 +164,7 @@ def _angles(sides: Floats) -> Floats:
 
 
 def _carried(corners: Integers, pairs: Integers, moments: Floats, count: int) -> Floats:
-    """(K, 3) moment (M,) of the pair (M, 2) of so many disks that is a side of each triangle; 0 where none is."""
+    """(K, 3) moments (M,) of the pairs (M, 2) on the sides of each triangle; 0 for sides without a pair."""
     keys, sides = pair_keys(pairs, count), np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
     rising, wanted = np.argsort(keys), pair_keys(sides, count)
     place = np.minimum(np.searchsorted(keys[rising], wanted), len(keys) - 1)
@@ -172,7 +172,7 @@ def _carried(corners: Integers, pairs: Integers, moments: Floats, count: int) ->
 
 
 def _force_changes(state: State, motion: Floats, lane: int) -> Floats:
-    """(M, 2) change of the force of each pair's first disk on its second, by a motion; tension positive."""
+    """(M, 2) change by a motion of the force of each pair's first disk on its second; tension positive."""
     strain_matrix, stiffness = _contact_springs(state, lane)
     scaled = np.column_stack([motion[:, :2], motion[:, 2] * np.asarray(state.scene.radius)])
     change = (stiffness * (strain_matrix @ scaled[state.assembly.order].ravel())).reshape(3, -1)
@@ -182,9 +182,9 @@ def _force_changes(state: State, motion: Floats, lane: int) -> Floats:
 
 
 def _contact_springs(state: State, lane: int) -> tuple[sparse.csr_array, Floats]:
-    """Approach, slide and roll of each pair from the motion of the disks, (3 M, 3 N), and stiffnesses (3 M,), N/m.
+    """Matrix (3 M, 3 N) from motions to approach, sliding and rolling of each pair, and stiffnesses (3 M,), N/m.
 
-    A disk moves by x, y and radius times rotation, in memory order.
+    The motion of a disk is x, y and radius times rotation, in memory order.
     """
     pairs, radius = state.assembly.pairs, state.assembly.grains.radius.astype(float)
     depth = None if state.features.linear else overlaps(state)
@@ -198,7 +198,7 @@ def _contact_springs(state: State, lane: int) -> tuple[sparse.csr_array, Floats]
     n_x, n_y = geometry[:, NORMAL_X], geometry[:, NORMAL_Y]
     one, none = np.ones(len(n_x)), np.zeros(len(n_x))
     first, second = radius[pairs.first], radius[pairs.second]
-    blocks = [  # what x, y and radius times rotation of the first and of the second disk contribute
+    blocks = [  # contributions of x, y and radius times rotation, of the first and of the second disk
         (-n_x, -n_y, none, n_x, n_y, none),
         (n_y, -n_x, -geometry[:, FIRST_ARM] / first, -n_y, n_x, -geometry[:, SECOND_ARM] / second),
         (none, none, -one / first, none, none, one / second),

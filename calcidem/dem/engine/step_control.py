@@ -1,13 +1,13 @@
-"""The step while a scene is advanced: how it follows its limit, and what ends a run that cannot be trusted.
+"""Control of the time step by its limit, and detection of unstable runs.
 
-The step is a part of the limit that present contacts, speeds and unbalanced forces set. It is looked at again and
-again, shrinks with its limit, and never grows. A step that the caller has fixed ends the run instead.
+Present contacts, speeds and unbalanced forces set the limit; the step is a part of it. Regular checks reduce the step
+with its limit and never increase it. A step fixed by the caller ends the run instead.
 
-Impacts: the part of the step limit that no present stiffness shows.
+Impacts limit the step beyond the present stiffness.
 
-Disks that hardly touch have hardly any stiffness, and a scheme that goes by it leaps over their collision. What counts
-is the overlap that a collision will reach, at present speeds or under forces that nothing balances yet: loads, gravity,
-a lid. Hertz's law makes of both how long such a contact lasts (Landau & Lifshitz, Theory of Elasticity, section 9).
+Disks that barely touch have little stiffness, and a step based on it skips their collision. The overlap reached in the
+collision counts, at present speeds or under unbalanced forces: loads, gravity, a lid. Hertz's law gives the duration
+of such a contact (Landau & Lifshitz, Theory of Elasticity, section 9).
 """
 
 from dataclasses import replace
@@ -38,12 +38,12 @@ from calcidem.dem.kernels.layout import (
 )
 
 _DURATION = 3.2180
-"""Of a Hertz contact over ``(m*^2 / (h^2 v))^(1/5)``: 2.943275 (5/4)^(2/5)."""
-_QUIET = 1e-2  # free energy over the stored one up to which no impact matters
+"""Duration of a Hertz contact over ``(m*^2 / (h^2 v))^(1/5)``: 2.943275 (5/4)^(2/5)."""
+_QUIET = 1e-2  # largest free over stored energy at which impacts do not matter
 
 
 class _Instant(NamedTuple):
-    """What a state does now, in double precision and memory order.
+    """Present motion, forces and energies of a state, in double precision and memory order.
 
     Attributes
     ----------
@@ -69,17 +69,16 @@ class _Instant(NamedTuple):
 def _contact_durations(
     scene: Scene, assembly: Assembly, features: Features, now: _Instant, time_step: Floats
 ) -> tuple[Floats, Floats]:
-    """How long the shortest contacts will last that disks may make, (N, L) s, and the fastest speed, (L,) m/s.
+    """Duration of the shortest contact that each disk may make, (N, L) s, and the fastest speed, (L,) m/s.
 
-    Infinite for disks that are held, and for all where next to nothing moves freely, or nothing is listed that it could
-    hit.
+    Infinite for held disks. Infinite for all disks if the free energy is negligible or no listed contact is loose.
 
     Notes
     -----
-    Two disks of reduced mass m* that meet at a speed v touch for ``3.218 (m*^2 / (h^2 v))^(1/5)``. A disk is taken to
-    hit its like, at its own speed and that of the fastest thing together; a heavier partner or a wall makes the contact
-    longer. An unbalanced force F adds the speed that a contact gives back which it has pressed, ``v^2 = 1.6 F d / m``
-    with ``F = h d^1.5``: so v stays as it is while two disks collide, and a disk at rest has one before it falls.
+    Two disks of reduced mass m* that collide at a speed v touch for ``3.218 (m*^2 / (h^2 v))^(1/5)``. Each disk is
+    assumed to hit an equal one, at the sum of its own speed and the fastest speed. A heavier partner or a wall prolongs
+    the contact. An unbalanced force F adds the rebound speed of a contact compressed by it: ``v^2 = 1.6 F d / m`` with
+    ``F = h d^1.5``. Hence v stays constant during a collision, and is positive for a disk at rest before it falls.
     """
     radius = assembly.grains.radius.astype(float)
     inverse = assembly.grains.inverse_mass.astype(float)[:, None]
@@ -101,7 +100,7 @@ def _contact_durations(
 
 
 def _wall_speeds(assembly: Assembly, reaction: Floats, time_step: Floats) -> Floats:
-    """Speeds (W, L) of walls along their normals, as they are or as a servo will make them, m/s."""
+    """Speeds (W, L) of walls along their normals, with a servo those of the next step, m/s."""
     walls = assembly.walls
     gain, target, fastest = (walls.servo[:, column, None].astype(float) for column in (GAIN, TARGET, TOP_SPEED))
     held = reaction[:, STIFFNESS] > 0.0
@@ -111,26 +110,26 @@ def _wall_speeds(assembly: Assembly, reaction: Floats, time_step: Floats) -> Flo
 
 
 def _may_touch(assembly: Assembly, features: Features) -> Floats:
-    """Lanes (L,) in which a wall or a disk is listed that some disk may hit and is not cemented to."""
+    """Lanes (L,) with a wall contact or an uncemented pair in the list."""
     loose = ~lanes_of_bits(assembly.pairs.intact, features.lanes)
     return np.asarray(loose.any(axis=0) | (len(assembly.wall_pairs.disk) > 0))
 
 
-SAFETY = 0.8  # default step as a part of the critical time step
+SAFETY = 0.8  # default step over the critical time step
 _CROSSED = 0.0375  # part of the skin a disk may cross in a step: 4 steps from `_REACH_TOGETHER` to 1/2 of it
-_UNSEEN = 0.05  # part of it that two disks may come nearer between two looks without having been listed
-_BUSY_LOOK, _QUIET_LOOK = 32, 256  # steps to the next look at most
-_IDLE_LOOK = 2000  # the same where the step is not watched: an unstable run ends then
-_STEADY = 0.3  # motion over mean overlap in that time, below which stiffnesses change by less than the margin
-_GROWN = 1.3  # overlaps over those of the last stability limit at which it is computed again
+_UNSEEN = 0.05  # part of the skin that unlisted disks may approach each other between two checks
+_BUSY_LOOK, _QUIET_LOOK = 32, 256  # most steps to the next check
+_IDLE_LOOK = 2000  # the same for an unwatched step: an unstable run ends then
+_STEADY = 0.3  # motion between checks over mean overlap, below which stiffness changes stay within the margin
+_GROWN = 1.3  # growth of overlaps at which the stability limit is recomputed
 _NEAR = 0.5  # part of the stability limit below which only much deeper overlaps (x 16) can matter
-_SLACK = 1.05  # of a fixed step over the limit of impacts, which is an estimate
-_LEAP = 0.1  # of the smallest radius, in a step: a run that has blown up
-_ENERGY = 0.1  # of the largest energy so far, that may come from nowhere
+_SLACK = 1.05  # largest fixed step over the limit of impacts, which is an estimate
+_LEAP = 0.1  # motion in a step over the smallest radius, above which a run has blown up
+_ENERGY = 0.1  # tolerated creation of energy over the largest energy so far
 
 
 class UnstableRunError(RuntimeError):
-    """A run whose numbers cannot be trusted any more; the message names step, disk and remedy."""
+    """Unstable run with unreliable results; the message names step, disk and remedy."""
 
 
 def step_limit(state: State) -> Floats:
@@ -145,17 +144,17 @@ def step_limit(state: State) -> Floats:
 
 
 def is_watched(state: State) -> bool:
-    """Whether the limit of the step may fall: not where stiffnesses stay, nor where others look after it."""
+    """Whether the step is checked: not with constant stiffnesses, nor if the caller checks it."""
     return not state.features.linear and state.control.per_contact > 0.0
 
 
 def _impact_limits(state: State, now: _Instant) -> tuple[Floats, Floats]:
-    """Limit (N, L) by the impacts each disk may have and by what it may cross in a step, s; fastest speed (L,), m/s."""
+    """Step limit (N, L) by possible impacts and by the motion in a step, s, and fastest speed (L,), m/s."""
     limits, fastest = _contact_durations(state.scene, state.assembly, state.features, now, state.time_step)
     with np.errstate(divide="ignore"):
         limits = limits / (SAFETY * state.control.per_contact)
         if state.features.search:
-            # What a load that nothing bears gives within the step counts, too.
+            # The acceleration of a disk by an unsupported load counts, too.
             load = state.assembly.grains.load.astype(float)[:, :, None]
             pull = np.minimum(_accelerations(state, load), _accelerations(state, now.force)).max(axis=0)
             limits = np.minimum(limits, _time_across(_CROSSED * state.skin, fastest, pull))
@@ -163,7 +162,7 @@ def _impact_limits(state: State, now: _Instant) -> tuple[Floats, Floats]:
 
 
 def _instant(state: State, ahead: State) -> _Instant:
-    """What a state does now; ``ahead`` is what `look_ahead` gives."""
+    """Present motion, forces and energies of a state; ``ahead`` is the result of `look_ahead`."""
     scene, order = state.scene, state.assembly.order
     inertia = np.column_stack([scene.mass, scene.mass, scene.inertia])[order][:, :, None]
     velocity, later = state.motion.velocity.astype(float), ahead.motion.velocity.astype(float)
@@ -182,7 +181,7 @@ def _instant(state: State, ahead: State) -> _Instant:
 
 
 def look(state: State) -> State:
-    """Return the state with a step that its limit allows, a step later if it had to be changed; see `advance`."""
+    """Return the state with a step within its limit, one step later if the step changed; see `advance`."""
     if not is_watched(state):
         return replace(state, control=replace(state.control, next_look=state.steps + _IDLE_LOOK))
     ahead = look_ahead(state)
@@ -200,7 +199,7 @@ def look(state: State) -> State:
 
 
 def _watch_stability(state: State, now: _Instant) -> StepControl:
-    """Return the control with a new stability limit if overlaps have grown so much that it may be lower."""
+    """Return the control, with a new stability limit if overlaps have grown enough to lower it."""
     control = state.control
     sides = [np.maximum(side, 0.0) for side in (now.overlap, now.wall_overlap)]
     overlap = np.stack(
@@ -214,7 +213,7 @@ def _watch_stability(state: State, now: _Instant) -> StepControl:
 
 
 def _steps_to_look(state: State, now: _Instant, limits: Floats, fastest: Floats) -> int:
-    """Steps in which speeds and overlaps cannot change much, nor anything be met that is not listed."""
+    """Steps in which speeds and overlaps change little and no unlisted contact can form."""
     step, pull = state.time_step, _accelerations(state, now.force).max(axis=0)
     busy = (limits < np.inf).any()
     touching = now.overlap[now.overlap > 0.0]
@@ -222,24 +221,24 @@ def _steps_to_look(state: State, now: _Instant, limits: Floats, fastest: Floats)
     if not busy and len(touching):
         steps.append(max(_BUSY_LOOK, _steps_in(_time_across(_STEADY * float(touching.mean()), fastest, 0.0), step)))
     if state.features.search:
-        # A disk at rest that nothing holds falls until the next look.
+        # An unsupported disk at rest falls until the next check.
         steps.append(_steps_in(_time_across(_UNSEEN * state.skin, fastest, pull), step))
     return max(1, min(steps))
 
 
 def _steps_in(time: Floats, step: Floats) -> int:
-    """Whole steps in the shortest of the times (L,), s; none where a lane has blown up."""
+    """Whole steps in the shortest of the times (L,), s; none if a lane has blown up."""
     return int(min(float(np.nan_to_num(time / step).min()), _QUIET_LOOK))
 
 
 def _time_across(way: float, speed: Floats, acceleration: Floats | float) -> Floats:
-    """Time (L,) in which nothing gets further than a way (m), s: ``way = v t + a t^2 / 2``."""
+    """Time (L,) in which no disk exceeds a distance (m), s: ``way = v t + a t^2 / 2``."""
     with np.errstate(divide="ignore"):
         return np.asarray(2.0 * way / (speed + np.sqrt(speed * speed + 2.0 * way * acceleration)))
 
 
 def _accelerations(state: State, force: Floats) -> Floats:
-    """Accelerations (N, L) that forces (N, 3, L) give to the disks, m/s^2."""
+    """Accelerations (N, L) of the disks by forces (N, 3, L), m/s^2."""
     return np.asarray(length(force[:, X], force[:, Y]) * state.assembly.grains.inverse_mass.astype(float)[:, None])
 
 
@@ -249,8 +248,8 @@ def _watch_energy(state: State, now: _Instant, control: StepControl) -> StepCont
     Raises
     ------
     UnstableRunError
-        If there is more than loads have supplied. Where walls or held disks supply some, bonds broke or shear forces
-        are not rescaled, which creates energy, nothing is known.
+        If the energy has grown by more than loads have supplied. The test does not apply if walls or held disks supply
+        energy, bonds have broken, or shear forces are not rescaled, which creates energy.
     """
     load = state.assembly.grains.load.astype(float)[:, :, None]
     supplied = (load * state.motion.displacement).sum(axis=(0, 1))
@@ -258,7 +257,7 @@ def _watch_energy(state: State, now: _Instant, control: StepControl) -> StepCont
     if state.steps == 0:
         return replace(control, energy=np.stack([present, present]))
     largest = np.maximum(control.energy[1], np.abs(supplied))
-    # A disk of mass 1 kg at 1e-6 m/s has next to none.
+    # The kinetic energy of 1 kg at 1e-6 m/s is negligible.
     least = 0.5e-12 * float(np.sum(state.scene.mass))
     for lane in np.flatnonzero(present - supplied - control.energy[0] > _ENERGY * largest + least).tolist():
         if _is_closed(state, now, lane):
@@ -273,7 +272,7 @@ def _watch_energy(state: State, now: _Instant, control: StepControl) -> StepCont
 
 
 def _is_closed(state: State, now: _Instant, lane: int) -> bool:
-    """Whether nothing but loads supplies energy to a lane."""
+    """Whether only loads supply energy to a lane."""
     walls, pairs = state.assembly.walls, state.assembly.pairs
     still = not state.features.servo and not np.any(walls.motion[:, SPEEDS, lane])
     held = state.assembly.grains.inverse_mass == 0.0
@@ -282,7 +281,7 @@ def _is_closed(state: State, now: _Instant, lane: int) -> bool:
 
 
 def _refuse_step(state: State, now: _Instant, limits: Floats) -> None:
-    """Raise an `UnstableRunError` if a fixed step is above its limit."""
+    """Raise an `UnstableRunError` if a fixed step exceeds its limit."""
     stability = state.control.stability
     for lane in np.flatnonzero(
         (state.time_step > stability * (1.0 + 1e-9)) | (state.time_step > _SLACK * limits.min(axis=0))
@@ -299,11 +298,11 @@ def _refuse_step(state: State, now: _Instant, limits: Floats) -> None:
 
 
 def refuse_blow_up(state: State) -> None:
-    """Raise an `UnstableRunError` if a disk has no number any more or leaps."""
+    """Raise an `UnstableRunError` if a disk's velocity is NaN or too large."""
     velocity = state.motion.velocity
     leap = _LEAP * float(np.min(state.scene.radius)) if state.features.finite and is_watched(state) else np.inf
     moved = np.abs(velocity[:, XY]) * state.time_step
-    # NaN compares with nothing, so it is asked for by what it is not.
+    # Comparisons with NaN are false, so the test asks for the valid case.
     if (moved <= leap).all() and np.isfinite(velocity).all():
         return
     size = np.where(np.isfinite(velocity), np.abs(velocity), np.inf)
@@ -317,6 +316,6 @@ def refuse_blow_up(state: State) -> None:
 
 
 def _describe_disk(state: State, disk: int) -> str:
-    """Say which disk of the scene is at a place in memory."""
+    """Describe the scene's disk at a place in memory."""
     number = int(state.assembly.order[disk])
     return f"disk {number}, which began at ({state.scene.x[number]:.5g}, {state.scene.y[number]:.5g}) m"

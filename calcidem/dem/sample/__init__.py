@@ -1,1 +1,1 @@
-"""Samples: packings of disks, and the cement in them."""
+"""Samples: packings of disks and their cement."""

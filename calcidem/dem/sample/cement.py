@@ -1,8 +1,8 @@
-"""Where the calcite of a sample sits: random cement at contacts (P) and in clusters (C).
+"""Distribution of calcite in a sample: random cement at contacts (P) and in clusters (C).
 
-The virtual-entity method of the paper (section 2.2.1): calcite is no particle but a bonded contact with a
-mass. `draw_cement` draws one ordering for a seed; `CementOrdering.at` takes the part of it that a content
-needs, so the samples of a seed are nested: what is cemented stays cemented at every larger content.
+The virtual-entity method of the paper (section 2.2.1): calcite is not a particle but a bonded contact with a
+mass. `draw_cement` draws one ordering per seed; `CementOrdering.at` takes the part of it for a content. The
+samples of a seed are therefore nested: a cemented contact stays cemented at every larger content.
 """
 
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from typing import Annotated, cast
 
 import numpy as np
 import numpy.typing as npt
-import scipy  # whose parts load when they are used: who reads the rule alone needs no trees
+import scipy  # loads its submodules on use: the rule alone needs no trees
 from annotated_types import Interval, Unit
 
 from calcidem.dem.engine.fields import NotNegative, Positive, require_fields
@@ -25,15 +25,15 @@ from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.sample.toroid import toroid_area
 
 _CENTRES_AT_ONCE = 512
-_MOST_CENTRES = 400 * _CENTRES_AT_ONCE  # gives up on clusters so small that they hardly ever meet a contact
+_MOST_CENTRES = 400 * _CENTRES_AT_ONCE  # limit for clusters so small that they rarely contain a contact
 
 
 class CementCapacityError(ValueError):
-    """More calcite was asked for than the sample can hold."""
+    """Requested content above the sample's capacity."""
 
 
 class CementKind(IntEnum):
-    """What a contact carries; inside a cluster C, also where P was before."""
+    """Cement of a contact; C inside clusters, also for earlier P contacts."""
 
     NONE = 0
     P = 1
@@ -42,7 +42,7 @@ class CementKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class CementRule:
-    """How much calcite a contact and a cluster take, and when clusters appear (paper, section 2.2).
+    """Calcite of contacts and clusters, and the content at which clusters appear (paper, section 2.2).
 
     Attributes
     ----------
@@ -51,13 +51,13 @@ class CementRule:
     c_diameter
         Width d_c of the cement at a contact in a cluster, m.
     cluster_diameter
-        Diameter of the circle whose contacts make up a cluster, m.
+        Diameter of the circle whose contacts form a cluster, m.
     threshold
         Content above which clusters are added, percent (0.66 by Eq. 3 of the paper, 1 by its text).
     keep_p
-        True keeps the P contacts of the threshold at larger contents; False takes clusters alone.
+        True keeps the P contacts of the threshold at larger contents; False uses clusters alone.
     p_share
-        Calcite of a P contact over Eq. 2.
+        Calcite of a P contact over the value of Eq. 2.
     cluster_area
         Calcite of a cluster, m^2; None takes the sum of Eq. 2 over its contacts.
     p_patch_diameter
@@ -69,7 +69,7 @@ class CementRule:
     p_diameter: Annotated[Positive, Unit("m")] = 1.06e-3
     c_diameter: Annotated[Positive, Unit("m")] = 1.33e-3
     cluster_diameter: Annotated[Positive, Unit("m")] = 12.0e-3
-    threshold: Annotated[float, Interval(ge=0.0), Unit("percent")] = 0.66  # infinite for P alone at every content
+    threshold: Annotated[float, Interval(ge=0.0), Unit("percent")] = 0.66  # infinite for P only
     keep_p: bool = True
     p_share: Positive = 1.0
     cluster_area: Annotated[Positive, Unit("m^2")] | None = None
@@ -78,7 +78,7 @@ class CementRule:
     calcite_density: Annotated[Positive, Unit("kg/m^3")] = 2600.0
 
     def __post_init__(self) -> None:
-        """Refuse what no cement can be."""
+        """Refuse impossible cements."""
         require_fields(self)
 
     def content(self, calcite_area: float, sand_area: float) -> float:
@@ -86,7 +86,7 @@ class CementRule:
         return 100.0 * calcite_area * self.calcite_density / (sand_area * self.sand_density)
 
     def pore_content(self, porosity: float) -> float:
-        """Content that fills all pores of a packing, percent: no sample holds more."""
+        """Content that fills all pores of a packing, percent; an upper bound for every sample."""
         return self.content(porosity, 1.0 - porosity)
 
 
@@ -101,8 +101,7 @@ class PlacedCement:
     centres
         (K, 2) centres of the clusters, m.
     content_reached
-        Content of the calcite placed, percent: the nearest to the wanted one that whole contacts and clusters
-        make.
+        Content of the placed calcite, percent: the closest to the requested one with whole contacts and clusters.
     """
 
     kind: npt.NDArray[np.uint8]
@@ -137,13 +136,13 @@ class CementOrdering:
     Attributes
     ----------
     rule
-        The rule it was drawn with.
+        Its rule.
     p_rank
         (M,) place of each contact in the random order of P.
     p_content
         (M + 1,) content of the first 0, 1, ... contacts of that order, percent.
     first_cluster
-        (M,) first cluster that holds each contact, K where none does.
+        (M,) first cluster that contains each contact, K if none does.
     c_content
         (K + 1,) content of the first 0, 1, ... clusters, percent.
     centres
@@ -164,8 +163,8 @@ class CementOrdering:
     def maximum_content(self) -> float:
         """Largest content that the sample can hold, percent.
 
-        P ends when every contact is cemented. Clusters end when every contact lies in one or their calcite
-        fills the pores, whichever comes first; in the paper's packing that is the pores, at 23 %.
+        P ends when every contact is cemented. Clusters end when every contact lies in one or when their calcite fills
+        the pores. In the paper's packing the pores are filled first, at 23 %.
         """
         all_p = float(self.p_content[-1])
         if all_p < self.rule.threshold:
@@ -174,12 +173,11 @@ class CementOrdering:
         return min(self.pore_content, max(self.rule.threshold, kept + float(self.c_content[-1])))
 
     def at(self, content: float) -> PlacedCement:
-        """Return the cement of the sample with a content, percent of the sand's mass.
+        """Return the cement of a sample at a content, percent of the sand's mass.
 
-        The numbers of P contacts and of clusters are those that come nearest to the content, so it is met without bias
-        to within half a contact (about 0.0002 % in the paper's packing) or half a cluster (0.01 %).
-        `CementCapacityError` if the content is larger than `maximum_content`; `ValueError` if it is negative or not a
-        number.
+        The numbers of P contacts and clusters come closest to the content. It is met without bias to within half a
+        contact (about 0.0002 % in the paper's packing) or half a cluster (0.01 %).
+        `CementCapacityError` if the content exceeds `maximum_content`; `ValueError` if it is negative or NaN.
         """
         if not content >= 0.0:
             raise ValueError(f"content = {content} %: give 0 % or more")
@@ -200,14 +198,14 @@ class CementOrdering:
         return PlacedCement(kind, self.centres[:clusters], reached)
 
     def _p_count(self, content: float) -> int:
-        """Count the P contacts at a content, before clusters take some of them over."""
+        """Count the P contacts at a content, including those that clusters replace."""
         if content > self.rule.threshold and not self.rule.keep_p:
             return 0
         return _nearest_count(self.p_content, min(content, self.rule.threshold))
 
 
 def _nearest_count(content: Floats, wanted: float) -> int:
-    """Return the number whose content, of the increasing ``content[number]``, is nearest to that wanted."""
+    """Return the number with the content, in the increasing ``content[number]``, that is closest to the wanted one."""
     above = int(np.searchsorted(content, wanted, side="right"))
     below = max(above - 1, 0)
     if above < len(content) and content[above] - wanted < wanted - content[below]:
@@ -223,19 +221,18 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
     Parameters
     ----------
     packing
-        The order of its contacts is part of the sample's identity.
+        Packing; the order of its contacts is part of the sample's identity.
     rule
         Sizes and shares of the cement.
     seed, root_seed
-        Seed of the sample, and the root that many samples share; both 0 or more.
+        Seed of the sample and common root of many samples; both 0 or more.
 
     Notes
     -----
-    P contacts are a random permutation of all contacts, or come patch by patch: the contacts whose contact points lie
+    P contacts are a random permutation of all contacts, or are added patch by patch. A patch holds the contact points
     in a circle around a uniformly random point of the box, in random order; each counts once. Clusters are such
-    circles, too. They may overlap; each one's calcite counts in full, since where they overlap it fills the pores. A
-    circle without contacts is no cluster and is skipped. Near the box's border contacts lie in fewer circles than
-    elsewhere.
+    circles, too. They may overlap; the calcite of each counts in full, since in an overlap it fills the pores. Circles
+    without contacts are skipped. Contacts near the border of the box lie in fewer circles than others.
     """
     if seed < 0 or root_seed < 0:
         raise ValueError(f"seed = {seed}, root_seed = {root_seed}: give integers of 0 or more")
@@ -244,7 +241,7 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
     sand_area = float(np.pi * np.sum(radius**2))
     pore_area = box[0] * box[1] - sand_area
     if not pore_area > 0.0:
-        raise ValueError(f"box = {box} m: smaller than the {sand_area:g} m^2 of disks in it; give its inner size")
+        raise ValueError(f"box = {box} m: smaller than the {sand_area:g} m^2 of its disks; give its inner size")
     p_area, c_area = _contact_areas(packing, rule)
     p_area = rule.p_share * p_area
     points = _contact_points(x, y, radius, pairs)
@@ -275,13 +272,13 @@ def content_of_contacts(packing: Packing, rule: CementRule, kind: npt.NDArray[np
     """Content by Eq. 2 of the cemented contacts, percent of the sand's mass.
 
     Each contact counts once, with the width of its kind and without the calibration of `CementRule.p_share` and
-    `CementRule.cluster_area`. Where clusters overlap this is less than `PlacedCement.content_reached`: what they hold
-    together twice counts twice there.
+    `CementRule.cluster_area`. For overlapping clusters this is less than `PlacedCement.content_reached`, which counts
+    shared contacts twice.
 
     Parameters
     ----------
     packing, rule
-        What the cement was drawn with.
+        Arguments of `draw_cement`.
     kind
         (M,) `CementKind` of each contact.
     """
@@ -309,9 +306,9 @@ def _contact_points(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> Fl
 def _draw_p(
     points: Floats, content: Floats, box: tuple[float, float], rule: CementRule, generator: np.random.Generator
 ) -> Integers:
-    """Draw the (M,) order of P of contacts with these points, m, and contents, percent.
+    """Draw the (M,) order of P from contact points, m, and contents, percent.
 
-    Patches are drawn until they hold all the P there may be: what comes behind the threshold is never cemented with P.
+    Patches are drawn up to the threshold; contacts beyond it are never cemented with P.
     """
     if rule.p_patch_diameter == 0.0:
         return generator.permutation(len(points))
@@ -361,7 +358,7 @@ def _draw_clusters(
 
 
 def _sums_in_groups(values: Floats, group: Integers) -> Floats:
-    """Sums (K,) of the values (M,) of each of some groups, which follow one another, as `np.sum` makes them of each."""
+    """Sums (K,) of values (M,) over consecutive groups, each equal to `np.sum` of the group."""
     sizes = np.bincount(group)
     starts, sums = np.cumsum(sizes) - sizes, np.zeros(len(sizes))
     for size in np.unique(sizes):
@@ -373,16 +370,16 @@ def _sums_in_groups(values: Floats, group: Integers) -> Floats:
 def _circles(
     points: Floats, box: tuple[float, float], radius: float, generator: np.random.Generator
 ) -> Iterator[tuple[Floats, Integers, Integers]]:
-    """Yield blocks of random centres in the box, and the points in their circles: circle and point of each, increasing.
+    """Yield blocks of random centres in the box, with circle and point, increasing, of each point in a circle.
 
-    Circles that hold none are skipped; after `_MOST_CENTRES` centres there are no more.
+    Empty circles are skipped; the search ends after `_MOST_CENTRES` centres.
     """
     if len(points) == 0:
         return
     tree = scipy.spatial.cKDTree(points)
     for _ in range(_MOST_CENTRES // _CENTRES_AT_ONCE):
         centres = generator.uniform(0.0, 1.0, (_CENTRES_AT_ONCE, 2)) * box
-        # The tree looks a little further than need be: which of its points lie inside is decided here.
+        # The tree searches slightly too far; the exact test follows.
         lists = tree.query_ball_point(centres, radius * (1.0 + 1e-9), return_sorted=True)
         near = cast("list[list[int]]", lists)
         found = np.fromiter(chain.from_iterable(near), dtype=np.int64)

@@ -1,7 +1,7 @@
-"""Making a packing: disks expanded in a box and pressed by a servo-controlled lid (section 2.2.2 of the paper).
+"""Packing by radius expansion in a box and compression by a servo-controlled lid (section 2.2.2 of the paper).
 
-The radii grow step by step to the porosity that is wanted, then the lid takes up its stress; both as in the PFC manual
-(radius expansion, wall servo). Disks come to rest by the explicit scheme of Cundall and Strack (1979,
+The radii grow stepwise to the initial porosity; then the lid applies its stress. Both follow the PFC manual (radius
+expansion, wall servo). Disks come to rest by the explicit scheme of Cundall and Strack (1979,
 doi:10.1680/geot.1979.29.1.47) with local damping.
 """
 
@@ -24,40 +24,40 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingReport, PackingRule, PackingStage
 
-_FILLING_RATIO = 1e-2  # unbalanced-force ratio at which a filled box may be pressed
-_NEARER = 0.8  # lowest ratio over that of the first half of the steps, above which more steps do not help
-_FREELY_PLACED = 0.547  # covered part below which disks can be placed at random anyway, see `_loosest_factor`
-_HIGHEST = 0.35  # squared frequency with scaled densities over that without; lower, the mean disk gets too heavy
+_FILLING_RATIO = 1e-2  # unbalanced-force ratio at which the lid may start to press
+_NEARER = 0.8  # lowest ratio over the lowest of the first half of the steps; above it, more steps do not help
+_FREELY_PLACED = 0.547  # area fraction up to which random placement is possible, see `_loosest_factor`
+_HIGHEST = 0.35  # squared frequency with scaled over unscaled densities; if lower, the mean disk becomes too heavy
 _TOO_LONG = 1.2  # step over its bound, which is a fifth below the limit
-_SHORTER = 0.8  # step over the one that proved too long
-_MOST_SHORTENED = 21  # times in a row, to a hundredth
-_OWN_MASSES = 100.0  # unbalanced-force ratio over the one at rest below which disks have their own masses, see `Manner`
-_SERVO_GAIN = 0.9  # of the lid
-_STRESS_TOLERANCE = 1e-3  # of the lid's stress against its target; ten times finer than the one promised
+_SHORTER = 0.8  # reduced step over the one that was too long
+_MOST_SHORTENED = 21  # successive reductions, down to a hundredth
+_OWN_MASSES = 100.0  # unbalanced-force ratio over the one at rest, below which masses are unscaled, see `Manner`
+_SERVO_GAIN = 0.9  # servo gain of the lid
+_STRESS_TOLERANCE = 1e-3  # relative deviation of the lid's stress; ten times finer than promised
 
 
 @dataclass(frozen=True, slots=True)
 class Manner:
-    """How disks are brought to rest.
+    """Settings for bringing disks to rest.
 
     Attributes
     ----------
     steps
-        Between two looks at the step limit and the unbalanced-force ratio.
+        Steps between two checks of the step limit and the unbalanced-force ratio.
     fraction
-        Of the step's limit at the present overlaps.
+        Step over its limit at the present overlaps.
     skin
-        Pairs are listed up to this part of the mean radius apart: far where disks fly, near where they stay.
+        Largest gap of listed pairs over the mean radius: large for flying disks, small for disks near rest.
     steps_per_contact
-        As in `start`: enough for impacts that damping is to end, or 0.
+        As in `start`: enough for impacts that damping ends, or 0.
     apart
-        Largest overlap over smallest radius at which the next radius step may come, since a loose gas of disks has no
-        balance to wait for; 0 while the lid presses.
+        Largest overlap over smallest radius at which the next radius step may start, since a loose gas of disks never
+        balances; 0 while the lid presses.
     halted
-        Disks are halted at every look.
+        Disks are halted at every check.
     scaled
-        Stiff disks get heavier, see `scaled_densities`; while the lid presses not in the last two decades of the
-        unbalanced-force ratio: there contacts stop sliding, and with other masses fewer of them do.
+        Stiff disks become heavier, see `scaled_densities`. Under the lid this ends two decades of the unbalanced-force
+        ratio above rest: there contacts stop sliding, and with other masses fewer of them do.
     """
 
     steps: int = 400
@@ -74,12 +74,12 @@ _FLYING = Manner(steps=200, fraction=0.9, skin=1.0, apart=1e-3)
 _CRUSHED = replace(_FLYING, steps=400, skin=0.7)
 _PRESSED = Manner(scaled=True)
 OWN_DISKS = Manner(fraction=0.8, skin=SKIN, steps_per_contact=4.0)
-"""Of disks from elsewhere, which may hardly touch."""
+"""For imported disks, which may barely touch."""
 
 
 @dataclass(slots=True)
 class Cost:
-    """Steps and wall time so far, and the radius step; whoever watches is told of it all after every chunk."""
+    """Steps, wall time and radius step so far; reported to the watcher after every chunk."""
 
     steps: int = 0
     began: float = field(default_factory=perf_counter)
@@ -97,21 +97,20 @@ def make_packing(
 ) -> Packing:
     """Make a packing: sizes, loose placement, stepwise expansion, pressing by the lid.
 
-    `PackingError` if it does not come to rest in ``rule.most_steps`` steps, or disks are thrown out of the box at any
-    step.
+    `PackingError` if it does not come to rest in ``rule.most_steps`` steps, or disks leave the box at any time step.
 
     Parameters
     ----------
     rule
-        What to make.
+        Rule of the packing.
     sand
-        Material; its friction is replaced by the one of preparation while packing.
+        Material; the friction of preparation replaces its own during packing.
     generator
         Source of sizes and positions.
     check
         Called every fraction of a second; may raise to end the work.
     watch
-        Told as often how far the work is.
+        Called as often with the progress.
     """
     cost = Cost(watch=watch, expansion_steps=rule.expansion_steps)
     radius = _draw_radii(rule, generator)
@@ -137,32 +136,32 @@ def make_packing(
 
 
 def _draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
-    """Radii whose disks fill the box to the porosity; all are scaled a little to make the area exact."""
+    """Radii of disks that fill the box to the porosity, slightly scaled to make their area exact."""
     area = (1.0 - rule.porosity) * rule.width * rule.height
     low, high = rule.diameter[0] / 2.0, rule.diameter[1] / 2.0
     mean_area = np.pi * (low * low + low * high + high * high) / 3.0
     radius = low + (high - low) * generator.random(round(area / mean_area))
-    # The scale differs from 1 by about 1e-3: the sampling error of the summed area.
+    # The scale differs from 1 by the sampling error of the summed area, about 1e-3.
     scale = float(np.sqrt(area / (np.pi * np.sum(radius**2))))
     return scale * radius
 
 
 def _loosest_factor(rule: PackingRule, radius: Floats) -> float:
-    """Part of the final radii at which the disks can be placed at random without touching.
+    """Scale of the radii at which random placement without contact succeeds.
 
-    Random sequential placement of equal disks jams at a covered part of 0.547 (Hinrichsen, Feder and Jossang 1986,
-    doi:10.1007/BF01011908), and takes long near it.
+    Random sequential placement of equal disks jams at an area fraction of 0.547 (Hinrichsen, Feder and Jossang 1986,
+    doi:10.1007/BF01011908) and is slow near it.
     """
     fraction = 0.35
     return float(np.sqrt(fraction * rule.width * rule.height / (np.pi * np.sum(radius**2))))
 
 
 def _place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generator) -> tuple[Floats, Floats]:
-    """Random positions in the box without overlaps, found by random sequential placement on a grid of cells."""
+    """Random positions without overlaps, by random sequential placement on a grid of cells."""
     cell = 2.0 * float(radius.max())
     columns, rows = int(rule.width / cell) + 1, int(rule.height / cell) + 1
     cells: dict[tuple[int, int], list[int]] = {}
-    radii: list[float] = radius.tolist()  # numbers of NumPy take three times as long
+    radii: list[float] = radius.tolist()  # NumPy scalars are three times slower
     x, y = [0.0] * len(radii), [0.0] * len(radii)
     for disk in np.argsort(-radius, kind="stable").tolist():
         own = radii[disk]
@@ -187,12 +186,12 @@ def _place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generat
 
 
 def _square(value: float) -> float:
-    """Square, rounded once; the power of a number is the C library's affair."""
+    """Square, rounded once; ``**`` would call the C library."""
     return value * value
 
 
 def box_walls(width: float, height: float, lid_force: float | None = None) -> tuple[Wall, ...]:
-    """Four frictionless walls; the lid holds a force if one is given."""
+    """Four frictionless walls; a servo holds the force on the lid, if given."""
     return (
         Wall((0.0, 0.0), (1.0, 0.0)),
         Wall((width, 0.0), (-1.0, 0.0)),
@@ -209,10 +208,10 @@ def relax(
     check: Callable[[], None],
     manner: Manner = _PRESSED,
 ) -> State:
-    """Let a scene come to rest; `PackingError` if it does not, or blows up."""
+    """Bring a scene to rest; `PackingError` if it does not come to rest or blows up."""
     state = start(
         scene,
-        # One kernel fills and presses: a box that is not pressed has a servo that holds nothing.
+        # One kernel serves filling and compression: an unloaded box has an idle servo.
         features=replace(choose_features(scene, "finite"), servo=True, midpoint=False),
         preload=preload,
         skin_fraction=manner.skin,
@@ -249,11 +248,10 @@ def relax(
 
 
 def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats | None) -> tuple[State, Floats | None]:
-    """State some steps later, with the step that its overlaps allow; ``unrest`` is the ratio over the one at rest.
+    """State at the next check, with a step within the limit of its overlaps, and the limit there if known.
 
-    Where disks are pressed together again meanwhile, so much that the step was too long, or thrown out of the box, it
-    is done again with a shorter one. With it comes the limit of its step, if that is known already, as ``limit`` is
-    that of ``state``.
+    If meanwhile overlaps have made the step too long, or disks have left the box, the steps are repeated with a shorter
+    one. ``unrest`` is the unbalanced-force ratio over the one at rest, ``limit`` the step limit of ``state`` if known.
     """
     grains, scaled = state.assembly.grains, manner.scaled and unrest > _OWN_MASSES
     if scaled:
@@ -281,39 +279,39 @@ def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats 
 
 
 def _left_box(state: State) -> bool:
-    """Whether a disk's centre is behind a wall that stands: disks that fly into each other can make a step too long."""
+    """Whether a disk's centre is behind a fixed wall, as happens when collisions make the step too long."""
     x, y = state.position().T
     standing = (wall for wall in state.scene.walls if wall.servo_force is None)
     return not all(bool((wall.distance(x, y) > 0.0).all()) for wall in standing)
 
 
 def _present_contacts(state: State) -> tuple[Scene, Assembly, Features, Floats, Floats]:
-    """What `critical_time_step_of_disks` is told of a state."""
+    """Arguments of `critical_time_step_of_disks` for a state."""
     return state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state)
 
 
 def _stage_of(cost: Cost, rule: PackingRule, ratios: list[float]) -> PackingStage:
-    """How far a packing is that had these unbalanced-force ratios in its present stage."""
+    """Progress of a packing from its unbalanced-force ratios in the present stage."""
     lowest = min(_FILLING_RATIO, max(min(ratios, default=math.inf), rule.unbalanced_force_ratio))
     pressed = math.log(_FILLING_RATIO / lowest) / math.log(_FILLING_RATIO / rule.unbalanced_force_ratio)
-    expansion = 0.3 if cost.expansion_steps else 0.0  # of the whole time, as 4,700 disks take it
+    expansion = 0.3 if cost.expansion_steps else 0.0  # share of the total time with 4,700 disks
     if cost.expansion_step <= cost.expansion_steps:
         fraction = expansion * (cost.expansion_step - 1) / cost.expansion_steps
     else:
         fraction = expansion + (1.0 - expansion) * pressed
-    ratio = ratios[-1] if ratios else 1.0  # disks that nothing holds yet
+    ratio = ratios[-1] if ratios else 1.0  # no contacts yet
     return PackingStage(
         cost.expansion_step, cost.expansion_steps, cost.steps, ratio, rule.unbalanced_force_ratio, fraction
     )
 
 
 def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str:
-    """What helps disks that had these unbalanced-force ratios: more steps only where they still come nearer."""
+    """Remedy for a packing with these unbalanced-force ratios; more steps only if the ratio still decreases."""
     half, stress = len(ratios) // 2, _lid_stress(state, rule)
     if abs(stress / rule.stress - 1.0) >= _STRESS_TOLERANCE:
         return f"the lid bears {stress:.3g} of {rule.stress:.3g} Pa; raise most_steps or lower stress"
     if half and min(ratios[half:]) > _NEARER * min(ratios[:half]):
-        return "raise damping or unbalanced_force_ratio; more steps will not help, since it comes no nearer"
+        return "raise damping or unbalanced_force_ratio; more steps will not help, since the ratio no longer falls"
     return "raise most_steps, damping or unbalanced_force_ratio"
 
 
@@ -329,7 +327,7 @@ def _preload_of(state: State) -> Preload:
 
 
 def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
-    """Packing and report of a state at rest; a `PackingError` where no disk touches another."""
+    """Packing and report of a state at rest; `PackingError` if no disk touches another."""
     height = rule.height - float(state.assembly.walls.motion[LID, NORMAL_PATH, 0])
     position = state.position()
     contacts = contact_forces(state)
@@ -362,9 +360,9 @@ def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
 
 
 def _coordination_without_rattlers(pairs: Integers, state: State) -> tuple[float, int]:
-    """Coordination number of the disks that carry load, and the number of the others.
+    """Coordination number of the load-bearing disks, and the number of rattlers.
 
-    A disk with fewer than two contacts (walls included) carries nothing; taking it away may leave others so.
+    A disk with fewer than two contacts (walls included) carries nothing; removing it may create further rattlers.
     """
     disk = np.repeat(np.arange(state.scene.count), np.diff(state.assembly.wall_pairs.start))
     pressed = wall_overlaps(state)[:, 0] > 0.0
@@ -373,7 +371,7 @@ def _coordination_without_rattlers(pairs: Integers, state: State) -> tuple[float
     while True:
         alive = kept[pairs].all(axis=1)
         contacts = np.bincount(pairs[alive].ravel(), minlength=state.scene.count) + at_wall
-        fewer = kept & (contacts < 2)  # noqa: PLR2004 - one force alone cannot balance
+        fewer = kept & (contacts < 2)  # noqa: PLR2004 - a single force cannot balance
         if not fewer.any():
             return 2.0 * int(alive.sum()) / max(1, int(kept.sum())), int((~kept).sum())
         kept &= ~fewer

@@ -1,7 +1,7 @@
-"""Whether a packing can be that of a sand: rules for packings of any origin, before a wave is transmitted.
+"""Plausibility of packings of any origin, checked before a wave is transmitted.
 
-The contact law holds for overlaps that are small against the radii, so stress over modulus decides. Two more bounds are
-geometry: how densely disks can lie, and how many neighbours they can have.
+The contact law holds for overlaps much smaller than the radii, which limits stress over modulus. Geometry bounds the
+density and the number of neighbours.
 """
 
 import math
@@ -14,32 +14,30 @@ from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import Packing
 
 LARGEST_OVERLAP = 0.1
-"""Of the smaller radius: above it, Hertz's law does not hold, and disks of a file are a mistake rather than a load."""
+"""Overlap over the smaller radius above which Hertz's law fails and imported disks are considered a mistake."""
 DEEP_OVERLAP = 0.07
-"""Of the smaller radius: above it, a packing is warned of."""
-_WANTED = 0.05  # largest overlap over radius that a proposed value aims at
-_MOST_EXPECTED = (
-    0.05  # expected overlap of a mean contact over the radius, above which the largest one is surely too deep
-)
+"""Overlap over the smaller radius above which a warning is given."""
+_WANTED = 0.05  # largest overlap over radius at a proposed value
+_MOST_EXPECTED = 0.05  # expected mean overlap over the radius, above which the largest one is certainly too deep
 _LARGEST_OVER_EXPECTED = 3.0  # 1.9 to 3.9 in 19 packings of 390 disks, from 1e-3 to 0.3 of a radius
 _ISOSTATIC = 3.0
-"""Contacts per disk, rattlers left out, below which a packing with friction has no stiffness against shear."""
-_PLANAR = 6.0  # contacts per disk that a planar graph stays below (Euler)
-_LOOSEST = 0.3  # porosity of packings that hardly carry load
+"""Contacts per disk without rattlers, below which a packing with friction has no shear stiffness."""
+_PLANAR = 6.0  # upper bound of contacts per disk in a planar graph (Euler)
+_LOOSEST = 0.3  # porosity above which packings hardly carry load
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """What is wrong with a packing.
+    """Fault of a packing.
 
     Attributes
     ----------
     key
-        Key of ``[packing]`` that the text begins with.
+        Key of ``[packing]`` at the start of the text.
     text
         Key, value, cause and remedy.
     refused
-        Whether the packing is refused; otherwise it is a warning.
+        True refuses the packing; False only warns.
     """
 
     key: str
@@ -48,9 +46,9 @@ class Fault:
 
 
 def expected_overlap(stress: float, diameter: float, sand: Sand) -> float:
-    """Return the overlap over the radius of a contact that bears ``stress diameter``, N/m, between equal disks.
+    """Return the overlap over the radius of a contact of equal disks under a force ``stress diameter``, N/m.
 
-    Hertz's law, ``F = h d^1.5``. The mean overlap of packings is 0.7 to 1.2 of it.
+    By Hertz's law, ``F = h d^1.5``. The mean overlap of packings is 0.7 to 1.2 times this value.
 
     Parameters
     ----------
@@ -59,7 +57,7 @@ def expected_overlap(stress: float, diameter: float, sand: Sand) -> float:
     diameter
         m.
     sand
-        Material of disks of unit thickness.
+        Material of the disks, which have unit thickness.
     """
     radius = np.array([diameter / 2.0])
     coefficient = float(sand.hertz_coefficient(radius, radius)[0])
@@ -67,14 +65,14 @@ def expected_overlap(stress: float, diameter: float, sand: Sand) -> float:
 
 
 def judge_stress(stress: float, diameter: float, sand: Sand) -> Fault | None:
-    """Return what is wrong with a packing that is yet to be made: a stress that crushes it.
+    """Return a fault if the stress would crush a planned packing.
 
     Parameters
     ----------
     stress
-        On the lid, Pa.
+        Stress on the lid, Pa.
     diameter
-        Mean of the disks, m.
+        Mean diameter, m.
     sand
         Their material.
     """
@@ -90,14 +88,14 @@ def judge_stress(stress: float, diameter: float, sand: Sand) -> Fault | None:
 
 
 def judge_disks(packing: Packing, sand: Sand) -> tuple[Fault, ...]:
-    """Return what is wrong with a packing at rest, the worst first.
+    """Return the faults of a packing at rest, the worst first.
 
     Parameters
     ----------
     packing
-        Made or imported.
+        Generated or imported packing.
     sand
-        Material that it was packed with.
+        Its material.
     """
     report, (left, right, floor, lid) = packing.report, packing.report.wall_stress
     stress = max(left, right, floor, lid)
@@ -121,7 +119,7 @@ def judge_disks(packing: Packing, sand: Sand) -> tuple[Fault, ...]:
 
 
 def judge_porosity(porosity: float, radius: Floats) -> tuple[Fault, ...]:
-    """Return what is wrong with the porosity of disks with these radii (N,)."""
+    """Return the faults of a porosity for disks of these radii (N,)."""
     densest = 1.0 - _densest_cover(float(radius.min() / radius.max()))
     if porosity < densest:
         text = (
@@ -138,10 +136,10 @@ def judge_porosity(porosity: float, radius: Floats) -> tuple[Fault, ...]:
 
 
 def _densest_cover(ratio: float) -> float:
-    """Return the largest part of a plane that disks cover without overlap, radii from ``ratio`` to 1.
+    """Return an upper bound of the area fraction of disks without overlap, radii from ``ratio`` to 1.
 
-    Florian (1960), Ausfuellung der Ebene durch Kreise, Rend. Circ. Mat. Palermo 9, 300, doi:10.1007/BF02851249: an
-    upper bound; ``pi / sqrt(12)``, the hexagonal lattice, for equal disks.
+    Florian (1960), Ausfuellung der Ebene durch Kreise, Rend. Circ. Mat. Palermo 9, 300, doi:10.1007/BF02851249. For
+    equal disks it is ``pi / sqrt(12)``, the hexagonal lattice.
     """
     squared = ratio * ratio
     angle = math.asin(ratio / (1.0 + ratio))
@@ -163,7 +161,7 @@ def _deepest_at_walls(packing: Packing) -> float:
 
 
 def _softer(deepest: float, stress: float, sand: Sand) -> str:
-    """Return values that bring an overlap to the one that is wanted: it goes with the power 2/3 of stress / modulus."""
+    """Propose a stress and a modulus for the wanted overlap, which scales with (stress / modulus)^(2/3)."""
     factor = (deepest / _WANTED) ** 1.5
     return (
         f"packing.stress = {stress / factor:.2g} Pa or sand.shear_modulus = {sand.shear_modulus * factor:.2g} Pa gives "

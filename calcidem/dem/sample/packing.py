@@ -1,6 +1,6 @@
-"""A packing as data: what is to be made, what came out, and how far the making is (`calcidem.dem.sample.compaction`).
+"""Data of a packing: its rule, the result, and the progress of `calcidem.dem.sample.compaction`.
 
-Whoever reads a packing comes by here, so nothing of the engine is imported.
+The module imports nothing of the engine, so packings can be read without it.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from calcidem.dem.kernels.layout import Floats, Integers
 WALL_NAMES = ("left", "right", "floor", "lid")
 LID = WALL_NAMES.index("lid")
 PACKING_METHOD = 2
-"""Raised when the same rule and generator make other packings; those of campaigns stay."""
+"""Increased when the same rule and generator produce other packings; those of campaigns stay."""
 _DIAMETERS = "(smallest, largest) in m, both positive"
 
 
@@ -26,12 +26,12 @@ class PackingError(RuntimeError):
 
 
 class PackingFileError(PackingError):
-    """A file that is no packing; the message names file, line and remedy."""
+    """File without a valid packing; the message names file, line and remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class PackingRule:
-    """How a packing is made (paper, section 2.2.2 and Table 1).
+    """Rule of a packing (paper, section 2.2.2 and Table 1).
 
     Attributes
     ----------
@@ -40,9 +40,9 @@ class PackingRule:
     diameter
         Smallest and largest diameter, m; uniformly distributed.
     porosity
-        Porosity of the box before compression, which fixes the number of disks.
+        Porosity before compression, which determines the number of disks.
     expansion_steps
-        Steps in which the disks grow to their size.
+        Steps of radius expansion.
     friction_preparation
         Coulomb coefficient between grains during packing.
     stress
@@ -50,7 +50,7 @@ class PackingRule:
     damping
         Local damping factor during packing.
     unbalanced_force_ratio
-        Unbalanced-force ratio at which the packing is at rest.
+        Unbalanced-force ratio that defines rest.
     most_steps
         Largest number of time steps.
     """
@@ -69,41 +69,41 @@ class PackingRule:
     expansion_steps: Annotated[int, Interval(ge=1, le=100)] = 5
     friction_preparation: NotNegative = 0.2
     stress: Annotated[Positive, Unit("Pa")] = 5.0e3
-    damping: Annotated[float, Interval(gt=0.0, lt=1.0), "a factor in (0, 1): without it nothing comes to rest"] = 0.7
-    unbalanced_force_ratio: Annotated[float, Interval(gt=0.0, le=1e-3)] = 1.0e-6  # above it is no equilibrium
+    damping: Annotated[float, Interval(gt=0.0, lt=1.0), "a factor in (0, 1): without it disks never come to rest"] = 0.7
+    unbalanced_force_ratio: Annotated[float, Interval(gt=0.0, le=1e-3)] = 1.0e-6  # no equilibrium above this
     most_steps: Annotated[int, Interval(ge=1)] = 2_000_000
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be packed."""
+        """Refuse impossible packings."""
         require_fields(self)
         smallest, largest = self.diameter
         require(smallest <= largest, "diameter", self.diameter, f"give {_DIAMETERS}")
         is_roomy = largest < min(self.width, self.height) / 4.0
-        cure = "at least 4 disks have to fit across the box; give smaller disks, or a larger width and height"
+        cure = "at least 4 disks must fit across the box; give smaller disks, or a larger width and height"
         require(is_roomy, "diameter", self.diameter, cure, "width", "height")
 
 
 @dataclass(frozen=True, slots=True)
 class PackingReport:
-    """What came out.
+    """Result of packing.
 
     Attributes
     ----------
     porosity
         1 - area of the disks / (width x height of the lid).
     coordination_number, coordination_number_without_rattlers
-        2 contacts / disks; of all disks, and of those left when disks with fewer than 2 contacts are
-        taken away again and again (Thornton 2000, doi:10.1680/geot.2000.50.1.43, does it once).
+        2 contacts / disks, for all disks and for those left after repeated removal of disks with fewer than 2 contacts
+        (Thornton 2000, doi:10.1680/geot.2000.50.1.43, removes them once).
     rattlers
-        Number of these.
+        Number of removed disks.
     wall_stress
         Normal stress on left, right, floor and lid, Pa.
     mean_overlap, largest_overlap
-        Of touching pairs, m.
+        Overlap of touching pairs, m.
     unbalanced_ratio
         See `readout.unbalanced_ratio`.
     steps, seconds
-        Cost.
+        Time steps and wall time, s.
     """
 
     porosity: float
@@ -120,7 +120,7 @@ class PackingReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Packing:
-    """Disks at rest in a box, with the shear forces of their contacts; equal to itself alone.
+    """Disks at rest in a box, with the shear forces of their contacts; compared by identity.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class Packing:
     preload
         Shear forces of the touching pairs.
     report
-        What came out.
+        Result of packing.
     """
 
     x: Floats
@@ -149,9 +149,9 @@ class Packing:
 
     @property
     def content_hash(self) -> str:
-        """Identity of the packing itself: SHA-256 of the bits of disks, walls and forces, 64 hexadecimal digits.
+        """SHA-256 of the bits of disks, walls and forces, 64 hexadecimal digits.
 
-        What was measured of it (`report`) does not count: the same packing may be made twice in different times.
+        The `report` does not count, since the same packing may take different times.
         """
         digest = sha256(b"calcidem packing content 1\n")
         for name, kind, values in (
@@ -167,18 +167,18 @@ class Packing:
 
 @dataclass(frozen=True, slots=True)
 class PackingStage:
-    """How far the making of a packing is.
+    """Progress of packing.
 
     Attributes
     ----------
     expansion_step, expansion_steps
-        Radius step that is being taken, from 1, and their number; one more than it while the lid presses.
+        Current radius step, from 1, and number of radius steps; one step more while the lid presses.
     steps
         Time steps so far.
     unbalanced_ratio, target_ratio
-        Unbalanced-force ratio, and the one at which the packing is at rest.
+        Unbalanced-force ratio, and its value at rest.
     fraction
-        Part of the work that may be done: while the lid presses, by the logarithm of the smallest ratio so far.
+        Estimated part of the work done; under the lid from the logarithm of the smallest ratio so far.
     """
 
     expansion_step: int

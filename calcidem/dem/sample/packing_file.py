@@ -1,4 +1,4 @@
-"""Packings as CSV files: out for other programs, and in to use one's own disks."""
+"""Packings as CSV files: export to other programs, and import of own disks."""
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
@@ -18,17 +18,17 @@ from calcidem.dem.sample.packing import Packing, PackingFileError, PackingRule, 
 _CSV_COLUMNS = ("x", "y", "radius")
 FEWEST_DISKS = 10
 FARTHEST = 1e30
-"""m; distances of disks and their squares are finite."""
+"""m; keeps distances of disks and their squares finite."""
 _LONGEST_SHOWN = 80
 
 
 def write_packing_csv(packing: Packing, file: Path) -> None:
-    """Write the disks of a packing as `write_disks_csv` does."""
+    """Write the disks of a packing, see `write_disks_csv`."""
     write_disks_csv(packing.x, packing.y, packing.radius, file)
 
 
 def write_disks_csv(x: Floats, y: Floats, radius: Floats, file: Path) -> None:
-    """Write disks: a head line, then x, y and radius of each (N,) in m, in digits that lose nothing."""
+    """Write disks: a header line, then x, y and radius (N,) of each in m, without loss of digits."""
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(_CSV_COLUMNS)
@@ -42,27 +42,27 @@ def packing_from_csv(
     check: Callable[[], None] = lambda: None,
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
-    """Make a packing of the disks in a file.
+    """Make a packing from the disks in a file.
 
-    The disks are checked, put into a box of the rule's width whose lid touches the highest one, and relaxed under the
-    lid's stress like the last stage of `calcidem.dem.sample.compaction.make_packing`: a file has no contact forces, and
-    positions from elsewhere are in balance for another law of contact at best. `PackingFileError` if the file can't be
-    read as disks, or disks overlap or reach out of the box by more than a tenth of a radius; `PackingError` if the
-    disks don't come to rest.
+    The disks are checked and put into a box of the rule's width with the lid on the highest disk. They are relaxed
+    under the lid's stress like the last stage of `calcidem.dem.sample.compaction.make_packing`. A file has no contact
+    forces, and its positions balance another contact law at best. `PackingFileError` if the file cannot be read as
+    disks, or disks overlap or leave the box by more than a tenth of a radius; `PackingError` if they do not come to
+    rest.
 
     Parameters
     ----------
     file
-        CSV with a head line that has the columns x, y and radius, m; floor and left wall are at 0. Further columns,
-        and lines that begin with ``#``, are left out.
+        CSV with a header line naming the columns x, y and radius, m; floor and left wall are at 0. Further columns and
+        lines that begin with ``#`` are ignored.
     sand
-        Material; its friction is replaced by the rule's one of preparation while the disks come to rest.
+        Material; the rule's friction of preparation replaces its own while the disks come to rest.
     rule
-        Its width, stress, damping and unbalanced-force ratio count; sizes and porosity are the file's business.
+        Its width, stress, damping and unbalanced-force ratio apply; the file determines sizes and porosity.
     check
         Called every fraction of a second; may raise to end the work.
     watch
-        Told as often how far the work is.
+        Called as often with the progress.
     """
     x, y, radius = checked_disks(file, rule.width)
     height = float(np.max(y + radius))
@@ -75,9 +75,9 @@ def packing_from_csv(
 
 
 def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Floats, Floats]:
-    """Return x, y, radius (N,) of the disks in a file, none of which overlaps another or the walls of a box too far.
+    """Return x, y, radius (N,) of the disks in a file, refusing deep overlaps with each other or with walls.
 
-    Without a width, m, the rightmost disk touches the right wall. `PackingFileError`, naming the line.
+    Without a width, m, the rightmost disk touches the right wall. `PackingFileError` names the line.
     """
     x, y, radius, lines = _read_disks(file)
     _check_walls(file, lines, x, y, radius, float(np.max(x + radius)) if width is None else width)
@@ -86,7 +86,7 @@ def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Float
 
 
 def _read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:
-    """Return x, y, radius (N,) and the line of each disk in the file; `PackingFileError`, naming the line."""
+    """Return x, y, radius (N,) and line of each disk in the file; `PackingFileError` names the line."""
     try:
         if not file.is_file() and file.exists():
             raise PackingFileError(f"{file} is a folder or a device; give a CSV file")
@@ -124,7 +124,7 @@ def _numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[fl
 
 
 def _cells(file: Path, number: int, line: str) -> list[str]:
-    """Entries of one line; quotes do not reach beyond it."""
+    """Entries of one line; quotes end with it."""
     try:
         return next(csv.reader([line]), [])
     except csv.Error as error:
@@ -132,7 +132,7 @@ def _cells(file: Path, number: int, line: str) -> list[str]:
 
 
 def _check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats, width: float) -> None:
-    """Refuse disks that reach out of the box."""
+    """Refuse disks that extend beyond the box."""
     for wall, gap in (("left wall", x), ("right wall", width - x), ("floor", y)):
         out = np.flatnonzero(gap < (1.0 - LARGEST_OVERLAP) * radius)
         if len(out):
@@ -145,7 +145,7 @@ def _check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Flo
 
 
 def overlapping_pairs(x: Floats, y: Floats, radius: Floats) -> tuple[Integers, Floats]:
-    """Return the pairs (C, 2) of disks (N,) that lie in one another, and how far, m (C,)."""
+    """Return the overlapping pairs (C, 2) of disks (N,), and their overlaps (C,), m."""
     centres = np.column_stack([x, y])
     pairs = cKDTree(centres).query_pairs(2.0 * float(radius.max()), output_type="ndarray")
     overlap = radius[pairs].sum(axis=1) - np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
@@ -153,9 +153,9 @@ def overlapping_pairs(x: Floats, y: Floats, radius: Floats) -> tuple[Integers, F
 
 
 def refuse_deep_overlaps(file: Path, lines: Sequence[int], x: Floats, y: Floats, radius: Floats) -> None:
-    """Refuse disks that lie in one another by more than a tenth of a radius.
+    """Refuse disks that overlap by more than a tenth of a radius.
 
-    `PackingFileError`, naming the lines of a pair.
+    `PackingFileError` names the lines of a pair.
     """
     pairs, overlap = overlapping_pairs(x, y, radius)
     deep = np.flatnonzero(overlap > LARGEST_OVERLAP * radius[pairs].min(axis=1))

@@ -1,4 +1,4 @@
-"""Random numbers of a sample: one stream for each purpose, apart from all others."""
+"""Random numbers of a sample: an independent stream for each purpose."""
 
 from enum import IntEnum
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 class RandomPurpose(IntEnum):
-    """What a stream of random numbers is for; the numbers belong to a sample's identity and never change."""
+    """Purpose of a random stream; the values belong to a sample's identity and never change."""
 
     DISKS = 0
     P_CONTACTS = 1
@@ -14,9 +14,9 @@ class RandomPurpose(IntEnum):
 
 
 def random_generator(root_seed: int, seed: int, purpose: RandomPurpose) -> np.random.Generator:
-    """Return the generator of a stream, the same wherever and in whatever order it is asked for.
+    """Return the generator of a stream, independent of the order of calls.
 
-    Root, seed and purpose span a tree of NumPy's `SeedSequence`, whose branches are independent of one another.
+    Root, seed and purpose span a tree of NumPy's `SeedSequence` with independent branches.
     """
     sequence = np.random.SeedSequence(root_seed, spawn_key=(seed, purpose.value))
     return np.random.Generator(np.random.PCG64(sequence))

@@ -1,4 +1,4 @@
-"""Letting cemented samples come to rest again after bonds were installed that changed the forces."""
+"""Settling of cemented samples after the installation of bonds has changed their forces."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,7 +9,7 @@ from calcidem.dem.engine.leapfrog import State, duplicate, no_recording, run_in_
 from calcidem.dem.engine.readout import unbalanced_ratio
 from calcidem.dem.kernels.layout import SPEEDS
 
-_SETTLING_CHUNK = 500  # steps between two looks
+_SETTLING_CHUNK = 500  # steps between two checks
 _SETTLING_DAMPING = 0.7  # local damping factor
 
 
@@ -20,19 +20,19 @@ class SettlingError(RuntimeError):
 def settle(
     state: State, unbalanced_force_ratio: float, most_steps: int, check: Callable[[], None] = lambda: None
 ) -> State:
-    """Return the state in which every lane is at rest under the lid's servo; steps are counted from zero again.
+    """Return the state with every lane at rest under the lid's servo; steps restart from zero.
 
-    A lane that is balanced is frozen by a step of zero while the others go on, so what it becomes depends on itself
-    alone. `SettlingError` if a lane is not at rest by then.
+    A balanced lane is frozen by a step of zero while the others continue, so its result does not depend on them.
+    `SettlingError` if a lane does not come to rest.
 
     Parameters
     ----------
     state
-        Just started.
+        Newly started state.
     unbalanced_force_ratio
-        To reach.
+        Ratio to reach.
     most_steps
-        Steps after which it is given up.
+        Largest number of steps.
     check
         Called every fraction of a second; may raise to end the run.
     """

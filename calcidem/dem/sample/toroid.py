@@ -29,11 +29,11 @@ def toroid_area(
     Notes
     -----
     Eq. 2 of the paper, ``v = d_c (h_1 + h_2) - (S_1 + S_2)``: a rectangle as wide as the cement, which
-    reaches into each disk by ``h_i = d_i / 2 (1 - cos(arcsin(d_c / d_i)))``, less the circular segments
-    ``S_i = d_i^2 / 4 arcsin(d_c / d_i) - d_c / 2 (d_i / 2 - h_i)`` that the disks occupy in it.
-    For disks that just touch this is exact, on both sides of the contact together. An overlap takes away
-    about ``d_c`` times the overlap, which Eq. 2 leaves out: some 1 % of the area in a packing at 5 kPa.
-    For narrow cement it tends to ``d_c^3 (1 / d_1 + 1 / d_2) / 12``.
+    extends into each disk by ``h_i = d_i / 2 (1 - cos(arcsin(d_c / d_i)))``, less the circular segments
+    ``S_i = d_i^2 / 4 arcsin(d_c / d_i) - d_c / 2 (d_i / 2 - h_i)`` of the disks in it.
+    For disks that just touch, this is the exact area on both sides of the contact. An overlap removes
+    about ``d_c`` times the overlap, which Eq. 2 neglects: about 1 % of the area in a packing at 5 kPa.
+    For narrow cement the area tends to ``d_c^3 (1 / d_1 + 1 / d_2) / 12``.
     """
     first, second, cement = np.broadcast_arrays(
         *(np.asarray(values, dtype=float) for values in (first_diameter, second_diameter, cement_diameter))

@@ -1,8 +1,8 @@
-"""The part of a packing that takes part in a wave: disks that nothing can reach are left out.
+"""Computed part of a packing: disks that the wave cannot reach are left out.
 
 A layer with a local damping factor of 1 removes any force that accelerates a disk, so a wave decays within a few
-diameters: at a depth of four, a billionth of the pulse's stroke is left, at every content. What lies deeper only costs
-time. So do disks without a contact, as long as no contact can form.
+diameters. At a depth of four diameters, a billionth of the pulse's stroke remains at every content. Deeper disks only
+cost time, as do disks without contacts if none can form.
 """
 
 from dataclasses import dataclass, replace
@@ -17,28 +17,28 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
 
 DEEPEST_LISTENING = 0.3
-"""Listening depth over the width of the box; beyond, a lattice is read more than 10 % too fast (docs/reading.md)."""
+"""Largest listening depth over box width; beyond it, velocities in a lattice are over 10 % high (docs/reading.md)."""
 
 _STATIONS = 9
-"""Slices of the sample between transmitter and receiver whose motion is recorded; with 18 no reading improves."""
+"""Recorded slices of the sample between transmitter and receiver; 18 improve no reading."""
 
-_NEAR_TRANSMITTER = 0.125  # of the width: no station is nearer
+_NEAR_TRANSMITTER = 0.125  # smallest distance of a station from the transmitter over the width
 
-_DEPTH = 6.0  # mean diameters of a damping layer that are kept
+_DEPTH = 6.0  # computed depth of a damping layer in mean diameters
 
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """Disks that are computed.
+    """Computed disks.
 
     Attributes
     ----------
     packing
-        They alone, in the whole box.
+        Only these disks, in the whole box.
     pairs
-        (C,) which of the pairs of the whole packing they have among themselves.
+        (C,) pairs of the whole packing that lie between computed disks.
     held
-        (N,) of the disks that are computed: those that lean on one left out. They keep their places.
+        (N,) computed disks that touch one left out; they stay in place.
     """
 
     packing: Packing
@@ -47,15 +47,14 @@ class Domain:
 
 
 def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> Domain:
-    """Disks that a wave can reach, and those that listen.
+    """Disks that a wave can reach, and receiver disks.
 
     Parameters
     ----------
     packing, rule
-        What the wave crosses, and how. The whole packing is kept where the layers damp by less than 1, and
-        where the rule says so.
+        Packing and wave. The whole packing is kept if the layers damp by less than 1 or the rule requires it.
     installation
-        Of the bonds. Those that change the contact forces let the whole packing settle anew.
+        Installation of the bonds. If it changes the contact forces, the whole packing settles again.
     """
     count = len(packing.x)
     if WHOLE_DOMAIN in rule.keep or installation != "preserve":
@@ -80,16 +79,16 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> D
 
 
 def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
-    """Disks in the receiver's band, near the wall but not touching it.
+    """Disks in the receiver's band that are near the wall but do not touch it.
 
-    `ValueError` if there is none, or if those that are far from the wall would blur the arrival.
+    `ValueError` if there is none, or if disks far from the wall would blur the arrival.
     """
     depth, deepest = rule.listening_depth, DEEPEST_LISTENING * packing.width
     require(
         depth <= deepest,
         "listening_depth",
         depth,
-        f"disks so far apart hear the wave at times of their own; give at most {DEEPEST_LISTENING:g} of the box's "
+        f"the wave reaches disks so far apart at different times; give at most {DEEPEST_LISTENING:g} of the box's "
         f"width, {deepest:.4g} m",
     )
     gap = packing.width - packing.x - packing.radius
@@ -101,10 +100,10 @@ def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
 
 
 def station_disks(packing: Packing, rule: WaveRule) -> tuple[Integers, ...]:
-    """Disks of each station, from the transmitter on: slices of one thickness before the disks that listen.
+    """Disks of each station, starting at the transmitter: slices of equal thickness before the receiver disks.
 
-    There are `_STATIONS` of them, fewer where slices would be thinner than the largest disk, and none where one would
-    be empty. The first part of the path is left out: there P and S wave are one.
+    There are `_STATIONS` of them, fewer if slices would be thinner than the largest disk, and none if one would be
+    empty. The first part of the path is left out, because P and S wave have not separated there.
     """
     begin, end = _NEAR_TRANSMITTER * packing.width, packing.width - rule.listening_depth
     count = min(_STATIONS, max(0, int((end - begin) / (2.0 * float(packing.radius.max())))))
@@ -115,10 +114,10 @@ def station_disks(packing: Packing, rule: WaveRule) -> tuple[Integers, ...]:
 
 
 def driven_disks(packing: Packing, rule: WaveRule) -> Integers:
-    """Disks that the pulse drives: those that overlap the left wall, by any amount, within the transmitter's band.
+    """Disks with prescribed motion: those that overlap the left wall within the transmitter's band.
 
-    Both are judged in the reference geometry, at rest, so they are the same in all samples of a packing. None where the
-    wall itself is the transmitter. `ValueError` if no disk touches the band.
+    The reference geometry at rest decides, so they are the same in all samples of a packing. Empty if the wall itself
+    is the transmitter. `ValueError` if no disk touches the band.
     """
     if rule.transmitter == "wall":
         return np.zeros(0, dtype=np.int64)
@@ -130,7 +129,7 @@ def driven_disks(packing: Packing, rule: WaveRule) -> Integers:
 
 
 def _within_reach(packing: Packing, rule: WaveRule) -> Flags:
-    """(N,) disks that are not deep in a layer that damps by 1."""
+    """(N,) disks outside the deep part of layers that damp by 1."""
     if rule.boundary_damping < 1.0:
         return np.ones(len(packing.x), dtype=bool)
     middle = packing.height / 2.0

@@ -1,7 +1,7 @@
-"""Numerical error that a velocity has to state, from its record and settings alone: one to expect, and a bound.
+"""Numerical error of a velocity from its record and settings alone: expected size, and bound.
 
-The form of each part is derived where it stands. Its factor was measured against converged runs of the same cells;
-docs/accuracy.md has these measurements, and a check on cells and packings that the factors had not seen.
+Each part has a derived form and a factor measured against converged runs of the same cells. docs/accuracy.md has these
+measurements, and a check on other cells and packings.
 """
 
 from typing import NamedTuple
@@ -15,10 +15,10 @@ from calcidem.dem.wave.reading import ONSET, ShearArrival
 from calcidem.dem.wave.recorder import LOOKS_APART, WaveRecord
 from calcidem.dem.wave.section import Section
 
-_SAMPLING = 0.2  # over sampling interval / travel time; 0.13 was the largest found
+_SAMPLING = 0.2  # over sampling interval / travel time; largest value found: 0.13
 _TURNING = 3.0  # over mean overlap / mean radius
 _STIFFENING = 3.0e-3  # over stroke of the pulse / mean overlap
-_RESCALING = 0.5  # over `linearity.Nonlinearity.rescaling`: a velocity goes with the root of the stiffness
+_RESCALING = 0.5  # over `linearity.Nonlinearity.rescaling`: velocity scales with the square root of stiffness
 _CLOSING = 0.5  # over `WaveRecord.closing_gaps`
 _SINGLE_PRECISION = 1.0e-3
 _ROUNDING = 5.0  # over the rounding of contact forces in single precision over the force of the received wave
@@ -29,46 +29,46 @@ _BREAKING = 2.0  # see `_breaking_error`
 
 _USUAL_STEP = 7.5e-5  # over step / limit
 _USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `linearity.Nonlinearity`
-_USUAL_ROUGHNESS = 0.25  # the same over what smoothing removes
-_USUAL_LOSS = 0.45  # of the bound of what the transmitter loses by slip, which moves a peak to one side alone
-_USUAL = 0.1  # of the bound, for parts whose usual size has not been measured
-_EACH_OF_TWO = 0.71  # of the difference of two runs, whose errors are as large as each other: 1 / sqrt(2)
-_WORST_OF_HUNDRED = 4.6  # over the mean of an exponential distribution, as which errors were fitted: ln(100)
-_PART_OF_PERIOD = 16  # distance of the places that tell the width of a peak, as a part of the period
+_USUAL_ROUGHNESS = 0.25  # the same over the motion removed by smoothing
+_USUAL_LOSS = 0.45  # over the bound of the loss by slip at the transmitter, which shifts peaks in one direction
+_USUAL = 0.1  # over the bound, for parts whose usual size has not been measured
+_EACH_OF_TWO = 0.71  # over the difference of two runs with equal errors: 1 / sqrt(2)
+_WORST_OF_HUNDRED = 4.6  # over the mean of the exponential distribution fitted to errors: ln(100)
+_PART_OF_PERIOD = 16  # period over the spacing of the samples that give the width of a peak
 
 
 class ErrorParts(NamedTuple):
-    """Bounds of the parts of the relative error of a velocity, which have nothing to do with one another.
+    """Bounds of the independent parts of the relative error of a velocity.
 
     Attributes
     ----------
     step
-        Local damping a looks at velocities half a step old: an error of first order, ``dt / 2`` of the travel time
-        (docs/accuracy.md, "Order of convergence in the step"), and more by 1 / (1 - a), to which it slows a wave that
-        loads contacts (benchmarks/accuracy/drawn.py). Leapfrog has ``sin(omega' dt / 2) = omega dt / 2``:
-        it shifts frequencies by ``(omega dt)^2 / 24``. The shortest waves of a pulse have about 3 f.
+        Local damping a uses velocities half a step old. This error of first order is ``dt / 2`` of the travel time
+        (docs/accuracy.md, "Order of convergence in the step"), multiplied by 1 / (1 - a), by which damping slows a wave
+        that loads contacts (benchmarks/accuracy/drawn.py). Leapfrog has ``sin(omega' dt / 2) = omega dt / 2``,
+        which shifts frequencies by ``(omega dt)^2 / 24``. The shortest waves of a pulse have about 3 f.
     sampling
-        The smoothing before the pick spans a whole number of samples, so a peak that is not symmetric moves by a part
-        of an interval. The factor is half as large again as the largest shift found.
+        The smoothing before the pick spans a whole number of samples, so an asymmetric peak shifts by a part of an
+        interval. The factor is 1.5 times the largest shift found.
     regime
-        See `_geometry_error`, and `linearity.Nonlinearity.rescaling`. Small and linear displacement also keep gaps open
-        that a pulse closes: each adds a contact near the transmitter for half of the time (docs/accuracy.md,
+        See `_geometry_error`, and `linearity.Nonlinearity.rescaling`. The small and linear regimes also keep gaps open
+        that a pulse closes. Each would add a contact near the transmitter for half of the time (docs/accuracy.md,
         "Amplitude of the pulse").
     slip
         See `_slip_error`.
     precision
-        Rounding of single precision moves broad peaks (docs/accuracy.md, "Every setting"). It also adds the part
-        2^-24 of the forces that the packing carries, which go with its overlap, to those of the wave, which go with
-        the stroke of the pulse and the part of its amplitude that is received.
+        Rounding of single precision moves broad peaks (docs/accuracy.md, "Every setting"). It also adds 2^-24 of the
+        packing's contact forces, which scale with its overlap. The forces of the wave scale with the stroke of the
+        pulse and the received part of its amplitude.
     noise
-        A pulse of amplitude H falls off as ``H (1 - (pi f t)^2)`` from its peak. Noise n of the pulse's own frequency
-        adds a slope of up to ``2 pi f n``, so the sum is highest at ``n / (pi f H)``. It counts where it hides the
-        first arrival, so that n is at least the onset level: chattering contacts make it, and another step another one.
+        A pulse of amplitude H falls off as ``H (1 - (pi f t)^2)`` from its peak. Noise n of the same frequency adds a
+        slope of up to ``2 pi f n``, so the sum peaks at ``n / (pi f H)``. It counts if it hides the first arrival, so n
+        is at least the onset level. Chattering contacts cause it, and another step causes other noise.
     chatter
         See `_chatter_error`.
     unbalanced
-        Local damping works on the sum of all forces on a disk, and so sees what the packing left unbalanced, in
-        proportion to its size over that of the wave (docs/accuracy.md, "Amplitude of the pulse").
+        Local damping acts on the sum of all forces on a disk, including unbalanced forces of the packing. The error is
+        proportional to their ratio to the forces of the wave (docs/accuracy.md, "Amplitude of the pulse").
     breaking
         See `_breaking_error`.
     """
@@ -102,14 +102,14 @@ _CURES = {
 
 
 def _largest_part(experiment: Experiment, parts: ErrorParts, most: float) -> str:
-    """Name of the part of a bound that has to become smaller; ``most`` is what the bound may be."""
-    if error_bound(parts) <= most:  # then the signal's shape makes it
+    """Name of the part of a bound to reduce; ``most`` is the largest allowed bound."""
+    if error_bound(parts) <= most:  # then the signal's shape causes the error
         return "regime" if experiment.wave.regime == "linear" else "noise"
     return max(parts._fields, key=lambda name: getattr(parts, name))
 
 
 def cure_of(experiment: Experiment, parts: ErrorParts, most: float) -> str:
-    """What makes the largest part of a bound smaller; ``most`` is what the bound may be."""
+    """Remedy for the largest part of a bound; ``most`` is the largest allowed bound."""
     largest = _largest_part(experiment, parts, most)
     if largest != "regime":
         return _CURES[largest]
@@ -124,9 +124,9 @@ class NumericalError(NamedTuple):
     Attributes
     ----------
     expected
-        Order of its size, which ranks cells.
+        Order of magnitude, which ranks cells.
     bound
-        Its bound.
+        Bound of the error.
     parts
         Bounds of its parts.
     """
@@ -139,15 +139,16 @@ class NumericalError(NamedTuple):
 def estimate_error(
     experiment: Experiment, record: WaveRecord, arrival: ShearArrival, chatter: float | None = None
 ) -> NumericalError:
-    """Relative numerical error of a velocity that was read.
+    """Relative numerical error of a measured velocity.
 
-    ``chatter`` is its relative change by half of the step, where that was measured.
+    ``chatter`` is its measured relative change with half of the step, if any.
 
-    What is expected is the order of its size. A change of a signal by the part e of its amplitude, as fast as the pulse
-    is, tilts it by ``2 pi f e`` and so moves a peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change goes with
-    the nonlinear share in the linear regime, and with how rough the signal is: another step makes another chatter. To
-    this come an error of first order in the step over its limit, and a part of what else the bound has. The bound is
-    no less than what one of a hundred such errors exceeds; what the transmitter loses has its own.
+    The expected error is an order of magnitude. A change of the signal at the pulse's frequency, by the part e of its
+    amplitude, tilts it by ``2 pi f e``. It moves a peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change is
+    proportional to the nonlinear share in the linear regime, and to the roughness of the signal, since another step
+    causes other chatter. An error of first order in the step over its limit adds to this, and a part of the rest of the
+    bound. The bound is at least the value that one in a hundred such errors exceeds; the loss at the transmitter has
+    its own bound.
     """
     frequency, travel_time = record.section.frequency, arrival.travel_time
     shift = _shift_by_change(record.section, arrival)
@@ -167,19 +168,19 @@ def estimate_error(
 
 
 def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
-    """Largest of each number until the whole pulse had travelled a path of so many periods.
+    """Largest value of each number until the whole pulse has travelled a path of ``periods`` periods.
 
-    On a long path contacts slip that the pulse had not reached when its transmission ended.
+    On a long path, contacts still slip after the end of transmission.
     """
     looks = record.nonlinear[: 1 + int(periods / LOOKS_APART)]
     return Nonlinearity(*np.max(np.array(looks, dtype=float), axis=0).tolist()) if looks else Nonlinearity()
 
 
 def _shift_by_change(section: Section, arrival: ShearArrival) -> float:
-    """Shift of the peak over the travel time by a change of the signal, over that change.
+    """Relative shift of the travel time per relative change of the signal.
 
-    It is ``2 pi f w^2 / travel time``, see `estimate_error`; w^2 is amplitude over curvature of three smoothed values a
-    sixteenth of the period apart, and at most the square of that period; where they are not as a peak's, it is that.
+    It is ``2 pi f w^2 / travel time``, see `estimate_error`. w^2 is the amplitude over the curvature of three smoothed
+    values a sixteenth of the period apart. It is at most the squared period, and equal to it if they form no peak.
     """
     apart, index = max(1, int(section.period / _PART_OF_PERIOD)), arrival.index
     period = 1.0 / section.frequency
@@ -194,7 +195,7 @@ def _error_parts(experiment: Experiment, record: WaveRecord, arrival: ShearArriv
     """Bounds of the parts of the error of a velocity; ``shift`` is that of `_shift_by_change`."""
     frequency, travel_time = record.section.frequency, arrival.travel_time
     coarse = 3.0 * (2.0 * np.pi * frequency) * record.time_step
-    # What changes the shape of the signal moves a peak by a part of the period, which weighs more on a short path.
+    # Changes of shape shift a peak by a part of the period, which matters more on a short path.
     periods = frequency * travel_time
     shape = max(1.0, 1.0 / periods)
     found = _largest_nonlinearity(record, periods)
@@ -215,7 +216,7 @@ def _error_parts(experiment: Experiment, record: WaveRecord, arrival: ShearArriv
 
 
 def _rounding(experiment: Experiment, frequency: float, arrival: ShearArrival) -> float:
-    """Change of the received signal by the rounding of contact forces in single precision, over its amplitude."""
+    """Relative change of the received signal by rounding of contact forces in single precision."""
     stroke = Pulse(experiment.wave.amplitude, frequency).stroke * float(arrival.clean[arrival.index, -1])
     return _ROUNDING * float(np.finfo(np.float32).eps) / 2.0 * experiment.packing.report.mean_overlap / stroke
 
@@ -223,10 +224,10 @@ def _rounding(experiment: Experiment, frequency: float, arrival: ShearArrival) -
 def _chatter_error(experiment: Experiment, record: WaveRecord) -> float:
     """Estimated relative error of a velocity by local damping of the stiffest contacts.
 
-    Local damping of factor a takes the part 1 - a or 1 + a of a force, by the sign of the velocity. Near the stability
-    limit the velocities of the stiffest contacts turn over at almost every step, and how often they do decides what is
-    left of the wave. In lattices the error rose about as the cube of ``a / (1 - a)`` and steeply with the step
-    (docs/stability.md, "Drawn at random"), where nothing `chatters`.
+    Local damping of factor a multiplies a force by 1 - a or 1 + a, depending on the sign of the velocity. Near the
+    stability limit the velocities of the stiffest contacts reverse at almost every step. The frequency of reversals
+    determines the amplitude of the wave. In lattices where nothing `chatters`, the error rises about as the cube of
+    ``a / (1 - a)`` and steeply with the step (docs/stability.md, "Drawn at random").
     """
     damping = experiment.wave.damping
     strong, coarse = damping / (1.0 - damping), record.time_step / record.stability_limit
@@ -234,10 +235,10 @@ def _chatter_error(experiment: Experiment, record: WaveRecord) -> float:
 
 
 def chatters(damping: float, contrast: float) -> bool:
-    """Whether local damping of contacts so much stiffer than others may change a signal far more than by its law.
+    """Whether damping of contacts with such a stiffness contrast may change a signal far beyond the usual law.
 
-    Then its error has to be measured with another step: where ``(a / (1 - a))^3`` times the contrast of stiffness
-    (`propagation.stiffness_contrast`) was above 500, velocities were wrong in silence, below it none was
+    Its error must then be measured with another step. If ``(a / (1 - a))^3`` times the contrast of stiffness
+    (`propagation.stiffness_contrast`) exceeds 500, velocities can be wrong without notice; below it, none was
     (docs/accuracy.md, "Scenes drawn at random"). The presets have 10 to 220.
     """
     strong = damping / (1.0 - damping)
@@ -245,21 +246,21 @@ def chatters(damping: float, contrast: float) -> bool:
 
 
 def _breaking_error(record: WaveRecord) -> float:
-    """Estimated relative error of a velocity by bonds so near their strength that another step breaks others.
+    """Estimated relative error of a velocity by bonds so close to failure that another step breaks others.
 
-    Where n break of N, some ``sqrt(n)`` more or fewer would, as counts of rare events scatter. The stiffness of a bond
-    is at most 1 / N of what bonds carry, but those that break are near the transmitter, where each counts for more
+    If n of N bonds break, the count scatters by about ``sqrt(n)``, as for rare events. A bond contributes at most 1 / N
+    of the stiffness of all bonds. However, bonds break near the transmitter, where each counts for more
     (docs/accuracy.md, "The error to expect").
     """
     return float(_BREAKING * np.sqrt(record.broken_bonds) / max(1, record.bonds))
 
 
 def _geometry_error(experiment: Experiment, frequency: float) -> float:
-    """Estimated relative error of a velocity by geometry and stiffnesses that a regime takes for constant.
+    """Estimated relative error of a velocity by the constant geometry and stiffnesses of a regime.
 
-    - A loaded contact that turns by ``u / (2 R)`` pushes sideways with ``F_n / (2 R)`` per displacement u. For Hertz,
-      ``F_n = (2/3) k_n d``, that is ``d / (3 R)`` of its stiffness at overlap d. A fixed geometry has none of it.
-    - Constant stiffnesses also miss what the stroke of the pulse changes: ``k_n`` goes with the root of the overlap.
+    - A loaded contact that rotates by ``u / (2 R)`` gains the lateral force ``F_n / (2 R)`` per displacement u. With
+      Hertz's ``F_n = (2/3) k_n d`` this is ``d / (3 R)`` of its stiffness at overlap d. A fixed geometry neglects it.
+    - Constant stiffnesses also neglect the change by the pulse: ``k_n`` scales with the square root of the overlap.
     """
     wave, packing = experiment.wave, experiment.packing
     if wave.regime == "finite":
@@ -276,15 +277,15 @@ def _turning_error(experiment: Experiment) -> float:
 
 
 def _slip_error(record: WaveRecord, shift: float, periods: float) -> float:
-    """Bound of the relative error of a velocity by contacts that do not slip in the linear regime; 1 says nothing.
+    """Bound of the relative error of a velocity from neglecting slip in the linear regime; 1 is no bound.
 
-    - A velocity goes with the root of the stiffness, of which slip takes `linearity.Nonlinearity.softening` away: half
-      of it, were what it takes from each contact's neighbours the same everywhere. Twice that here
-      (docs/stability.md, "near isostaticity"); on a path of less than a wavelength that changes the shape, as in
-      `_error_parts`. ``periods`` are f travel time.
-    - What the transmitter loses: see `_loss_error`.
+    - A velocity scales with the square root of the stiffness, which slip reduces by `linearity.Nonlinearity.softening`.
+      The error would be half of it if all contacts lost the same share. Here it is doubled (docs/stability.md, "near
+      isostaticity"). On a path of less than a wavelength slip changes the shape, as in `_error_parts`. ``periods`` is
+      f times travel time.
+    - For the loss at the transmitter see `_loss_error`.
 
-    Contacts slip where the pulse over what they have left to their friction limit is large, or nothing is left.
+    Contacts slip if the pulse is strong compared with their reserve up to the friction limit, or they have no reserve.
     """
     found = _largest_nonlinearity(record, periods)
     loss = _loss_error(record, shift, periods)
@@ -292,9 +293,9 @@ def _slip_error(record: WaveRecord, shift: float, periods: float) -> float:
 
 
 def _loss_error(record: WaveRecord, shift: float, periods: float) -> float:
-    """Bound of the relative error of a velocity where contacts at the transmitter slip.
+    """Bound of the relative error of a velocity from slipping contacts at the transmitter.
 
-    The part e of its force is missing from then on. That moves a peak as changes of the signal do, by ``shift`` e, and
-    the peak of the pulse ``1 - cos 2 pi f t`` itself by ``e / (pi f)``.
+    From then on the part e of its force is missing. This moves a peak by ``shift`` e, like any change of the signal,
+    and the peak of the pulse ``1 - cos 2 pi f t`` itself by ``e / (pi f)``.
     """
     return float(max(shift, 1.0 / (np.pi * periods)) * record.slipped)

@@ -1,4 +1,4 @@
-"""Everything that samples have in common: packing, materials, cement, wave and picking."""
+"""Settings common to all samples: packing, materials, cement, wave and picking."""
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
@@ -24,10 +24,10 @@ _Found = TypeVar("_Found")
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Everything that samples of many seeds and contents have in common; equal to itself alone.
+    """Settings common to samples of many seeds and contents; compared by identity.
 
-    What takes long and is the same for all batches (`domain`, `bare_scene`, `places`, limits of the step) is computed
-    once, when it is first asked for, and kept as long as the experiment.
+    Expensive results for all batches (`domain`, `bare_scene`, `places`, limits of the step) are computed on first use
+    and kept as long as the experiment.
 
     Attributes
     ----------
@@ -37,15 +37,14 @@ class Experiment:
         Root of all random numbers.
     stiffness_factor
         Multiplies the grains' shear modulus, and with it all contact forces and the confining stress, in the wave
-        stage. 1 is the packing as it was made; anything else is a calibration.
+        stage. 1 leaves the packing unchanged; any other value is a calibration.
     installation
         See `scene.Bonds`.
     early_stop
-        End a record as soon as its reading is settled, or what still moves cannot become one; it does not change the
-        reading.
+        End a record when its reading is settled or no reading is possible any more. The reading does not change.
     frequencies
-        (contents in percent, frequencies in Hz), interpolate between; None takes Table 2 of the paper. Or a function of
-        an experiment and a content, percent, which gives the frequency in Hz and is asked once for each content.
+        (contents in percent, frequencies in Hz), interpolated linearly; None takes Table 2 of the paper. Or a function
+        of an experiment and a content, percent, that returns the frequency in Hz and is called once for each content.
     """
 
     packing: Packing
@@ -62,13 +61,13 @@ class Experiment:
     _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse what the linear regime cannot do and factors without meaning."""
+        """Refuse invalid factors, and settings that the linear regime excludes."""
         require(self.stiffness_factor > 0.0, "stiffness_factor", self.stiffness_factor, "give a positive factor")
         require(
             self.installation == "preserve" or self.wave.regime != "linear",
             "installation",
             self.installation,
-            'changes the contact forces, which regime = "linear" takes as they are; choose "small" or "finite"',
+            'changes the contact forces, which are fixed in regime = "linear"; choose "small" or "finite"',
         )
 
     def frequency(self, content: float) -> float:
@@ -80,7 +79,7 @@ class Experiment:
         return interpolate(content, *self.frequencies)
 
     def once(self, key: Hashable, compute: Callable[[], _Found]) -> _Found:
-        """What was computed under a key, now or before."""
+        """Value of a key, computed on first use."""
         if key not in self._kept:
             self._kept[key] = compute()
         found: _Found = self._kept[key]
@@ -88,7 +87,7 @@ class Experiment:
 
     @cached_property
     def domain(self) -> Domain:
-        """Part of the packing that is computed, stiffened."""
+        """Computed part of the packing, stiffened."""
         return domain_of(self.stiffen()[0], self.wave, self.installation)
 
     @cached_property
@@ -102,8 +101,8 @@ class Experiment:
     def places(self) -> tuple[float, ...]:
         """Path from the transmitter to each station, and last to the receiver, m.
 
-        The recorded velocity is the plain mean of some disks, so a wave passes its middle at their mean x. Driven disks
-        transmit it from their mean x, a wall from its surface.
+        A station records the plain mean velocity of its disks, so its place is their mean x. Driven disks transmit the
+        wave from their mean x, a wall from its surface.
         """
         packing, wave = self.domain.packing, self.wave
         driven, groups = driven_disks(packing, wave), (*station_disks(packing, wave), listening_disks(packing, wave))

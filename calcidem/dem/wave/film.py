@@ -1,4 +1,4 @@
-"""A propagating wave: velocities of all disks at even times, beside the signals that a measurement records."""
+"""Film of a wave: velocities of all disks at equal intervals, in addition to the signals of a measurement."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,18 +13,18 @@ from calcidem.dem.wave.recorder import WaveRecord
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaveFilm:
-    """What a wave does to the disks that are computed.
+    """Motion of the computed disks in a wave.
 
     Attributes
     ----------
     x, y, radius
-        (N,) m, of these disks at rest.
+        (N,) m, of the disks at rest.
     times
         (F,) s.
     velocity
-        (F, N) along y, in which the transmitter slides, m/s.
+        (F, N) along y, the direction of the transmitter's motion, m/s.
     record
-        Signals, those of a measurement to the last bit.
+        Signals, identical to those of a measurement.
     """
 
     x: Floats
@@ -45,18 +45,18 @@ def film_wave(
     lanes: int = 8,
     watch: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> WaveFilm:
-    """Transmit a pulse through one sample, and record its disks at even times.
+    """Transmit a pulse through one sample, and record its disks at equal intervals.
 
     Parameters
     ----------
     experiment, bonded, frequency, lanes
         As for `calcidem.dem.wave.propagation.send_waves`; one sample's contacts.
     frames
-        How often to look, at most.
+        Largest number of frames.
     samples
-        Length of the signals; by default the longest that a measurement would record.
+        Length of the signals; by default the longest of a measurement.
     watch
-        Told frames done and all frames; may raise to end the run.
+        Called with the number of finished and of all frames; may raise to end the run.
     """
     recorder = prepare_recorder(experiment, [bonded], frequency, lanes, lambda: None)
     interval = recorder.stride * float(recorder.state.time_step[0])

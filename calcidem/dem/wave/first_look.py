@@ -1,36 +1,36 @@
-"""A frequency for samples whose velocity is not known yet."""
+"""Frequency for samples of unknown velocity."""
 
 import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
 
 WAVELENGTHS = 2.5
-"""Wavelengths of path: with fewer the near field is read, with many more little propagates."""
+"""Path over wavelength: with fewer wavelengths the near field disturbs, with many more little propagates."""
 
 _PATTERNS = 3
-"""Cement patterns that are looked at: their median is within some percent of that of hundreds."""
+"""Number of cement patterns; their median is within some percent of that of hundreds."""
 
 _SIGNIFICANT = 2
-"""Significant digits of the frequency, so that every processor chooses the same one."""
+"""Significant digits of the frequency, few enough that every processor chooses the same."""
 
 
 def suitable_frequency(experiment: Experiment, content: float) -> float:
-    """Give the frequency at which the path from transmitter to receiver is 2.5 wavelengths, Hz.
+    """Return the frequency at which the path from transmitter to receiver is 2.5 wavelengths, Hz.
 
-    The wavelength is that of the static speed, which needs no signal: the median of three cement patterns, those of the
-    seeds 0, 1 and 2. The frequency is rounded to two digits. So it depends on nothing but the experiment and the
-    content, and is the same on each rank and processor. `ValueError` if a sample has no stiffness.
+    The wavelength follows from the static speed, which needs no signal: the median over the cement patterns of the
+    seeds 0, 1 and 2. The frequency is rounded to two digits. It depends only on experiment and content, and is the same
+    on each rank and processor. `ValueError` if a sample has no stiffness.
 
     Parameters
     ----------
     experiment
-        What samples share; its frequencies are not looked at.
+        Common settings; its frequencies are ignored.
     content
         Percent of the sand's mass.
 
     Notes
     -----
-    On such a path the near field makes a standard error of 2 % at most, see
+    On such a path the near field causes a standard error of at most 2 %, see
     `calcidem.dem.wave.reading.reading_error`.
     """
     speed = expected_speed(experiment, content, _PATTERNS)
@@ -38,20 +38,20 @@ def suitable_frequency(experiment: Experiment, content: float) -> float:
 
 
 def expected_speed(experiment: Experiment, content: float, patterns: int) -> float:
-    """Give the median static speed of some cement patterns, those of the seeds from 0 on, m/s.
+    """Return the median static speed over cement patterns, those of the seeds from 0 on, m/s.
 
     `ValueError` if a sample has no stiffness.
 
     Parameters
     ----------
     experiment
-        What samples share; its frequencies are not looked at.
+        Common settings; its frequencies are ignored.
     content
         Percent of the sand's mass.
     patterns
-        Their number; without cement they are all the same.
+        Number of patterns; without cement they are all the same.
     """
-    # Each configuration names this module; only who calls it waits for the engine.
+    # Every configuration imports this module; only a call loads the engine.
     from calcidem.dem.wave.static_speed import static_speed  # noqa: PLC0415
 
     seeds = range(patterns if content > 0.0 else 1)

@@ -1,7 +1,7 @@
-"""Guards of a running wave: what makes a sample's numbers untrustworthy, looked for at every chunk of the record.
+"""Guards of a running wave: each chunk of the record is checked for causes of unreliable results.
 
-An unstable explicit scheme grows by a constant factor each step: 1 % above the limit a velocity doubles in three
-steps, so whatever starts between two looks is beyond every bound at the second.
+In an unstable explicit scheme velocities grow by a constant factor per step. 1 % above the limit they double in three
+steps, so an instability between two checks exceeds every bound at the second.
 """
 
 from collections.abc import Iterator
@@ -18,27 +18,27 @@ from calcidem.dem.engine.readout import net_forces, overlaps, wall_overlaps
 from calcidem.dem.engine.stability import critical_time_step, hertz_tangent
 from calcidem.dem.kernels.layout import Floats, Integers
 
-_BLOW_UP = 30.0  # velocity over the amplitude of the pulse at which a run has gone wrong; waves stay below about 5
+_BLOW_UP = 30.0  # velocity over the amplitude of the pulse at which a run is unstable; waves stay below about 5
 _LARGEST_UNBALANCED_SPEED = 1e-3  # over the amplitude of the pulse
-_NOTICEABLE = 0.1  # motion over mean overlap below which stiffnesses change by less than the margin of the step
+_NOTICEABLE = 0.1  # motion over mean overlap, below which stiffness changes stay within the margin of the step
 
 
 def problems_of(state: State, amplitude: float, overlap: float, breakable: float = 0.0) -> list[str]:
-    """Why each lane cannot be trusted any more, empty for those that can.
+    """Problem of each lane; empty for lanes without one.
 
     Parameters
     ----------
     state
-        What to look at; all lanes are looked at together, at about the cost of one.
+        State to check; all lanes together cost about as much as one.
     amplitude
-        Of the pulse, m/s; nothing moves much faster in a sample that was at rest.
+        Amplitude of the pulse, m/s; nothing moves much faster in a sample that was at rest.
     overlap
         Mean overlap of the contacts at the start, m.
     breakable
-        Part of its bonds that a sample may lose.
+        Largest permitted share of broken bonds.
     """
     problems = [""] * state.features.lanes
-    # NaN compares with nothing, so it is asked for by what it is not.
+    # Comparisons with NaN are false, so the test asks for the valid case.
     for lane in np.flatnonzero(~(_largest_translation(state.motion.velocity) <= _BLOW_UP * amplitude)).tolist():
         speed = np.abs(state.motion.velocity[:, :2, lane]).max(axis=1)
         problems[lane] = f"{_name_disk(state, speed)} moves at {speed.max():.3g} m/s after {state.steps} steps"
@@ -56,7 +56,7 @@ def problems_of(state: State, amplitude: float, overlap: float, breakable: float
 
 
 def _find_unlisted_neighbours(state: State, motion: Floats) -> Iterator[tuple[int, str]]:
-    """Give the lanes in which a disk may have met one that is not in the list of pairs."""
+    """Yield the lanes in which a disk may have touched one that is not in its list of pairs."""
     if state.features.search or not state.features.finite:
         return
     for lane in np.flatnonzero(motion > 0.5 * state.skin).tolist():
@@ -65,7 +65,7 @@ def _find_unlisted_neighbours(state: State, motion: Floats) -> Iterator[tuple[in
 
 
 def broken_bonds(state: State) -> Integers:
-    """(L,) bonds that broke; nothing is counted where the kernel breaks none."""
+    """(L,) number of broken bonds; zero if the kernel breaks none."""
     pairs, lanes = state.assembly.pairs, state.features.lanes
     if not state.features.breakage or not (pairs.cemented ^ pairs.intact).any():
         return np.zeros(lanes, dtype=np.int64)
@@ -73,12 +73,12 @@ def broken_bonds(state: State) -> Integers:
 
 
 def cemented_bonds(state: State) -> Integers:
-    """(L,) bonds that a sample was given."""
+    """(L,) number of initial bonds."""
     return np.asarray(np.count_nonzero(lanes_of_bits(state.assembly.pairs.cemented, state.features.lanes), axis=0))
 
 
 def _find_broken_bonds(state: State, breakable: float) -> Iterator[tuple[int, str]]:
-    """Give the lanes in which more bonds broke than may."""
+    """Yield the lanes with too many broken bonds."""
     broken = broken_bonds(state)
     if not broken.any():
         return
@@ -88,7 +88,7 @@ def _find_broken_bonds(state: State, breakable: float) -> Iterator[tuple[int, st
 
 
 def _find_steps_above_limit(state: State, motion: Floats, overlap: float) -> Iterator[tuple[int, str]]:
-    """Give the lanes whose step is above the limit of the contacts as they are pressed now."""
+    """Yield the lanes whose step exceeds the limit at the present overlaps."""
     noticed = (motion > _NOTICEABLE * overlap) & (state.time_step > cheap_limit(state))
     if not noticed.any():
         return
@@ -102,19 +102,19 @@ def _find_steps_above_limit(state: State, motion: Floats, overlap: float) -> Ite
 
 
 def _largest_translation(field: Floats) -> Floats:
-    """(L,) largest absolute value of the translations in each lane; not a number if one of them is none."""
-    # All components of a disk at once, rotation too: a long contiguous row is reduced much faster.
+    """(L,) largest absolute value of the translations in each lane; NaN if one of them is NaN."""
+    # All components including rotation are reduced at once: a long contiguous row is much faster.
     translations: Floats = np.abs(field).max(axis=0)[:2]
     both: Floats = translations.max(axis=0)
     return both
 
 
 def unbalanced_speed(state: State, amplitude: float) -> Floats:
-    """(L,) speed at which unbalanced forces alone move the disks of a sample, rms, over the amplitude of the pulse.
+    """(L,) rms speed of the disks by unbalanced forces alone, over the amplitude of the pulse.
 
-    A disk with the net force F swings with about ``F / (m omega)``. Omega is that of the pressed contacts, from their
-    limit ``2 / omega``: bonds are far stiffer, but disks without a bond do not feel them. The linear regime takes the
-    reference state for balanced. `ValueError` if that is more than `_LARGEST_UNBALANCED_SPEED`.
+    A disk with the net force F oscillates with about ``F / (m omega)``. Omega follows from the limit ``2 / omega`` of
+    the Hertz contacts; bonds are far stiffer, but do not affect disks without a bond. The linear regime assumes a
+    balanced reference state. `ValueError` if the speed exceeds `_LARGEST_UNBALANCED_SPEED`.
     """
     lanes = state.features.lanes
     if state.features.linear:
@@ -137,19 +137,19 @@ def unbalanced_speed(state: State, amplitude: float) -> Floats:
 
 
 def _name_disk(state: State, values: Floats) -> str:
-    """Say which disk has the largest value; the first that is not a number, if there is one.
+    """Describe the disk with the largest value, or the first one with NaN.
 
-    By its place, since disks that the wave cannot reach are left out and the others numbered anew.
+    The place identifies it, since the computed disks are renumbered.
     """
     disk = int(state.assembly.order[int(np.argmax(values))])
     return f"the disk at ({state.scene.x[disk]:.5g}, {state.scene.y[disk]:.5g}) m"
 
 
 def cheap_limit(state: State) -> Floats:
-    """Lower bound (L,) of the present stability limit, s, for a tenth of its price.
+    """Lower bound (L,) of the present stability limit, s, at a tenth of its cost.
 
-    To the matrices of `stability.critical_time_step` at the start each Hertz contact adds at most its own largest
-    eigenvalue, ``max(k_n, 3 k_s)``. Where stiff bonds set the step, that is next to nothing however hard it is pressed.
+    To the initial matrices of `stability.critical_time_step` each Hertz contact adds at most its own largest
+    eigenvalue, ``max(k_n, 3 k_s)``. If stiff bonds limit the step, this is negligible at any load.
     """
     pairs, wall_pairs, grains = state.assembly.pairs, state.assembly.wall_pairs, state.assembly.grains
     normal = np.zeros((len(grains.radius), state.features.lanes))

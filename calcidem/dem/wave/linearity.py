@@ -1,4 +1,4 @@
-"""How far a wave of the linear regime leaves what constant stiffnesses stand for."""
+"""Deviation of a wave in the linear regime from the nonlinear contact laws."""
 
 from typing import NamedTuple
 
@@ -29,22 +29,22 @@ _ALL = slice(None)
 
 
 class Nonlinearity(NamedTuple):
-    """What Hertz's and Coulomb's laws would change in a wave of the linear regime; zero in other regimes.
+    """Changes of a wave in the linear regime by Hertz's and Coulomb's laws; zero in other regimes.
 
-    Each is (L,), or the number of one sample.
+    Each is (L,), or the value of one sample.
 
     Attributes
     ----------
     share
-        Sum of ``|dF| |du|`` over that of ``F du`` of all contacts of disks: du is the displacement between two disks
-        since the start, F the force that constant stiffnesses add, dF what separates it from that of the contact laws,
-        where contacts stiffen, open and slip. Cement is linear in either case.
+        Sum of ``|dF| |du|`` over the sum of ``F du`` of all contacts of disks. du is the relative displacement of two
+        disks since the start, F the force increment with constant stiffnesses. dF is its deviation from the contact
+        laws, by which contacts stiffen, open and slip. Cement is linear in either case.
     softening
-        Part of its stiffness that the sample may lose by slip, see `nonlinearity`.
+        Largest relative loss of the sample's stiffness by slip, see `nonlinearity`.
     rescaling
-        Work of the shear forces that contacts already bear and would lose where the wave unloads them (shear rescaling
-        mode 1, `laws.rescale_shear`), each taken as positive, over that of ``F du``. It goes with the loads of the
-        packing, not with the amplitude.
+        Work, in absolute values, of the initial shear forces that contacts would lose where the wave unloads them
+        (shear rescaling mode 1, `laws.rescale_shear`), over that of ``F du``. It scales with the loads of the packing,
+        not with the amplitude.
     """
 
     share: Floats | float = 0.0
@@ -53,15 +53,15 @@ class Nonlinearity(NamedTuple):
 
 
 def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
-    """What the contact laws would change at the present displacements, in all lanes or in some.
+    """Changes by the contact laws at the present displacements, in all lanes or in some.
 
-    A contact with more shear than its friction bears slips before the wave comes: it begins at its limit here.
+    A contact with more shear than friction permits slips before the wave arrives. It starts at its limit here.
 
-    A wave whose contacts lack the part s of its work by slip has s less stiffness as long as it moves the disks the
-    same way (Rayleigh's quotient). But they give way where a contact slips: without one component of a contact whose
-    share of its own deformation is taken by the others to the part p, the energy falls by 1 / (1 - p) times as much.
-    The mean of p over all components is that of degrees of freedom over components (trace of a projection; Calladine
-    1978, doi:10.1016/0020-7683(78)90052-5), so softening is s over the part of the components that is spare. At
+    If slip removes the part s of a wave's work, the stiffness falls by s as long as the motion of the disks is the same
+    (Rayleigh's quotient). But disks yield where a contact slips. Let the others take the part p of the share that a
+    component of a contact has in its own deformation. Without it the energy falls by 1 / (1 - p) times as much. The
+    mean of p over all components is degrees of freedom over components (trace of a projection; Calladine 1978,
+    doi:10.1016/0020-7683(78)90052-5). Softening is therefore s over the redundant part of the components. At
     isostaticity there is no bound, and softening is infinite.
     """
     if not state.features.linear:
@@ -80,14 +80,14 @@ def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
 
 
 class _StrainedContacts(NamedTuple):
-    """Contacts of listed pairs of disks in some lanes, with what Hertz's and Coulomb's laws say of them; SI.
+    """Contacts of listed pairs of disks in some lanes, with forces by Hertz's and Coulomb's laws; SI.
 
-    Lanes come first, as everywhere in this module: what all lanes share meets a row of contacts, not a row of lanes.
+    As everywhere in this module, lanes are the first axis, so values common to all lanes broadcast along contacts.
 
     Attributes
     ----------
     approach, slide, twist
-        (L, M) m, m and rad, as `_relative_displacements`.
+        (L, M) m, m and rad, see `_relative_displacements`.
     overlap
         (M,) before the wave, m.
     stiffness, shear_stiffness
@@ -95,9 +95,9 @@ class _StrainedContacts(NamedTuple):
     before, normal
         (M,) and (L, M) normal force before the wave and now, N.
     installed, held
-        (L, M) shear force before the wave, N: as the packing left it, and no more than friction bears.
+        (L, M) shear force before the wave, N: that of the packing, and the same limited by friction.
     limit
-        (L, M) what friction bears now, N.
+        (L, M) present friction limit, N.
     """
 
     approach: Floats
@@ -131,13 +131,13 @@ def _strained_contacts(state: State, lanes: Integers | slice) -> _StrainedContac
 
 
 def _intact_bonds(state: State, lanes: Integers | slice) -> Flags:
-    """(L, M) which listed pairs are cemented."""
+    """(L, M) True for cemented pairs."""
     lane = np.arange(state.features.lanes, dtype=np.uint32)[lanes]
     return np.asarray((state.assembly.pairs.intact >> lane[:, None]) & 1, dtype=bool)
 
 
 def _spring_work(state: State, contacts: _StrainedContacts, intact: Flags) -> Floats:
-    """(L,) ``F du`` of constant stiffnesses over all contacts, positive: 1 where nothing moved."""
+    """(L,) positive sum of ``F du`` with constant stiffnesses over all contacts; 1 without motion."""
     pairs = state.assembly.pairs
     springs = pairs.bond.T.astype(float)
     if state.features.linear_group:
@@ -151,7 +151,7 @@ def _spring_work(state: State, contacts: _StrainedContacts, intact: Flags) -> Fl
 
 
 def _rescaled_part(contacts: _StrainedContacts) -> Floats:
-    """(L, M) part of the shear force that shear rescaling takes from a contact that a wave unloads."""
+    """(L, M) part of the shear force that shear rescaling removes from a contact unloaded by a wave."""
     overlap, approach = contacts.overlap, contacts.approach
     change = np.divide(approach, overlap, out=np.zeros_like(approach), where=overlap > 0.0)
     return np.asarray(1.0 - np.sqrt(np.clip(1.0 + change, 0.0, 1.0)))
@@ -160,15 +160,15 @@ def _rescaled_part(contacts: _StrainedContacts) -> Floats:
 def _spare_share(state: State, intact: Flags, slipping: Flags) -> Floats:
     """(L,) 1 - degrees of freedom / components of contact forces; ``intact`` and ``slipping`` are (L, M).
 
-    A contact has a normal and a shear force, one that slips a normal force alone, a bond a moment, too. Disks that
-    lean on one thing at most bear nothing.
+    A contact has a normal and a shear force, a slipping contact only a normal force, and a bond also a moment. Disks
+    with at most one contact carry nothing.
     """
     pairs, wall_pairs, grains = state.assembly.pairs, state.assembly.wall_pairs, state.assembly.grains
     touching, leaning = pairs.geometry[:, OVERLAP] > 0.0, wall_pairs.overlap > 0.0
     sticking = (pairs.tangent[:, SHEAR] > 0.0) & ~slipping
     components = np.where(intact, 3, np.where(touching, 1 + sticking, 0)).sum(axis=1)
     components = components + (1 + (wall_pairs.tangent[leaning, SHEAR] > 0.0)).sum()
-    across = np.flatnonzero((intact & ~touching).any(axis=0))  # few bonds span a gap: the rest is the same in all lanes
+    across = np.flatnonzero((intact & ~touching).any(axis=0))  # few bonds span a gap; the rest is common to all lanes
     disks = [pairs.first[touching], pairs.second[touching], wall_pairs.disk[leaning]]
     alike = np.bincount(np.concatenate(disks), minlength=len(grains.radius))
     neighbours = np.repeat(alike[None], len(intact), axis=0)
@@ -179,7 +179,7 @@ def _spare_share(state: State, intact: Flags, slipping: Flags) -> Floats:
 
 
 def slipped_force(state: State, transmitter: int) -> Floats:
-    """(L,) part of the force of a wall that its contacts cannot pass on, since they would slip; linear regime alone."""
+    """(L,) part of a wall's force that its contacts cannot transmit, since they would slip; linear regime only."""
     if not state.features.linear:
         return np.zeros(state.features.lanes)
     assembly, moved = state.assembly, state.motion.displacement
@@ -200,12 +200,12 @@ def slipped_force(state: State, transmitter: int) -> Floats:
 
 
 def _lane_sums(values: Floats) -> Floats:
-    """Sums (L,) over all pairs (L, M), in an order that does not hang on the number of lanes."""
+    """Sums (L,) over all pairs (L, M), in an order independent of the number of lanes."""
     return np.asarray(np.ascontiguousarray(values).sum(axis=1))
 
 
 def _relative_displacements(state: State, lanes: Integers | slice) -> tuple[Floats, Floats, Floats]:
-    """Approach, slide (m) and twist (rad) of the listed pairs since the start, second disk less first, each (L, M)."""
+    """Approach, slide (m) and twist (rad) of the listed pairs since the start, second minus first disk, each (L, M)."""
     pairs, moved = state.assembly.pairs, state.motion.displacement[..., lanes].astype(float)
     moved = np.ascontiguousarray(moved.transpose(1, 2, 0))
     first, second = np.take(moved, pairs.first, axis=2), np.take(moved, pairs.second, axis=2)

@@ -1,6 +1,6 @@
 """Peaks of a signal, in plain arithmetic.
 
-They are those of `scipy.signal`, to the last bit; it takes longer to load than a campaign to start.
+Results equal those of `scipy.signal` to the last bit; loading it takes longer than starting a campaign.
 """
 
 import numpy as np
@@ -9,7 +9,7 @@ from calcidem.dem.kernels.layout import Floats, Integers
 
 
 def find_maxima(signal: Floats) -> Integers:
-    """Samples of the local maxima of a signal (T,), in order; of a level one the middle, or the one before it."""
+    """Samples of the local maxima of a signal (T,), in order; of a plateau the middle, rounded down."""
     changes = (signal[1:] != signal[:-1]).nonzero()[0]
     begin, end = np.concatenate([[0], changes + 1]), np.concatenate([changes, [len(signal) - 1]])
     level = signal[begin]
@@ -18,7 +18,7 @@ def find_maxima(signal: Floats) -> Integers:
 
 
 def parabola_vertex(signal: Floats, index: int) -> float:
-    """Return where the parabola through a peak and its neighbours is highest, in samples from the peak."""
+    """Return the vertex of the parabola through a peak and its neighbours, in samples from the peak."""
     left, middle, right = (float(value) for value in signal[index - 1 : index + 2])
     curvature = left - 2.0 * middle + right
     return 0.5 * (left - right) / curvature if curvature < 0.0 else 0.0

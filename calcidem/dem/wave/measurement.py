@@ -1,4 +1,4 @@
-"""From a seed and a content to a shear-wave velocity: cement the packing, transmit the wave, read its arrival."""
+"""From a seed and a content to a shear-wave velocity: cement the packing, transmit the wave, pick its arrival."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -13,12 +13,12 @@ from calcidem.dem.wave.propagation import send_waves, stiffness_contrast
 from calcidem.dem.wave.reading import Reading, ShearArrival, is_settled, read_section
 from calcidem.dem.wave.recorder import WaveRecord
 
-LARGEST_BOUND = 0.05  # of the numerical error, above which a velocity is not trusted
+LARGEST_BOUND = 0.05  # bound of the numerical error above which a velocity is rejected
 _INEXACT = "the numerical error may be above 5 %"
 
 
 class Outcome(StrEnum):
-    """What became of a sample."""
+    """Outcome of a sample."""
 
     DONE = "done"
     NO_ARRIVAL = "no_arrival"
@@ -27,16 +27,16 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Interpretation:
-    """What a record says.
+    """Interpretation of a record.
 
     Attributes
     ----------
     outcome, reason
-        What became of the sample, and why if there is no velocity.
+        Outcome of the sample, and the reason if there is no velocity.
     vs
-        Shear-wave velocity by the method of `PickRule`, m/s; None where it cannot be trusted.
+        Shear-wave velocity by the method of `PickRule`, m/s; None if it is unreliable.
     reading
-        Everything that was read, with its standard error; None if the run was unstable.
+        Complete reading with its standard error; None if the run was unstable.
     error
         Numerical error; None without a reading.
     """
@@ -50,22 +50,22 @@ class Interpretation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """What one sample gave.
+    """Measurement of one sample.
 
     Attributes
     ----------
     seed, content
-        Its identity; content in percent of the sand's mass, as wanted.
+        Identity of the sample; requested content in percent of the sand's mass.
     result
         See its class.
     frequency
-        Excitation, Hz.
+        Excitation frequency, Hz.
     cement
-        Where the cement is.
+        Placed cement.
     record
         Section and time step.
     seconds
-        Wall time of this sample's share of its batch, without that of compiling kernels.
+        Share of the batch's wall time, without compilation of kernels.
     """
 
     seed: int
@@ -93,23 +93,23 @@ def measure(
 ) -> tuple[Measurement, ...]:
     """Measure the samples of several seeds at one content, side by side.
 
-    Through a sample that `chatters` the wave is sent again with half the step, whose velocity counts.
+    For a sample that `chatters`, the wave is repeated with half the step; its velocity counts.
     `CementCapacityError` if the content is more than the sample can hold.
 
     Parameters
     ----------
     experiment
-        What they share.
+        Common settings.
     content
         Percent of the sand's mass.
     seeds
-        At most ``lanes`` of them. What a seed gives does not depend on the others.
+        At most ``lanes`` seeds. The result of a seed does not depend on the others.
     lanes
         Width of the kernel: 1, 2, 4, 8, 16 or 32.
     check
         Called every fraction of a second; may raise to end the run.
     ordering
-        Stands for `Experiment.ordering`; one that remembers saves time where a seed is measured at many contents.
+        Replaces `Experiment.ordering`; a cached one saves time if a seed is measured at many contents.
     """
     began = perf_counter() - seconds_compiling()
     placed = [(ordering or experiment.ordering)(seed).at(content) for seed in seeds]
@@ -150,7 +150,7 @@ def measure_all(
     lanes: int = 8,
     ordering: Callable[[int], CementOrdering] | None = None,
 ) -> tuple[Measurement, ...]:
-    """Measure any number of seeds at one content, in batches as wide as the kernel; see `measure`."""
+    """Measure any number of seeds at one content, in batches of kernel width; see `measure`."""
     found: list[Measurement] = []
     for begin in range(0, len(seeds), lanes):
         found += measure(experiment, content, seeds[begin : begin + lanes], lanes=lanes, ordering=ordering)
@@ -160,9 +160,9 @@ def measure_all(
 def interpret_record(
     experiment: Experiment, record: WaveRecord, coarser: Interpretation | None = None
 ) -> Interpretation:
-    """What a record says; what cannot be trusted has a reason, never a number.
+    """Interpret a record; unreliable results have a reason instead of a velocity.
 
-    ``coarser`` is what the same sample said with twice the step. A velocity counts their difference as an error.
+    ``coarser`` is the result of the same sample with twice the step; the difference of both counts as an error.
     """
     if record.problem:
         return Interpretation(Outcome.UNSTABLE, record.problem)
@@ -181,7 +181,7 @@ def interpret_record(
 
 
 def _change_of_time(arrival: ShearArrival, coarser: Interpretation | None) -> float | None:
-    """Relative change of a travel time by half of the step; 1 where that of twice the step is not known."""
+    """Relative change of a travel time by halving the step; 1 if that of the full step is unknown."""
     if coarser is None:
         return None
     if coarser.reading is None or coarser.reading.arrival is None:

@@ -1,7 +1,7 @@
-"""Sending a shear wave: what a batch of samples needs, and one pulse through all of them.
+"""Propagation of a shear wave: preparation of a batch of samples, and one pulse through all of them.
 
-The transmitter slides along itself, the wave crosses the box and pulls at the receiver. The samples of a batch differ
-in their cement alone and are computed side by side.
+The transmitter moves along its wall, and the wave crosses the box to the receiver. The samples of a batch differ only
+in their cement and are computed side by side.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,8 +29,8 @@ from calcidem.dem.wave.recorder import Recorder, WaveRecord
 from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, WaveRule, refuse_loud_pulse
 from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
-_LARGEST_MOTION = 10.0  # displacement of a disk over the stroke of the pulse that is allowed for
-_EXACT_STEP = 2.0**-30  # s; multiplying by a power of two rounds nothing
+_LARGEST_MOTION = 10.0  # largest displacement of a disk over the stroke of the pulse
+_EXACT_STEP = 2.0**-30  # s; multiplication by a power of two is exact
 
 
 def send_waves(
@@ -49,13 +49,13 @@ def send_waves(
     Parameters
     ----------
     experiment
-        What all samples share.
+        Common settings.
     bonded
-        For each sample the truth values (C,) of the packing's pairs that are cemented; at most ``lanes`` samples.
+        For each sample flags (C,), True for cemented pairs of the packing; at most ``lanes`` samples.
     frequency
-        Of the pulse, Hz.
+        Frequency of the pulse, Hz.
     stop_when
-        Asked of each sample at fixed times of its own; the record ends where the answer is yes.
+        Called with each sample's record at fixed times; True ends the record.
     lanes
         Width of the kernel: 1, 2, 4, 8, 16 or 32. A sample's bits do not depend on how many of the lanes are in use.
     check
@@ -63,8 +63,8 @@ def send_waves(
 
     Returns
     -------
-    One record for each sample. A sample in which a guard found a problem is computed once more with half the step, and
-    its record says so; if that fails too, the problem stays in the record.
+    One record for each sample. If a guard finds a problem, the sample is recomputed with half the step, and its record
+    notes this. If that fails, too, the problem stays in the record.
     """
     wave = experiment.wave
     refuse_loud_pulse(experiment.packing, wave, frequency)
@@ -81,7 +81,7 @@ def send_waves(
 def prepare_recorder(
     experiment: Experiment, bonded: Sequence[Flags], frequency: float, lanes: int, check: Callable[[], None]
 ) -> Recorder:
-    """Prepare a batch for transmission, once and with one step; the arguments are those of `send_waves`."""
+    """Prepare a batch for transmission with a common step; the arguments are those of `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
     rule, installation, pulse = experiment.wave, experiment.installation, Pulse(experiment.wave.amplitude, frequency)
     domain, bare = experiment.domain, experiment.bare_scene
@@ -117,14 +117,14 @@ def prepare_recorder(
 
 
 def _bare_sample(experiment: Experiment, features: Features, skin: float) -> tuple[State, Scene]:
-    """Sample without cement, in one lane, and its scene with the loads of samples that have these features."""
+    """Sample without cement in one lane, and its scene with the loads for these features."""
     scene = experiment.bare_scene
     bare = replace(features, lanes=1, bonds=False, linear_group=False, breakage=False)
     single = _start_at_rest(experiment, scene, bare, skin)
     if not features.linear and experiment.installation == "preserve":
-        # Local damping would work on what the packing left unbalanced as on the wave: constant loads hold it. They are
-        # the packing's: neither cement nor time step of a sample may round them, since all lanes share them.
-        # It is read with loads of zero, which round nothing: the kernel without loads would be compiled for this alone.
+        # Local damping would act on the packing's unbalanced forces as on the wave, so constant loads balance them.
+        # All lanes share the loads, so they must not depend on cement or time step of a sample.
+        # Zero loads are exact and save compiling a kernel without loads.
         unloaded = _start_at_rest(experiment, scene, replace(features, loads=True), skin, single)
         scene = replace(scene, load=-net_forces(replace(unloaded, time_step=np.full(features.lanes, _EXACT_STEP))))
     return single, scene
@@ -147,7 +147,7 @@ def _start_at_rest(
 
 
 def refuse_unfit_pulse(experiment: Experiment, frequency: float, *, cemented: bool) -> None:
-    """Raise a `ValueError` if no sample of a packing stands a pulse: as far as this can be told without its cement."""
+    """Raise a `ValueError` if the pulse suits no sample of a packing, as far as known without cement."""
     refuse_loud_pulse(experiment.packing, experiment.wave, frequency)
     _refuse_short_pulse(experiment.wave.step_fraction * _limit_of_all_patterns(experiment, cemented), frequency)
 
@@ -155,20 +155,20 @@ def refuse_unfit_pulse(experiment: Experiment, frequency: float, *, cemented: bo
 def refuse_unfit_samples(
     experiment: Experiment, content: float, orderings: Sequence[CementOrdering], lanes: int
 ) -> None:
-    """Raise a `ValueError` if one of some samples does not stand its pulse, as `send_waves` would.
+    """Raise a `ValueError` if the pulse does not suit one of several samples, as `send_waves` would.
 
-    Samples are only looked at where that can be: where the pulse is short for a packing without cement, whose steps are
-    longest. Bonds that do not preserve the forces settle first, which takes long: the packing without them, which is as
-    far from rest as they will be, stands for theirs.
+    Samples are checked only if the pulse is short for the packing without cement, whose steps are longest. Settling
+    after bonds that do not preserve the forces would take long. The packing without them replaces these samples, since
+    its unbalanced forces are similar.
 
     Parameters
     ----------
     experiment
-        What all samples share.
+        Common settings.
     content
         Percent of the sand's mass.
     orderings
-        Cement of each, at most ``lanes``.
+        Cement of each sample, at most ``lanes``.
     lanes
         Width of the kernel.
     """
@@ -183,7 +183,7 @@ def refuse_unfit_samples(
 
 
 def stiffness_contrast(experiment: Experiment, record: WaveRecord) -> float:
-    """How much stiffer the contacts are that set the step of a sample than those of the packing without cement."""
+    """Stiffness of the contacts that limit the step, over that in the packing without cement."""
     ratio = _limit_of_all_patterns(experiment, cemented=False) / record.stability_limit
     return ratio * ratio
 
@@ -193,8 +193,8 @@ def _refuse_short_pulse(step: float, frequency: float) -> None:
         step * frequency * FEWEST_SAMPLES <= 1.0,
         "frequency",
         frequency,
-        f"the pulse is shorter than {FEWEST_SAMPLES} time steps of {step:.3g} s, far above what the sample lets "
-        f"through: choose a lower frequency, at most {int(1.0 / (step * FEWEST_SAMPLES))} Hz",
+        f"the pulse is shorter than {FEWEST_SAMPLES} time steps of {step:.3g} s, far above the sample's cut-off "
+        f"frequency: choose a lower frequency, at most {int(1.0 / (step * FEWEST_SAMPLES))} Hz",
     )
 
 
@@ -206,7 +206,7 @@ def _samples_stride(experiment: Experiment, cemented: bool, frequency: float) ->
 
 
 def _limit_of_all_patterns(experiment: Experiment, cemented: bool) -> float:
-    """Stability limit with every contact cemented, or none, s: of no pattern, and of no batch."""
+    """Stability limit with every or no contact cemented, s; independent of pattern and batch."""
 
     def compute() -> float:
         rule, packing = experiment.wave, experiment.domain.packing
@@ -220,14 +220,14 @@ def _limit_of_all_patterns(experiment: Experiment, cemented: bool) -> float:
 
 
 def _closing_gaps(packing: Packing, stroke: float) -> float:
-    """Pairs with a gap below the stroke of a pulse, over the contacts: they may touch while it passes."""
+    """Number of pairs with a gap below the stroke of a pulse, which may close, over the number of contacts."""
     near = near_pairs(np.column_stack([packing.x, packing.y]), np.asarray(packing.radius, dtype=float), stroke)
     return max(0.0, len(near) / max(1, len(packing.pairs)) - 1.0)
 
 
 def _wave_features(scene: Scene, rule: WaveRule, skin: float, lanes: int) -> Features:
-    """What the wave needs of the kernel, and what the rule keeps all the same."""
-    # A pulse that moves the grains little needs no contact search: the pairs that can meet are listed from the start.
+    """Kernel features that the wave needs or the rule keeps."""
+    # A pulse that moves the grains little needs no contact search: all pairs that can touch are listed at the start.
     search = rule.regime == "finite" and skin >= SKIN
     driven = rule.transmitter == "driven"
     features = choose_features(scene, rule.regime, lanes)
@@ -236,5 +236,5 @@ def _wave_features(scene: Scene, rule: WaveRule, skin: float, lanes: int) -> Fea
 
 
 def _wave_skin(packing: Packing, pulse: Pulse) -> float:
-    """How far apart, in mean radii, two disks may be that meet during the pulse; not more than `state.SKIN`."""
+    """Largest gap, in mean radii, that can close during the pulse; at most `state.SKIN`."""
     return min(SKIN, 2.0 * _LARGEST_MOTION * pulse.stroke / float(packing.radius.mean()))

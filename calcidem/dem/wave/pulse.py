@@ -1,4 +1,4 @@
-"""The transmitted pulse: its shape, and the frequency that suits a calcite content."""
+"""Transmitted pulse: its shape, and its frequency for a calcite content."""
 
 from dataclasses import dataclass
 
@@ -37,7 +37,7 @@ class Pulse:
     Attributes
     ----------
     amplitude
-        v0, m/s; the peak velocity is twice that. The paper's 5 m/s is a shock at 5 kPa, not a small strain.
+        v0, m/s; the peak velocity is twice this. The paper's 5 m/s is a shock at 5 kPa, not a small strain.
     frequency
         f, Hz.
     """
@@ -81,18 +81,18 @@ class Pulse:
 def excitation_frequency(content: float) -> float:
     """Return the excitation frequency for a calcite content (percent), Hz.
 
-    The paper's value at its contents (`EXCITATION`), linear interpolation between them.
+    The paper's values (`EXCITATION`), interpolated linearly between its contents.
 
     Raises
     ------
     ValueError
-        Outside the range of contents of Table 2: a guess there could exceed what the sample lets through.
+        Outside the contents of Table 2, where a guess could exceed the cut-off frequency.
     """
     contents, frequencies = zip(*EXCITATION, strict=True)
     if not contents[0] <= content <= contents[-1]:
         raise ValueError(
             f"content = {content} %: Table 2 has frequencies from {contents[0]:g} to {contents[-1]:g} %; "
-            "give the frequency for this content yourself"
+            "specify the frequency for this content"
         )
     return interpolate(content, contents, frequencies)
 
@@ -103,14 +103,15 @@ def cutoff_frequency(stiffness: float, mass: float) -> float:
     Parameters
     ----------
     stiffness
-        Of its contacts, in the direction of the motion, N/m.
+        Contact stiffness in the direction of the motion, N/m.
     mass
-        Of a grain, kg.
+        Mass of a grain, kg.
 
     Notes
     -----
-    A chain of masses ends at ``omega = 2 sqrt(k / m)`` (L. Brillouin, Wave Propagation in Periodic Structures, 1946),
-    so ``f = sqrt(k / m) / pi``. Its long waves run at ``V = d sqrt(k / m)`` for a spacing d, so ``f = V / (pi d)``.
+    The highest frequency of a chain is ``omega = 2 sqrt(k / m)`` (L. Brillouin, Wave Propagation in Periodic
+    Structures, 1946), so ``f = sqrt(k / m) / pi``. Its long waves have the speed ``V = d sqrt(k / m)`` for a spacing d,
+    so ``f = V / (pi d)``.
     """
     if not (stiffness > 0.0 and mass > 0.0):
         raise ValueError(f"stiffness = {stiffness} N/m, mass = {mass} kg: give positive numbers")

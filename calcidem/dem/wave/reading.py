@@ -1,15 +1,15 @@
-"""Reading the travel time of the shear wave from a space-time section.
+"""Travel time of the shear wave from a space-time section.
 
-1. **The P wave is taken off.** It comes first and moves grains along the path. Where cement is uneven it arrives at a
-   slant, so that a part of its motion is across the path and looks like an early S wave. That part follows the motion
-   along. Its share is found by regression over the first swing along, at each station (polarisation analysis:
+1. **The P wave is subtracted.** It arrives first and moves grains along the path. In uneven cement it arrives at an
+   angle, so a part of its motion is across the path and resembles an early S wave. This part is proportional to the
+   motion along. Regression over the first swing along gives its share at each station (polarisation analysis:
    Montalbetti and Kanasewich 1970, doi:10.1111/j.1365-246X.1970.tb01771.x).
 2. **The section is stacked along straight lines** from the transmitted peak to each peak of the receiver (slant stack:
-   Stoffa et al. 1981, Geophysics 46:255). The S wave is the first peak whose stack is at least `LEAST_COHERENCE`,
-   and the largest of all peaks up to where a slower S wave would have come.
+   Stoffa et al. 1981, Geophysics 46:255). The S wave is the first peak whose stack is at least `LEAST_COHERENCE`
+   and the largest of all peaks up to the arrival of any slower S wave.
 3. **Its time is the receiver's own peak**, as in the paper (section 3.1.1).
 
-A candidate depends on no sample behind its horizon, so a record that is cut there gives the same bits.
+A candidate depends on no sample beyond its horizon, so a record cut there gives the same bits.
 """
 
 from dataclasses import dataclass, replace
@@ -27,54 +27,54 @@ from calcidem.dem.wave.section import RESOLUTION, Section
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 
 SILENCE = 0.001
-"""Velocity over v0 below which nothing is read; the presets have 0.017 and more, a small stiff sample may have less."""
+"""Velocity over v0 below which nothing is picked; the presets have at least 0.017, small stiff samples maybe less."""
 
 _LARGER_SWING = 3.0
-"""A swing along the path that another one this many times as large follows within a period is a precursor of it."""
+"""A swing along the path is a precursor if one this many times as large follows within a period."""
 
 _STEEPEST = 0.5
-"""Largest motion across over that along which a P wave has: it arrives at 27 degrees to the path."""
+"""Largest ratio of motion across to motion along in a P wave: it then arrives at 27 degrees to the path."""
 
 LEAST_COHERENCE = 0.5
-"""Smallest stack of an S wave: the mean over all stations of its amplitude over the largest one."""
+"""Smallest stack of an S wave: mean over all stations of its amplitude over the station's largest."""
 
 _P_TO_S = 2.1
 """Largest ratio of P to S wave speed: the S wave arrives within this multiple of the P wave's travel time."""
 
 _STRETCH = 0.04
-"""The line of a peak may be faster or slower by this part: the last grains delay or advance the receiver."""
+"""Relative tolerance of a line's velocity: the last grains delay or advance the receiver."""
 
 
 _FEWEST_STATIONS = 4
-"""Stations that have to see the crest for a velocity of the path: fewer tell no line from a bend."""
+"""Fewest stations with the crest for a velocity of the path: fewer cannot tell a line from a curve."""
 
 _SMOOTHING = 0.3
-"""Half-width of the window of smoothing, of the period: little of a shorter duration propagates through grains."""
+"""Half-width of the smoothing window over the period: little of shorter duration propagates through grains."""
 
 _LARGEST_ERROR = 0.25
-"""Standard error of a reading above which it is refused; a smaller bound refuses more fast samples than slow ones."""
+"""Standard error above which a reading is refused; a smaller value refuses more fast samples than slow ones."""
 
 _LEAST_ERROR = 0.019
-"""Standard error of the clearest reading: dispersion and scattering move any peak by so much."""
+"""Standard error of the clearest reading: dispersion and scattering shift any peak by this much."""
 
 _P_LEFT = 0.75
-"""Standard error over the shift that taking the P wave off makes."""
+"""Standard error over the shift by subtracting the P wave."""
 
 _NEAR_FIELD = 0.04
-"""Standard error at a path of one wavelength, where P and S wave are one; it falls with the power 2.5 of the path."""
+"""Standard error at a path of one wavelength, where P and S wave overlap; it falls with the power 2.5 of the path."""
 
 _TIE = 0.05
-"""Difference of coherence from which on the better of two peaks is certain: small changes of a signal make less."""
+"""Difference of coherence above which the better of two peaks is certain; small changes of a signal cause less."""
 
 _CREST = 1.8
-"""Standard error of the path's velocity over the one that the scatter of the stations about their line gives."""
+"""Standard error of the path's velocity over the estimate from the scatter of the stations about their line."""
 
 ONSET = 0.1
 """Level of the first arrival, relative to the peak (Viggiani and Atkinson 1995, doi:10.1680/geot.1995.45.1.149)."""
 
 
 class Verdict(StrEnum):
-    """Why a section gives no velocity; `calcidem.app.campaign.diagnosis` has a number and remedies for each."""
+    """Reason why a section gives no velocity; `calcidem.app.campaign.diagnosis` has a number and remedies for each."""
 
     SILENT = "no motion above 0.1 % of v0 arrived"
     TOO_SHORT = "the record ends before the S wave is certain"
@@ -84,16 +84,16 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PickRule:
-    """What counts as an arrival.
+    """Criteria of an arrival.
 
     Attributes
     ----------
     method
         Reading that becomes Vs, see `Reading`.
     smoothing
-        Half-width of the window in which cubics are fitted to the signals, as a part of the period.
+        Half-width of the window in which cubics are fitted to the signals, over the period.
     largest_error
-        Relative standard error of a reading, above which it is refused.
+        Relative standard error above which a reading is refused.
     """
 
     method: Method = "peak"
@@ -101,7 +101,7 @@ class PickRule:
     largest_error: PositivePart = _LARGEST_ERROR
 
     def __post_init__(self) -> None:
-        """Refuse windows without width and errors that say nothing."""
+        """Refuse invalid windows and errors."""
         require_fields(self)
 
 
@@ -119,18 +119,18 @@ class ShearArrival:
     coherence
         Stack of the section along its line, from `LEAST_COHERENCE` to 1.
     shifted
-        Change of the travel time by what was taken off as P wave, relative.
+        Relative change of the travel time by subtracting the P wave.
     early
-        By how much the crest between the stations is slower than the travel time to the receiver says, relative. Such
-        a crest would have left before the transmitted peak. Zero where it is faster, or unknown.
+        Relative amount by which the crest between the stations is slower than the travel time to the receiver implies.
+        Such a crest would have left before the transmitted peak. Zero if it is faster or unknown.
     tie
-        Root of the mean square distance of the other peaks from this one by their odds of being the S wave, over the
-        travel time, see `_tie`.
+        Rms distance of the other peaks from this one, weighted by their odds of being the S wave, over the travel time;
+        see `_tie`.
     roughness
-        Motion of the receiver that smoothing removes (rms) until a period after the peak, over its amplitude.
+        Rms motion of the receiver that smoothing removes, until a period after the peak, over its amplitude.
     path_velocity, path_scatter
-        Velocity of the crest from station to station, m/s, and its relative standard error by the scatter of the
-        stations about their line; None where fewer than `_FEWEST_STATIONS` saw it.
+        Velocity of the crest from station to station, m/s, and its relative standard error from the scatter of the
+        stations about their line; None with fewer than `_FEWEST_STATIONS`.
     index
         Sample of the peak.
     clean
@@ -151,22 +151,23 @@ class ShearArrival:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """What a section says.
+    """Reading of a section.
 
     Attributes
     ----------
     verdict
-        Why there is no velocity; None if there is one.
+        Reason for a missing velocity; None if there is one.
     arrival
-        The S wave; None where none was found.
+        S wave; None if none was found.
     peak, first_arrival, cross_correlation
-        Velocities by three methods, m/s: from peak to peak, by the last rise through `ONSET` before both peaks, and by
-        the lag at which the pulse fits best. The latter two are None further than a quarter of a period from the first.
+        Velocities by three methods, m/s: from peak to peak, from the last rise through `ONSET` before both peaks, and
+        from the lag of the best fit of the pulse. The latter two are None if they differ from the first by more than a
+        quarter of a period.
     error
         Relative standard error of these velocities, see `reading_error`.
     path, path_error
         Velocity of the crest from station to station, without receiver and transmitter, m/s, and its relative standard
-        error; None where too few stations saw the crest, or the error is above `PickRule.largest_error`.
+        error; None with too few stations or an error above `PickRule.largest_error`.
     """
 
     verdict: Verdict | None
@@ -185,11 +186,11 @@ class ReadingErrorParts(NamedTuple):
     Attributes
     ----------
     least
-        Of the clearest reading.
+        Error of the clearest reading.
     p_left
-        What is left of the P wave.
+        Remainder of the P wave.
     near_field
-        P and S wave are one on a short path.
+        P and S wave overlap on a short path.
     early
         The crest left before the transmitted peak.
     tie
@@ -205,7 +206,7 @@ class ReadingErrorParts(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A peak of the receiver that may be the S wave's.
+    """Peak of the receiver that may be the S wave.
 
     Attributes
     ----------
@@ -214,11 +215,11 @@ class Candidate:
     travel_time
         From the transmitted peak to this one, s.
     decided
-        Length of the record that decides whether it is the S wave, s.
+        Length of record that decides whether it is the S wave, s.
     coherence
-        Stack of the section along its line, up to there.
+        Stack of the section along its line, within that length.
     rival
-        Largest coherence of another peak up to there.
+        Largest coherence of another peak within that length.
     clean
         (T, X) smoothed motion across without the P wave before the line, over v0.
     """
@@ -237,13 +238,13 @@ class _Prepared(NamedTuple):
     Attributes
     ----------
     across, along
-        (T, X) as far as a longer record does not change them.
+        (T, X) samples that a longer record does not change.
     parts
         (X,) places over the distance.
     period, peak
         Duration of the pulse and time of its peak.
     p_peak, p_end, p_share
-        (X,) peak and end of the P wave's first swing, and motion across over along in it; -1 where there is none yet.
+        (X,) peak and end of the P wave's first swing, and its ratio of motion across to along; -1 if there is none yet.
     """
 
     across: Floats
@@ -269,8 +270,8 @@ def prepare(section: Section, smoothing: float) -> _Prepared:
 def smooth(motion: Floats, half_width: float) -> Floats:
     """Values of cubics fitted to each sample (T, ...) and its neighbours; the last ``half_width`` samples have none.
 
-    Neighbours count by ``(1 - (j / half_width)^2)^2`` (local regression: Cleveland 1979,
-    doi:10.1080/01621459.1979.10481038), which changes smoothly with the sampling. Before the record all was at rest.
+    The weights of neighbours are ``(1 - (j / half_width)^2)^2`` (local regression: Cleveland 1979,
+    doi:10.1080/01621459.1979.10481038). They vary smoothly with the sampling. Before the record all is at rest.
     """
     reach = int(half_width)
     if reach < 1:
@@ -285,14 +286,14 @@ def smooth(motion: Floats, half_width: float) -> Floats:
 
 
 def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int, float]:
-    """Peak, end and share of the first swing along the path at one station; -1 where none is known yet."""
+    """Peak, end and share of the first swing along the path at one station; -1 if none is known yet."""
     swing, soon = np.abs(along), int(period)
     for peak in find_maxima(swing).tolist():
         if swing[peak] < SILENCE or peak + soon >= len(swing):
             continue
         if swing[peak : peak + soon].max() > _LARGER_SWING * swing[peak]:
             continue
-        # The last sample counts as far as the peak lies behind it: the share does not jump with the sampling.
+        # The last sample counts in part, as the peak lies behind it, so the share does not jump with the sampling.
         weight = along[: peak + 1].copy()
         weight[-1] *= 0.5 + parabola_vertex(swing, peak)
         share = np.sum(weight * across[: peak + 1]) / np.sum(weight * along[: peak + 1])
@@ -303,14 +304,14 @@ def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int
 
 
 def _without_p(prepared: _Prepared, before: Floats) -> Floats:
-    """Motion across (T, X) without the first swings of P that peak before these samples (X,)."""
+    """Motion across (T, X) without first swings of P that peak before the samples ``before`` (X,)."""
     sample = np.arange(len(prepared.across))[:, None]
     taken = (prepared.p_peak >= 0) & (prepared.p_peak <= before) & (sample < prepared.p_end)
     return prepared.across - np.where(taken, prepared.p_share * prepared.along, 0.0)
 
 
 def _receiver_peaks(prepared: _Prepared) -> list[int]:
-    """Peaks of the receiver after the transmitted one: as they are up to the P wave's, and without it from there on."""
+    """Peaks of the receiver after the transmitted one; those after the peak of the P wave exclude it."""
     clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))[:, -1]
     peak, whole = int(prepared.p_peak[-1]), prepared.across[:, -1]
     found = [i for i in find_maxima(whole).tolist() if (peak < 0 or i < peak) and whole[i] > SILENCE]
@@ -319,7 +320,7 @@ def _receiver_peaks(prepared: _Prepared) -> list[int]:
 
 
 def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
-    """Read the travel time of the shear wave; `Verdict.TOO_SHORT` where only a longer record can tell."""
+    """Pick the travel time of the shear wave; `Verdict.TOO_SHORT` if only a longer record can decide."""
     arrival = _find_arrival(prepare(section, rule.smoothing), section)
     if isinstance(arrival, Verdict):
         return Reading(arrival)
@@ -341,25 +342,25 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
 
 
 def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = _SMOOTHING) -> float:
-    """Length of record in which a pulse without dispersion is read, s; SI units."""
+    """Length of record needed to pick a pulse without dispersion, s; SI units."""
     travel, period = distance / velocity, 1.0 / frequency
     return max(_P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
 
 
 def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool:
-    """Return whether a longer record changes no reading.
+    """Return whether a longer record would not change the reading.
 
     Parameters
     ----------
     section, rule
-        What was recorded so far, and how it is read.
+        Section so far, and criteria of its reading.
     remaining_speed
-        What no place of the section will exceed from now on, m/s.
+        Bound of all later velocities of the section, m/s.
 
     Notes
     -----
-    The S wave is there, or no later peak can be one: its stack would be too small. On its line each station is later
-    than on that of the present, so what is known of it and ``remaining_speed`` bound the stack.
+    Either the S wave is found, or the stack of any later peak would be too small. On its line each station is later
+    than on the present line, so its known motion and ``remaining_speed`` bound the stack.
     """
     prepared = prepare(section, rule.smoothing)
     found = _find_arrival(prepared, section)
@@ -380,7 +381,7 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
 
 
 def _find_arrival(prepared: _Prepared, section: Section) -> ShearArrival | Verdict:
-    """Find the S wave; `Verdict.TOO_SHORT` where only a longer record can tell."""
+    """Find the S wave; `Verdict.TOO_SHORT` if only a longer record can decide."""
     peaks = _receiver_peaks(prepared)
     if not peaks:
         return Verdict.SILENT
@@ -392,7 +393,7 @@ def _find_arrival(prepared: _Prepared, section: Section) -> ShearArrival | Verdi
 
 
 def _judge(prepared: _Prepared, section: Section, index: int) -> ShearArrival | Verdict | None:
-    """Judge a peak of the receiver: None if it is not the S wave's."""
+    """Judge a peak of the receiver; None if it is not the S wave."""
     early, time = _line_to(prepared, index)
     travel = time - prepared.peak
     horizon = _horizon(prepared, travel)
@@ -423,9 +424,9 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> ShearArrival | 
 
 
 def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]:
-    """Peaks of the receiver that may be the S wave's, in order, as `_find_arrival` judges them.
+    """Peaks of the receiver that may be the S wave, in order, as judged by `_find_arrival`.
 
-    A record that is too short to decide is judged as far as it goes.
+    A record too short to decide is judged in its length.
     """
     prepared = prepare(section, smoothing)
     found = []
@@ -443,9 +444,9 @@ def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]
 
 
 def velocity_spectrum(section: Section, smoothing: float, velocities: Floats) -> Floats:
-    """Stack of a section along the lines of waves of these velocities, m/s: the coherence that peaks there would have.
+    """Coherence of peaks at these velocities, m/s: stack of a section along the lines of such waves.
 
-    A wave that comes after the end of the record has none (NaN).
+    NaN for waves that arrive after the end of the record.
     """
     prepared = prepare(section, smoothing)
     stack = np.full(len(velocities), np.nan)
@@ -457,18 +458,18 @@ def velocity_spectrum(section: Section, smoothing: float, velocities: Floats) ->
 
 
 def _line_to(prepared: _Prepared, index: int) -> tuple[Floats, float]:
-    """Motion across (T, X) without the P waves before the line to a peak of the receiver, and its time, samples."""
+    """Motion across (T, X) without P waves before the line to a peak of the receiver, and its travel time, samples."""
     clean = _without_p(prepared, prepared.peak + (index - prepared.peak) * prepared.parts)
     return clean, index + parabola_vertex(clean[:, -1], index)
 
 
 def _horizon(prepared: _Prepared, travel: float) -> int:
-    """Samples that decide whether a peak after this travel is the S wave: later a slower one would have come."""
+    """Samples that decide whether a peak with this travel time is the S wave; a slower one would arrive by then."""
     return int(prepared.peak + max(_P_TO_S * travel, travel + prepared.period)) + 1
 
 
 def _largest(clean: Floats) -> Floats:
-    """(X,) largest motion of each station, of either sign: what reverberates is small beside what passed before."""
+    """(X,) largest motion of each station, of either sign; reverberations are small beside it."""
     return np.asarray(np.maximum(np.abs(clean).max(axis=0), SILENCE * RESOLUTION))
 
 
@@ -490,7 +491,7 @@ def _rivals(prepared: _Prepared, clean: Floats, largest: Floats, index: int) -> 
 
 
 def _tie(coherence: float, travel: float, rivals: list[_Rival]) -> float:
-    """Root of the mean square distance of the other peaks: their odds fall from a half, at equal coherence, to none."""
+    """Rms distance of the other peaks, weighted by odds that fall from 1/2 at equal coherence to 0."""
     total = 0.0
     for other in rivals:
         odds = 0.5 * max(0.0, 1.0 - (coherence - other.coherence) / _TIE)
@@ -500,7 +501,7 @@ def _tie(coherence: float, travel: float, rivals: list[_Rival]) -> float:
 
 
 def _coherence(prepared: _Prepared, clean: Floats, largest: Floats, travel: float) -> float:
-    """Stack of a section along a line from the transmitted peak, each station over its largest value."""
+    """Stack of a section along a line from the transmitted peak, each station normalised by its largest value."""
     stretch = np.linspace(1.0 - _STRETCH, 1.0 + _STRETCH, 9)[:, None]
     time = prepared.peak + travel * stretch * prepared.parts
     left = np.clip(time.astype(int), 0, len(clean) - 2)
@@ -510,7 +511,7 @@ def _coherence(prepared: _Prepared, clean: Floats, largest: Floats, travel: floa
 
 
 def _crest(prepared: _Prepared, clean: Floats, travel: float) -> tuple[float, float] | None:
-    """Travel time of the whole distance by the crest between the stations, samples, and its relative standard error."""
+    """Travel time of the whole distance from the crest between stations, samples, and its relative standard error."""
     place, time = [], []
     for station, part in enumerate(prepared.parts[:-1].tolist()):
         wanted = prepared.peak + travel * part
@@ -523,7 +524,7 @@ def _crest(prepared: _Prepared, clean: Floats, travel: float) -> tuple[float, fl
         return None
     x, t = np.array(place), np.array(time)
     first, second = np.triu_indices(len(x), 1)
-    slope = _median((t[second] - t[first]) / (x[second] - x[first]))  # Theil and Sen: one stray station moves it little
+    slope = _median((t[second] - t[first]) / (x[second] - x[first]))  # Theil and Sen: robust against one outlier
     rest = np.abs(t - slope * x - _median(t - slope * x))
     spread = 1.4826 * _median(rest) * np.sqrt(len(x) / (len(x) - 2.0))
     error = float(spread / np.sqrt(np.sum((x - x.mean()) * (x - x.mean()))))
@@ -531,18 +532,18 @@ def _crest(prepared: _Prepared, clean: Floats, travel: float) -> tuple[float, fl
 
 
 def _median(values: Floats) -> float:
-    """Median, as NumPy's, which takes five times as long for few."""
+    """Median; NumPy's takes five times as long for few values."""
     ordered, count = np.sort(values), len(values)
     return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2.0)
 
 
 def reading_error(arrival: ShearArrival, frequency: float) -> float:
-    """Relative standard error of a velocity that was read: root of the sum of squares of independent parts.
+    """Relative standard error of a picked velocity: root of the sum of squares of independent parts.
 
-    What was taken off as P wave may leave a part of it. On a path of few wavelengths P and S wave are one (Arroyo et
-    al. 2003, Geotechnique 53:337): their peak runs ahead, so that the crest between the stations seems to leave before
-    the transmitted peak, which counts in full. Where another peak continues the section nearly as well, either may be
-    the S wave's. At 1 nothing is known, and it is no larger. The factors were fitted to sections with a known delay
+    The subtraction may leave a part of the P wave. On a path of few wavelengths P and S wave overlap (Arroyo et al.
+    2003, Geotechnique 53:337). Their peak is early, so the crest between the stations seems to leave before the
+    transmitted peak; this difference counts in full. If another peak continues the section nearly as well, either may
+    be the S wave. The error is at most 1: nothing is known. The factors were fitted to sections with a known delay
     (docs/reading.md).
     """
     return float(min(1.0, np.sqrt(sum(part * part for part in reading_error_parts(arrival, frequency)))))
@@ -570,7 +571,7 @@ def _read_first_arrival(section: Section, arrival: ShearArrival) -> float | None
 
 
 def _read_cross_correlation(section: Section, arrival: ShearArrival) -> float | None:
-    """Lag at which the pulse fits the received signal best, within half a period of the peak's, s."""
+    """Lag of the best fit of the pulse to the received signal, within half a period of the peak's, s."""
     pulse = section.transmitted[: int(section.period)]
     received, lag = arrival.clean[:, -1], round(arrival.travel_time / section.sampling_interval)
     begin = max(0, lag - int(section.period / 2.0))

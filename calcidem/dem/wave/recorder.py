@@ -1,4 +1,4 @@
-"""Recording a propagating wave: the signals of each sample of a batch, until they suffice or a guard ends them."""
+"""Recording of a wave: signals of each sample of a batch, until they suffice or a guard ends them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,18 +14,18 @@ from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
 from calcidem.dem.wave.section import Counts, Section, quantise
 
-SAMPLES_PER_CHUNK = 20  # between two looks at the section: half a period of the pulse
-LOOKS_APART = 2  # periods of the pulse between two looks at what the contact laws would change
+SAMPLES_PER_CHUNK = 20  # samples between two checks of the section: half a period of the pulse
+LOOKS_APART = 2  # periods of the pulse between two checks of the nonlinearity
 
 
 @dataclass(frozen=True, slots=True)
 class WaveRecord:
-    """What one sample recorded.
+    """Record of one sample.
 
     Attributes
     ----------
     time_step
-        Of the integration, s.
+        Time step of the integration, s.
     stride
         Time steps between two samples.
     section
@@ -33,27 +33,24 @@ class WaveRecord:
     stability_limit
         Critical time step at the start, s.
     steps
-        Time steps done for this sample.
+        Time steps of this sample.
     unbalanced_speed
         See `guards.unbalanced_speed`.
     closing_gaps
-        Pairs of disks that do not touch and are no further apart than the stroke of the pulse, over the contacts; zero
-        in the finite regime, where they may touch.
+        Number of pairs with a gap up to the stroke of the pulse, over the number of contacts; zero in the finite
+        regime, where gaps may close.
     broken_bonds, bonds
-        Bonds that broke until then, of how many.
+        Broken and initial bonds.
     remaining_speed
-        Bound of the velocities of the section from then on, m/s: those of a place, were all that moves in the sample
-        its disks.
+        Bound of all later velocities of the section, m/s: those of a station if it held all energy of the sample.
     nonlinear
-        What the contact laws would change when the pulse has been transmitted, and after every `LOOKS_APART` periods
-        from then on.
+        Changes by the contact laws at the end of transmission and every `LOOKS_APART` periods from then on.
     slipped
-        Largest part of the transmitter's force, while the pulse was transmitted, that its contacts could not have
-        transmitted.
+        Largest part of the transmitter's force during the pulse that its contacts could not have transmitted.
     problem
-        Empty, or why the run cannot be trusted.
+        Cause of unreliable results; empty if there is none.
     retry
-        Empty, or the problem for which the sample was computed a second time, with half the step.
+        Problem for which the sample was recomputed with half the step; empty if it was not.
     """
 
     time_step: float
@@ -74,23 +71,23 @@ class WaveRecord:
 
 @dataclass(slots=True)
 class Recorder:
-    """A batch of samples that a pulse crosses, advanced chunk by chunk.
+    """Batch of samples crossed by a pulse, advanced chunk by chunk.
 
     Attributes
     ----------
     state
-        Just started; each sample has a lane.
+        Newly started state; each sample has a lane.
     pulse
-        What the transmitter does.
+        Motion of the transmitter.
     stride
         Time steps between two samples of the signals.
     listeners, places
-        Disks whose mean velocities are recorded, in memory order: those of each station, and last those before the
-        receiver; and their paths, see `Section.places`.
+        Disks with recorded mean velocities, in memory order, for each station and last for the receiver, and their
+        paths, see `Section.places`.
     driven_disks
-        Disks that the pulse drives, in memory order.
+        Disks with prescribed motion, in memory order.
     samples
-        Number of samples; further lanes are not looked at.
+        Number of samples; further lanes are ignored.
     longest
         Time after which a record ends in any case, s.
     unbalanced_speed
@@ -102,7 +99,7 @@ class Recorder:
     counts
         (L, 2, X, S) motion across and along so far, see `Section`.
     nonlinear, slipped, bonds, broken
-        See `WaveRecord`, for each sample and, the latter three, each lane; ``broken`` are its broken bonds.
+        See `WaveRecord`; ``nonlinear`` for each sample, the others for each lane; ``broken`` counts broken bonds.
     """
 
     state: State
@@ -123,7 +120,7 @@ class Recorder:
     broken: Integers = field(init=False)
 
     def __post_init__(self) -> None:
-        """Know nothing of the wave yet."""
+        """Initialize the results."""
         self.nonlinear = [[] for _ in range(self.samples)]
         self.counts = np.zeros((self.state.features.lanes, 2, len(self.listeners), 0), dtype=np.int32)
         self.slipped = np.zeros(self.state.features.lanes)
@@ -131,7 +128,7 @@ class Recorder:
 
     @property
     def steps_per_look(self) -> int:
-        """Time steps between two looks at the signals."""
+        """Time steps between two checks of the signals."""
         return SAMPLES_PER_CHUNK * self.stride
 
     def run(self, stop_when: Callable[[WaveRecord], bool], check: Callable[[], None]) -> list[WaveRecord]:
@@ -152,7 +149,7 @@ class Recorder:
         return [records[lane] for lane in sorted(records)]
 
     def _look_at_contacts(self, running: Sequence[int]) -> None:
-        """Find what the contact laws would change at the transmitter, and in the samples whose next look is due."""
+        """Evaluate the contact laws at the transmitter, and in the samples whose next check is due."""
         sending = [lane for lane in running if not self.nonlinear[lane]]
         if sending:
             now = slipped_force(self.state, TRANSMITTER)
@@ -165,7 +162,7 @@ class Recorder:
                 self.nonlinear[lane].append(Nonlinearity(*values))
 
     def record_chunk(self, samples: int = SAMPLES_PER_CHUNK) -> None:
-        """Advance by so many samples."""
+        """Advance by a number of samples."""
         steps = samples * self.stride
         dtype, lanes = self.state.motion.velocity.dtype, self.state.features.lanes
         groups = self.listeners * 2
@@ -189,16 +186,16 @@ class Recorder:
         self.counts = np.concatenate([self.counts, chunk], axis=3)
 
     def _sent_at(self, times: Floats) -> Floats:
-        """Velocities of the transmitter at times, m/s; all at once where it is at rest again."""
+        """Velocities of the transmitter at given times, m/s; computed in one call once it is at rest."""
         first = times.min()
-        resting = self.pulse.frequency * first >= 1.0  # as `Pulse.velocity` asks
+        resting = self.pulse.frequency * first >= 1.0  # same condition as in `Pulse.velocity`
         return np.full(times.shape, self.pulse.velocity(first)) if resting else self.pulse.velocity(times)
 
     def _remaining_speeds(self) -> Floats:
         """(L,) see `WaveRecord.remaining_speed`, m/s.
 
-        Half of the energy of waves is kinetic, on the path and at the receiver, and damping only takes from it. The
-        mean velocity of n disks is highest where they move together: at ``sum(m v^2) / (n m)``, its square, at most.
+        Half of the energy of waves is kinetic, on the path and at the receiver, and damping only reduces it. The mean
+        velocity of n disks is largest if they move together; its square is at most ``sum(m v^2) / (n m)``.
         """
         mass = self.state.scene.mass[self.state.assembly.order]
         velocity = self.state.motion.velocity[:, XY].astype(float)
@@ -207,12 +204,12 @@ class Recorder:
         return np.asarray(np.sqrt(moving / fewest))
 
     def record_of(self, lane: int, problem: str, remaining_speed: float = np.inf) -> WaveRecord:
-        """What a lane has recorded so far, and why it cannot be trusted if it cannot."""
+        """Record of a lane so far, with its problem, if any."""
         step = float(self.state.time_step[lane])
         across, along = (np.ascontiguousarray(motion.T) for motion in self.counts[lane])
         section = Section(
             sampling_interval=self.stride * step,
-            # A sample is taken at the end of every stride-th step; leapfrog velocities belong to its middle.
+            # A sample is taken at the end of every stride-th step; leapfrog velocities are those at its middle.
             start_time=(self.stride - 0.5) * step,
             frequency=self.pulse.frequency,
             amplitude=self.pulse.amplitude,

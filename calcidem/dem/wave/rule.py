@@ -1,4 +1,4 @@
-"""How a shear wave is transmitted, propagated and recorded, and what is refused beforehand."""
+"""Settings of transmission, propagation and recording of a shear wave, and checks beforehand."""
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -13,22 +13,22 @@ from calcidem.dem.wave.pulse import Pulse
 Transmitter = Literal["wall", "driven"]
 
 WHOLE_DOMAIN = "whole_domain"
-FEWEST_SAMPLES = 20  # in a period of the pulse; with 20 a peak moves by 0.1 % (docs/reading.md)
-_LOUDEST_LINEAR = 5.0  # largest stroke of the pulse over mean overlap for constant stiffnesses
-_LOUDEST_SMALL = 0.05  # largest stroke of the pulse over the smallest radius for a fixed geometry
+FEWEST_SAMPLES = 20  # samples per period of the pulse; with 20 a peak shifts by 0.1 % (docs/reading.md)
+_LOUDEST_LINEAR = 5.0  # largest stroke of the pulse over mean overlap with constant stiffnesses
+_LOUDEST_SMALL = 0.05  # largest stroke of the pulse over the smallest radius with a fixed geometry
 
 
 @dataclass(frozen=True, slots=True)
 class WaveRule:
-    """How the wave is transmitted, propagated and recorded (section 2.2.2 and Table 1 of the paper).
+    """Transmission, propagation and recording of the wave (section 2.2.2 and Table 1 of the paper).
 
     Attributes
     ----------
     amplitude
         v0 of ``v(t) = v0 (1 - cos 2 pi f t)``, m/s.
     transmitter
-        ``wall``: the band of the left wall moves and drives the disks by friction. ``driven``: the motion of the disks
-        at that band is prescribed, without rotation, see `domain.driven_disks`.
+        ``wall``: the band of the left wall moves and drives the disks by friction. ``driven``: the disks at this band
+        have a prescribed motion without rotation, see `domain.driven_disks`.
     transmitter_half_width, receiver_half_width
         Half-width of the band in the wall, m.
     band_friction
@@ -46,19 +46,19 @@ class WaveRule:
     step_fraction
         Time step over the stability limit.
     samples_per_period
-        Samples of the section in a period of the pulse. With 40 a peak moves by 2e-4, with 20 by 1e-3.
+        Samples of the section per period of the pulse. With 40 a peak shifts by 2e-4, with 20 by 1e-3.
     slowest
-        Slowest velocity for which the record lasts, m/s.
+        Slowest velocity that the record can contain, m/s.
     listening_depth
-        Depth before the receiver within which disks that do not touch it are recorded, m.
+        Depth before the receiver in which disks that do not touch it are recorded, m.
     most_broken_bonds
         Largest share of bonds that the pulse may break.
     unbalanced_force_ratio
         Ratio at which a sample has settled after bonds changed its forces.
     most_settling_steps
-        Largest number of time steps of this settling.
+        Largest number of time steps for settling.
     keep
-        Kernel features that stay on without need (`kernels.features.Features`), and ``whole_domain`` for disks that the
+        Kernel features kept without need (`kernels.features.Features`), and ``whole_domain`` to keep disks that the
         wave cannot reach (`domain.domain_of`).
     """
 
@@ -89,20 +89,21 @@ class WaveRule:
     keep: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be transmitted."""
+        """Refuse invalid settings."""
         require_fields(self)
 
 
 def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> None:
-    """Raise a `ValueError` if a pulse moves the transmitter further than the regime can stand for.
+    """Raise a `ValueError` if a pulse moves the transmitter too far for the regime.
 
-    Constant stiffnesses need a stroke of the order of the mean overlap, a fixed geometry one small against a disk.
+    Constant stiffnesses require a stroke of the order of the mean overlap, a fixed geometry one much smaller than a
+    disk.
     """
     refuse_long_stroke(rule, frequency, packing.report.mean_overlap, float(packing.radius.min()))
 
 
 def refuse_long_stroke(rule: WaveRule, frequency: float, overlap: float, radius: float) -> None:
-    """Raise as `refuse_loud_pulse` does, for a mean overlap and a radius of the smallest disk, m."""
+    """Same as `refuse_loud_pulse`, from the mean overlap and the smallest radius, m."""
     stroke = Pulse(rule.amplitude, frequency).stroke
     bounds = {
         "linear": (_LOUDEST_LINEAR * overlap, f"{_LOUDEST_LINEAR:g} mean overlaps"),

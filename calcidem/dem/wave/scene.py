@@ -1,7 +1,7 @@
-"""The scene of a shear wave: a cemented packing between transmitter and receiver.
+"""Scene of a shear wave: a cemented packing between transmitter and receiver.
 
-Transmitter and receiver are bands of the side walls at mid-height. Layers of strong damping at floor and lid stand for
-the soil that goes on there (section 2.2.2 and Fig. 4 of the paper).
+Transmitter and receiver are bands of the side walls at mid-height. Strongly damped layers at floor and lid represent
+the soil beyond (section 2.2.2 and Fig. 4 of the paper).
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.rule import WaveRule
 
-TRANSMITTER, RECEIVER = 1, 4  # of the walls of `wave_scene`
+TRANSMITTER, RECEIVER = 1, 4  # indices of the walls of `wave_scene`
 
 
 def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None) -> Scene:
@@ -33,7 +33,7 @@ def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None
     rubbing = rule.band_friction if rule.transmitter == "wall" else 0.0
     transmitter, receiver = rule.transmitter_half_width, rule.receiver_half_width
     walls = (
-        # The tangent of the left wall points up, that of the right wall down; both have their origin at mid-height.
+        # The tangent of the left wall points up, of the right wall down; both start at mid-height.
         Wall((0.0, middle), (1.0, 0.0), span=(-np.inf, -transmitter)),
         Wall((0.0, middle), (1.0, 0.0), friction=rubbing, span=(-transmitter, transmitter)),
         Wall((0.0, middle), (1.0, 0.0), span=(transmitter, np.inf)),
@@ -41,7 +41,7 @@ def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None
         Wall((width, middle), (-1.0, 0.0), friction=rule.band_friction, span=(-receiver, receiver)),
         Wall((width, middle), (-1.0, 0.0), span=(-np.inf, -receiver)),
         Wall((0.0, 0.0), (0.0, 1.0)),
-        # The servo of the lid works only while a cemented sample settles.
+        # The servo of the lid is active only while a cemented sample settles.
         Wall((0.0, height), (0.0, -1.0), servo_force=packing.report.wall_stress[-1] * width),
     )
     inside = np.abs(packing.y - middle) < middle - rule.boundary_thickness
@@ -60,7 +60,7 @@ def lane_bonds(
     packing: Packing, cement: Cement, bonded: Sequence[Flags], lanes: int, installation: Installation
 ) -> Bonds | None:
     """Cement of all lanes as one set of bonds; None if no sample has any."""
-    # Lanes that are not used repeat the first sample: no lane sees the others, and all compute something sane.
+    # Spare lanes repeat the first sample, so all lanes compute valid numbers.
     filled = [*bonded, *[bonded[0]] * (lanes - len(bonded))]
     bits = sum(np.asarray(flags, dtype=np.uint32) << np.uint32(lane) for lane, flags in enumerate(filled))
     cemented = np.flatnonzero(bits)

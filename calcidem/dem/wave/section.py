@@ -1,4 +1,4 @@
-"""The space-time section of a sample: what its receiver and the stations on the path recorded."""
+"""Space-time section of a sample: records of its receiver and of the stations on the path."""
 
 from dataclasses import dataclass, replace
 from typing import Self
@@ -10,23 +10,23 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.pulse import Pulse
 
 RESOLUTION = 2.0**-20
-"""Step of a recorded velocity over the amplitude of the pulse: 1e-3 of the weakest arrival that is read."""
+"""Resolution of recorded velocities over the amplitude of the pulse: 1e-3 of the weakest accepted arrival."""
 
 _LARGEST_COUNT = 2**30
 Counts = npt.NDArray[np.int32]
 
 
 def quantise(velocity: Floats, amplitude: float) -> Counts:
-    """Velocities in whole steps of `RESOLUTION`; what is not finite or far above any wave becomes the largest count."""
+    """Velocities in multiples of `RESOLUTION`; NaN and values far above any wave become the largest count."""
     steps = np.rint(velocity / (amplitude * RESOLUTION))
     return np.where(np.abs(steps) < _LARGEST_COUNT, steps, _LARGEST_COUNT).astype(np.int32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
-    """Velocities at places along the path, across the path (y) and along it (x), in whole steps of `RESOLUTION`.
+    """Velocities at places on the path, across the path (y) and along it (x), in multiples of `RESOLUTION`.
 
-    A live reading sees the same integers as a stored one, so both give the same bits.
+    Live and stored readings use the same integers, so both give the same bits.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class Section:
     start_time
         Time of the first sample after the pulse began, s.
     frequency
-        Of the pulse ``v0 (1 - cos 2 pi f t)``, Hz.
+        Frequency of the pulse ``v0 (1 - cos 2 pi f t)``, Hz.
     amplitude
-        Its v0, m/s.
+        v0, m/s.
     places
         (X,) path from the transmitter to each station, and last to the receiver, m.
     across, along
@@ -64,7 +64,7 @@ class Section:
 
     @property
     def duration(self) -> float:
-        """Time that has been recorded, s."""
+        """Recorded time, s."""
         return len(self.across) * self.sampling_interval
 
     @property
@@ -84,9 +84,9 @@ class Section:
 
     @property
     def transmitted_peak(self) -> float:
-        """When the pulse is at its peak, samples."""
+        """Time of the pulse's peak, samples."""
         return (0.5 / self.frequency - self.start_time) / self.sampling_interval
 
     def until(self, samples: int) -> Self:
-        """The first samples of it."""
+        """First samples of the section."""
         return replace(self, across=self.across[:samples], along=self.along[:samples])

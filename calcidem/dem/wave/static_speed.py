@@ -1,4 +1,4 @@
-"""Speed of long shear waves in a cemented sample, from its static stiffness: what a velocity can be compared with."""
+"""Speed of long shear waves in a cemented sample from its static stiffness, for comparison with velocities."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ LARGEST_STATIC_ERROR = 0.1
 """Relative uncertainty above which no static speed is stored."""
 
 _MARGINS = (0.15, 0.2, 0.25)
-"""Rims that are left out, over the smaller side of the box; what is held there stiffens a rim of about 0.1 of it."""
+"""Widths of the excluded rim over the smaller side of the box; held disks stiffen a rim of about 0.1."""
 
 
 class StaticSpeed(NamedTuple):
@@ -29,7 +29,7 @@ class StaticSpeed(NamedTuple):
     speed
         m/s.
     error
-        Its relative uncertainty: how far it depends on what holds the sample, and on where its inner part ends.
+        Relative uncertainty by the boundary conditions and by the size of the inner part.
     """
 
     speed: float
@@ -45,20 +45,21 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
     Parameters
     ----------
     experiment
-        What the sample shares with others; its packing touches all four walls.
+        Common settings; the packing touches all four walls.
     bonded
-        (C,) True for each of the packing's pairs that is cemented.
+        (C,) True for cemented pairs of the packing.
 
     Notes
     -----
-    G is mean stress over mean strain of the inner part. The sample is sheared twice: all disks at the walls follow the
-    shear, or those at the side walls alone while floor and lid are free. The speed is the geometric mean of both.
-    Displacements prescribed all around are an upper bound for the whole box (Huet 1990,
-    doi:10.1016/0022-5096(90)90041-2), far off where stiff patches reach its walls. They hardly affect the inner part.
+    G is mean stress over mean strain of the inner part. The sample is sheared twice. First all disks at the walls
+    follow the shear, then only those at the side walls, with floor and lid free. The speed is the geometric mean of
+    both. Displacements prescribed all around give an upper bound for the whole box (Huet 1990,
+    doi:10.1016/0022-5096(90)90041-2), far too high where stiff patches reach its walls. They hardly affect the inner
+    part.
 
     The error has two independent parts: half the difference of both shears, and half the range over three sizes of the
-    inner part. rho is the density of the grains times the share of the inner part that they fill. The wave itself is
-    slower: local damping takes a part of each force that moves a disk. docs/velocity.md compares the two.
+    inner part. rho is the density of the grains times their area fraction in the inner part. The wave itself is slower,
+    since local damping reduces each force that moves a disk. docs/velocity.md compares the two.
     """
     packing, sand = experiment.stiffen()
     state = state_at_rest(experiment, bonded)
@@ -79,7 +80,7 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
 
 
 def state_at_rest(experiment: Experiment, bonded: Flags) -> State:
-    """State of a cemented sample before its wave is sent; arguments and errors as `static_speed`."""
+    """State of a cemented sample before its wave; arguments and errors as for `static_speed`."""
     packing, sand = experiment.stiffen()
     rule, keeps_forces = experiment.wave, experiment.installation == "preserve"
     bonds = Bonds(packing.pairs[bonded], experiment.cement, installation=experiment.installation)

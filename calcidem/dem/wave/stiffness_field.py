@@ -1,4 +1,4 @@
-"""Shear stiffness of a cemented sample from place to place, in windows that slide over it."""
+"""Local shear stiffness of a cemented sample, in sliding windows."""
 
 from typing import NamedTuple
 
@@ -11,10 +11,10 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.static_speed import distances_from_walls, state_at_rest
 
 _PIXELS = 4
-"""Steps in which a window slides over its own side."""
+"""Side of a window over its displacement."""
 
 _LEFT_OUT = 0.1
-"""Rim that is left out, over the smaller side of the box: what is held there stiffens it."""
+"""Width of the excluded rim over the smaller side of the box; held disks stiffen it."""
 
 
 class StiffnessField(NamedTuple):
@@ -23,9 +23,9 @@ class StiffnessField(NamedTuple):
     Attributes
     ----------
     x, y
-        (X,), (Y,) centres of the windows, m; a fourth of a window apart.
+        (X,), (Y,) centres of the windows, m, a quarter of a window apart.
     modulus
-        (Y, X) mean shear stress over mean shear strain of each window, Pa; NaN where these have not the same sign.
+        (Y, X) mean shear stress over mean shear strain of each window, Pa; NaN where their signs differ.
     """
 
     x: Floats
@@ -34,23 +34,23 @@ class StiffnessField(NamedTuple):
 
 
 def stiffness_field(experiment: Experiment, bonded: Flags, window: float) -> StiffnessField:
-    """Find the shear modulus from place to place in a sample that is sheared as a whole.
+    """Return the local shear modulus in a sample that is sheared as a whole.
 
-    `ValueError` if the sample has no stiffness, or not as much as one window lies inside of its rim; `SettlingError` if
-    new bonds change the forces of the sample and it does not come to rest.
+    `ValueError` if the sample has no stiffness, or no window fits inside its rim; `SettlingError` if new bonds change
+    the forces of the sample and it does not come to rest.
 
     Parameters
     ----------
     experiment, bonded
         As in `calcidem.dem.wave.static_speed.static_speed`.
     window
-        Side of the square windows, m; some grains at least.
+        Side of the square windows, m; at least several grains.
 
     Notes
     -----
-    All disks at the walls follow a simple shear and turn freely; all others come to rest, contacts stick. Stress is
-    that of Love (1927), strain that of the triangles between neighbouring centres. A triangle belongs to the windows
-    in which its centroid lies. A rim of a tenth of the smaller side is left out.
+    All disks at the walls follow a simple shear and rotate freely; all others reach equilibrium, and contacts stick.
+    The stress is that of Love (1927), the strain that of triangles between neighbouring centres. A triangle belongs to
+    the windows that contain its centroid. A rim of a tenth of the smaller side is excluded.
     """
     packing, _ = experiment.stiffen()
     state = state_at_rest(experiment, bonded)
@@ -63,21 +63,17 @@ def stiffness_field(experiment: Experiment, bonded: Flags, window: float) -> Sti
 def _windowed_moduli(
     triangles: ShearedTriangles, box: tuple[tuple[float, float], tuple[float, float]], window: float
 ) -> StiffnessField:
-    """Shear moduli of the windows of this side, m, in a box, whose ends along x and y are given in m."""
+    """Shear moduli of windows of this side, m, in a box with these ends along x and y, m."""
     ends = np.asarray(box)
-    pixels = np.floor((ends[:, 1] - ends[:, 0]) / window * _PIXELS + 1e-9).astype(
-        int
-    )  # round-off must not cost a pixel
+    pixels = np.floor((ends[:, 1] - ends[:, 0]) / window * _PIXELS + 1e-9).astype(int)  # rounding must not lose a pixel
     largest = float(np.min(ends[:, 1] - ends[:, 0]))
-    require(
-        bool(pixels.min() >= _PIXELS), "window", window, f"give at most {largest:.3g} m, the part inside of the rim"
-    )
+    require(bool(pixels.min() >= _PIXELS), "window", window, f"give at most {largest:.3g} m, the size inside the rim")
     pixel = window / _PIXELS
     edges = [middle + pixel * (np.arange(n + 1) - n / 2) for middle, n in zip(ends.mean(axis=1), pixels, strict=True)]
     sums = []
     for values in (triangles.stress, triangles.strain):
         found = np.histogram2d(triangles.middle[:, 0], triangles.middle[:, 1], bins=edges, weights=values)[0]
-        for axis in (0, 1):  # of the pixels of each window
+        for axis in (0, 1):  # sums over the pixels of each window
             found = np.lib.stride_tricks.sliding_window_view(found, _PIXELS, axis=axis).sum(axis=-1)
         sums.append(found.T)
     stress, strain = sums
