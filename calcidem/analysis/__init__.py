@@ -1,7 +1,7 @@
 """Evaluation of the velocities of a campaign, from distribution to prediction.
 
-Everything here takes records, plain arrays or xarray and gives frozen records or xarray; nothing reads a database or
-simulates, so the same code serves a campaign, a table from a paper and somebody else's data. Import from the modules:
+All functions take records, plain arrays or xarray and return frozen records or xarray. None reads a database or
+simulates, so the same code serves a campaign, a published table and other data. Import from the modules:
 
 - `distribution`: moments, normality, intervals of Vs at each content; `outcomes` counts the cells without Vs;
 - `stages`: growth rates of the four stages;
@@ -11,6 +11,6 @@ simulates, so the same code serves a campaign, a table from a paper and somebody
 - `path_envelope`, `weights`: the best ratio of the contact weights;
 - `fits`: Vs = a C^b + c with intervals, leave-one-seed-out error and prediction;
 - `predictor`: Vs of samples that were not simulated, with intervals;
-- `planning`: how many seeds are needed; `measured`: laboratory velocities beside a campaign's;
+- `planning`: number of seeds needed; `measured`: comparison with laboratory velocities;
 - `published`: the reproduced study's tables.
 """

@@ -1,4 +1,4 @@
-"""Everything the analysis of a stored campaign produces, each product computed at its first use."""
+"""Products of the analysis of a stored campaign, each computed at first use."""
 
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -38,7 +38,7 @@ from calcidem.storage.store import Selection
 
 
 class UnavailableError(Exception):
-    """A product that the campaign cannot give at present; the message names what is missing."""
+    """Product that is not available at present; the message names the missing data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,15 +48,15 @@ class MeasuredSample:
     Attributes
     ----------
     seed, content
-        Its identity; content in percent.
+        Identity; content in percent.
     vs
-        Shear-wave velocity in m/s; NaN where there is none.
+        Shear-wave velocity in m/s; NaN if missing.
     packing_index
-        Which packing it is made of.
+        Index of its packing.
     kinds
         0 (sand), 1 (P) or 2 (C) for each contact of that packing's graph, shape (m,).
     path, features
-        Its preferential path, and what that is like.
+        Its preferential path, and the features of this path.
     """
 
     seed: int
@@ -75,13 +75,13 @@ class LawFit:
     Attributes
     ----------
     name
-        How the weights were chosen, as in the published tables.
+        Choice of the weights, named as in the published tables.
     weights
         The weights.
     connectivity
         C_d,n of each sample of `CampaignAnalysis.samples`, shape (n,).
     fit, check
-        The fit, and how well it predicts seeds that it has not seen.
+        The fit, and its errors for seeds left out.
     """
 
     name: str
@@ -95,19 +95,19 @@ class LawFit:
 class CampaignAnalysis:
     """The analysis of a campaign, lazy and cached.
 
-    Attributes that need what the campaign lacks raise `UnavailableError`. The cells are read when an
-    attribute is first used, so an analysis of a campaign that is still running is a snapshot.
+    Attributes raise `UnavailableError` if the campaign lacks their data. Cells are read when an
+    attribute is first used, so the analysis of a running campaign is a snapshot.
 
     Attributes
     ----------
     store
-        With a campaign chosen.
+        Store with a selected campaign.
     most_samples
-        If there are more cells than this, only the samples of the first seeds are read and analysed for their paths.
+        Above this number of cells, paths are analysed only for the samples of the first seeds.
     with_cement
-        Adds cement that is not stored to outcomes of the store, where somebody can.
+        Adds cement that is not stored to outcomes of the store, if possible.
     measured
-        Laboratory velocities to show beside those of the campaign.
+        Laboratory velocities for comparison.
     """
 
     store: Store
@@ -127,12 +127,12 @@ class CampaignAnalysis:
 
     @cached_property
     def vs(self) -> xr.DataArray:
-        """Shear-wave velocity in m/s along (seed, content), NaN where there is none."""
+        """Shear-wave velocity in m/s along (seed, content), NaN if missing."""
         return self.cells["vs"]
 
     @cached_property
     def status(self) -> xr.DataArray:
-        """Outcome of each cell as text along (seed, content), empty where it is not computed."""
+        """Outcome of each cell as text along (seed, content), empty if not computed."""
         return name_outcomes(self.cells["status"])
 
     @cached_property
@@ -175,7 +175,7 @@ class CampaignAnalysis:
 
     @cached_property
     def analysed_seeds(self) -> tuple[int, ...]:
-        """Seeds whose samples are read."""
+        """Seeds whose paths are analysed."""
         seeds = tuple(self.vs["seed"].to_numpy().tolist())
         if self.most_samples is None or self.vs.size <= self.most_samples:
             return seeds
@@ -183,7 +183,7 @@ class CampaignAnalysis:
 
     @cached_property
     def samples(self) -> tuple[MeasuredSample, ...]:
-        """All computed cells of these seeds whose cement pattern is stored, by seed, then content."""
+        """Computed cells of these seeds with a stored cement pattern, by seed, then content."""
         if not self._read_samples:
             raise UnavailableError("no cement pattern is stored, so the contacts of the samples are unknown")
         return self._read_samples
@@ -216,13 +216,13 @@ class CampaignAnalysis:
 
     @cached_property
     def feature_tests(self) -> xr.Dataset:
-        """Which of the eight features go together with Vs within one content, with corrected p-values."""
+        """Tests for correlation of the eight features with Vs within one content, with corrected p-values."""
         with _translate_refusals():
             return seed_permutation_test(self.table, "vs")
 
     @cached_property
     def envelopes(self) -> tuple[PathEnvelope, ...]:
-        """Length of the shortest path for all weight ratios, for each of the samples."""
+        """Length of the shortest path for all weight ratios, for each sample."""
         with _translate_refusals():
             return tuple(
                 path_envelope(self.graphs[sample.packing_index].graph, sample.kinds > 0) for sample in self.samples
@@ -242,11 +242,11 @@ class CampaignAnalysis:
 
     @cached_property
     def scanned_law(self) -> LawFit:
-        """The law with the weight ratio that correlates best with Vs."""
+        """The law with the weight ratio of the best correlation with Vs."""
         return self.law_of_ratio(self.ratio_scan.best_ratio, "Monte-Carlo")
 
     def law_of_ratio(self, ratio: float, name: str) -> LawFit:
-        """Give the law with weights of a ratio, each sample's shortest path found for it."""
+        """Return the law for a weight ratio, with the shortest paths at this ratio."""
         weights = ContactWeights.from_ratio(ratio)
         connectivity = np.array(
             [
@@ -269,15 +269,15 @@ class CampaignAnalysis:
         return np.array([sample.seed for sample in self.samples])
 
     def outcomes_of(self, selection: Selection, arrays: bool | Collection[str] = True) -> Iterator[CellResult]:
-        """Give the outcomes of the selected cells with these of their arrays and, where it is known, their cement."""
+        """Yield outcomes of the selected cells with the requested arrays and, if known, their cement."""
         return self.with_cement(self.store, self.store.results(selection, with_arrays=arrays))
 
     def cell(self, seed: int, content: float) -> CellResult:
-        """Give one of these; raises `UnknownCellError` if the cell has no outcome."""
+        """Return the outcome of one cell; `UnknownCellError` if there is none."""
         return next(self.with_cement(self.store, [self.store.cell(seed=seed, content=content)]))
 
     def sample(self, seed: int, content: float) -> MeasuredSample:
-        """Give one sample without reading the others.
+        """Return one sample without reading the others.
 
         `UnavailableError` if its cement pattern is not stored, `UnknownCellError` if the cell has no outcome.
         """
@@ -289,7 +289,7 @@ class CampaignAnalysis:
 
     @cached_property
     def dispersions(self) -> tuple[ContentDispersion, ...]:
-        """Dispersion of each content of which three and more cells have a velocity and a stored section."""
+        """Dispersion of each content with a velocity and a stored section in at least three cells."""
         found = []
         for row in self.distributions:
             column = self.cells.sel(content=row.content)
@@ -303,7 +303,7 @@ class CampaignAnalysis:
         return tuple(found)
 
     def measured_samples(self, content: float) -> list[MeasuredSample]:
-        """Give the samples of one content that have a velocity, from the slowest to the fastest."""
+        """Return the samples of one content that have a velocity, from the slowest to the fastest."""
         found = [s for s in self.samples if math.isclose(s.content, content) and math.isfinite(s.vs)]
         return sorted(found, key=lambda sample: sample.vs)
 
@@ -345,11 +345,11 @@ class CampaignAnalysis:
 
 
 def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
-    """Correlate the eight features with Vs within one content, over the selected cells alone.
+    """Correlate the eight features with Vs within one content, over the selected cells only.
 
-    Along feature: ``pearson``, its 95 % interval ``pearson_low`` and ``pearson_high``, ``p`` and ``p_corrected``, see
-    `calcidem.analysis.correlation.seed_permutation_test`. `UnavailableError` if the campaign has no cement, or no
-    selected cell has a velocity.
+    Returns along feature ``pearson``, its 95 % interval ``pearson_low`` and ``pearson_high``, ``p`` and
+    ``p_corrected``, see `calcidem.analysis.correlation.seed_permutation_test`. `UnavailableError` if the campaign has
+    no cement, or no selected cell has a velocity.
     """
     table = analysis.table
     chosen = np.zeros(analysis.vs.shape, dtype=bool)
@@ -369,15 +369,15 @@ def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr
 
 
 def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
-    """Find the dispersion from the stored sections of cells of one content that have a velocity.
+    """Return the dispersion from the stored sections of cells of one content that have a velocity.
 
-    Phase velocities from a third to three times the median Vs are looked for. `ValueError` if fewer than three of the
-    cells have a velocity and a section.
+    Phase velocities are searched from a third to three times the median Vs. `ValueError` if fewer than three cells have
+    a velocity and a section.
     """
     read = [(cell.vs, cell.section) for cell in cells if cell.vs is not None and cell.section is not None]
     if len(read) < FEWEST_SECTIONS:
         raise ValueError(
-            f"{len(read)} cells have a velocity and a stored section; a dispersion needs {FEWEST_SECTIONS} and more"
+            f"{len(read)} cells have a velocity and a stored section; a dispersion needs at least {FEWEST_SECTIONS}"
         )
     median = float(np.median([vs for vs, _ in read]))
     motions = [SectionMotion(found.time, found.places, found.across.astype(float)) for _, found in read]
@@ -386,7 +386,7 @@ def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
 
 @contextmanager
 def _translate_refusals() -> Iterator[None]:
-    """Turn the refusal of data by a function of the analysis into an `UnavailableError` with its words."""
+    """Convert a `ValueError` of the analysis into an `UnavailableError` with the same message."""
     try:
         yield
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""Campaigns beside one another: means, scatter, and differences from the first of them with their intervals."""
+"""Comparison of campaigns: means, scatter, and differences from the first campaign with intervals."""
 
 import math
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ _COMPARED = {
     "n": ("1", "samples with a velocity"),
     "mean": ("m/s", "mean of Vs"),
     "standard_deviation": ("m/s", "standard deviation of Vs"),
-    "difference": ("m/s", "mean of Vs less that of the first campaign"),
+    "difference": ("m/s", "mean of Vs minus that of the first campaign"),
     "pairs": ("1", "seeds with a velocity in this campaign and in the first"),
     "paired_difference": ("m/s", "mean difference of Vs to the first campaign over these seeds"),
     "deviation_ratio": ("1", "standard deviation of Vs over that of the first campaign, over these seeds"),
@@ -34,14 +34,13 @@ _INTERVALS = ("mean", "standard_deviation", "difference", "paired_difference", "
 
 
 def compare_velocities(velocities: Mapping[str, xr.DataArray], level: float = 0.95) -> xr.Dataset:
-    """Compare the velocities of several campaigns, by their names, with those of the first, content by content.
+    """Compare the velocities of several named campaigns with those of the first, content by content.
 
-    Vs is in m/s along (seed, content), NaN where there is none. The result is along (campaign, content), intervals
-    along `bound` too. Contents are those that any of the campaigns has; what a campaign lacks is NaN. ``difference``
-    takes all samples as independent (Welch's interval). ``paired_difference`` takes the seeds that both campaigns have:
-    what the places of the cement add to both falls out of it, so that it is the narrower of the two where the same seed
-    stands for the same places (``pair_correlation``). Both are NaN for the first campaign. `ValueError` for fewer than
-    two campaigns.
+    Vs is in m/s along (seed, content), NaN if missing. The result is along (campaign, content), intervals also along
+    `bound`. It has the contents of all campaigns; missing values are NaN. ``difference``
+    assumes independent samples (Welch's interval). ``paired_difference`` uses common seeds. It cancels the effect of
+    the cement's places, so it is the narrower one if equal seeds have equal places (``pair_correlation``). Both are NaN
+    for the first campaign. `ValueError` for fewer than two campaigns.
     """
     if len(velocities) <= 1:
         raise ValueError(f"{len(velocities)} campaigns are given; a comparison needs two or more")
@@ -69,7 +68,7 @@ def compare_velocities(velocities: Mapping[str, xr.DataArray], level: float = 0.
 def _compare_content(
     vs: xr.DataArray, first: xr.DataArray | None, content: float, level: float
 ) -> tuple[dict[str, float], dict[str, Interval]]:
-    """Give numbers and intervals of one campaign at one content; `first` is None for the first campaign itself."""
+    """Return numbers and intervals of one campaign at one content; `first` is None for the first campaign itself."""
     here = _values_of(vs, content)
     values = np.array(list(here.values()))
     numbers: dict[str, float] = dict.fromkeys(_COMPARED, math.nan) | {"n": len(values)}
@@ -101,7 +100,7 @@ def _compare_content(
 
 
 def _values_of(vs: xr.DataArray, content: float) -> dict[int, float]:
-    """Velocities of a content by their seeds; none if the campaign does not have it."""
+    """Velocities of a content by seed; empty if the campaign lacks it."""
     if content not in vs["content"]:
         return {}
     column = vs.sel(content=content).dropna("seed")
@@ -109,7 +108,7 @@ def _values_of(vs: xr.DataArray, content: float) -> dict[int, float]:
 
 
 def _correlation(pairs: NDArray[np.float64]) -> float:
-    """Pearson's correlation of two columns; NaN for few pairs and where one column does not vary."""
+    """Pearson's correlation of two columns; NaN for few pairs or a constant column."""
     if len(pairs) < _FEWEST_FOR_CORRELATION or not standard_deviation(pairs, axis=0).all():
         return math.nan
     return float(np.corrcoef(*pairs.T).item(1))

@@ -6,15 +6,14 @@ from typing import Self
 
 @dataclass(frozen=True, slots=True)
 class ContactWeights:
-    """How much a contact of each kind adds to the length of a path; dimensionless.
+    """Dimensionless length that a contact of each kind adds to a path.
 
     Attributes
     ----------
     hertz
         Weight of a sand contact, omega_h.
     bond
-        Weight of a cemented contact, omega_LPB; at most that of a sand contact, because cement shortens the
-        way.
+        Weight of a cemented contact, omega_LPB; at most that of a sand contact, because cement shortens the path.
 
     Raises
     ------
@@ -48,7 +47,7 @@ class ContactWeights:
 
 @dataclass(frozen=True, slots=True)
 class PathScale:
-    """What makes path lengths of different samples comparable.
+    """Scale that makes path lengths of different samples comparable.
 
     Attributes
     ----------
@@ -81,15 +80,14 @@ class PathScale:
 
 
 def connectivity(hertz_contacts: int, bonded_contacts: int, weights: ContactWeights) -> float:
-    """Give C_d, the weighted length of a path of N_h sand contacts and N_LPB cemented ones, Eq. 9."""
+    """Return C_d, the weighted length of a path of N_h sand contacts and N_LPB cemented ones, Eq. 9."""
     return weights.hertz * hertz_contacts + weights.bond * bonded_contacts
 
 
 def normalized_connectivity(c_d: float, weights: ContactWeights, scale: PathScale) -> float:
-    """Give C_d,n, Eq. 9: 0 for a straight row of cemented contacts, 1 for a straight row of sand contacts.
+    """Return C_d,n, Eq. 9: 0 for a straight row of cemented contacts, 1 for a straight row of sand contacts.
 
-    The weights are those that C_d was computed with. `ValueError` if both are equal: the definition divides by their
-    difference.
+    The weights are those of C_d. `ValueError` if both are equal, since the definition divides by their difference.
     """
     if weights.bond == weights.hertz:
         raise ValueError(f"both weights are {weights.hertz}; C_d,n exists only where bond < hertz")

@@ -1,8 +1,8 @@
-"""Grains and contacts as a weighted undirected graph, and the path a shear wave prefers (section 2.4).
+"""Grains and contacts as a weighted undirected graph, and the preferential path of shear waves (section 2.4).
 
-All cells of a campaign share one packing, so the graph is made once and every cell only lists which of the
-contacts are cemented. `ContactGraph.to_networkx` gives the graph for reading and drawing; paths are found on
-a sparse matrix with SciPy, because the scan over weights needs thousands of them.
+All cells of a campaign share one packing, so the graph is built once and a cell only lists its cemented contacts.
+`ContactGraph.to_networkx` returns the graph for inspection and drawing. Paths are found on a sparse matrix with
+SciPy, because the scan over weights needs thousands of them.
 """
 
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import networkx as nx
 
 _RELATIVE_TIE = 1e-9
-"""Paths whose lengths differ by less than this fraction are equally long; round-off is about 1e-14."""
+"""Relative difference below which paths are equally long; round-off is about 1e-14."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class ContactGraph:
         Grains touched by the transmitter and by the receiver, integers, shapes (a,) and (b,), without common
         grain.
     entry_contacts
-        The contact that each entry of the sparse matrix belongs to, integers, shape (2 m,).
+        Contact of each entry of the sparse matrix, integers, shape (2 m,).
 
     Raises
     ------
@@ -55,14 +55,14 @@ class ContactGraph:
     entry_contacts: NDArray[np.int64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Check the contacts and arrange them for the searches."""
+        """Check the contacts and arrange them for searches."""
         pairs = np.asarray(self.pairs, dtype=np.int64).reshape(-1, 2)
         lists = {
             name: np.unique(np.asarray(getattr(self, name), dtype=np.int64)) for name in ("transmitter", "receiver")
         }
         _check(self.grain_count, pairs, lists)
-        # Every contact is stored in both directions, rows and columns ascending; `entry_contacts` names the
-        # contact an entry belongs to, so that a cell only has to fill in the weights.
+        # Every contact is stored in both directions, rows and columns ascending. `entry_contacts` maps entries to
+        # contacts, so a cell only fills in the weights.
         rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
         order = np.lexsort((columns, rows))
         starts = np.searchsorted(rows[order], np.arange(self.grain_count + 1))
@@ -88,7 +88,7 @@ class ContactGraph:
         return 2 * self.contact_count / self.grain_count
 
     def contact_weights(self, bonded: ArrayLike, weights: ContactWeights) -> NDArray[np.float64]:
-        """Give the weight of each contact, of which ``bonded`` are cemented, both (m,); else a `ValueError`."""
+        """Return the weight of each contact; ``bonded`` marks cemented ones, both (m,), else `ValueError`."""
         mask = np.asarray(bonded, dtype=np.bool_)
         if mask.shape != (self.contact_count,):
             raise ValueError(
@@ -97,14 +97,14 @@ class ContactGraph:
         return np.where(mask, weights.bond, weights.hertz)
 
     def matrix(self, bonded: ArrayLike, weights: ContactWeights) -> csr_array:
-        """Give the symmetric sparse matrix of contact weights, shape (N, N); see `contact_weights`."""
+        """Return the symmetric sparse matrix of contact weights, shape (N, N); see `contact_weights`."""
         data = self.contact_weights(bonded, weights)[self.entry_contacts]
         return csr_array((data, self._neighbours, self._row_starts), shape=(self.grain_count, self.grain_count))
 
     def to_networkx(self, bonded: ArrayLike, weights: ContactWeights) -> "nx.Graph[int]":
-        """Give the graph as a networkx model; arguments as in `contact_weights`.
+        """Return the graph as a networkx graph; arguments as in `contact_weights`.
 
-        Every grain is a vertex, with `role` "transmitter", "receiver" or "interior"; every contact an edge with
+        Every grain is a vertex with `role` "transmitter", "receiver" or "interior". Every contact is an edge with
         `bonded` (bool) and `weight` (float).
         """
         import networkx as nx  # noqa: PLC0415 - ranks find paths without it
@@ -127,9 +127,9 @@ class PreferentialPath:
     Attributes
     ----------
     grains
-        The grains it visits, from a transmitter grain to a receiver grain.
+        Grains on the path, from a transmitter grain to a receiver grain.
     bonded
-        Whether each contact on the path is cemented; one fewer than grains.
+        True for cemented contacts on the path; one entry fewer than grains.
     """
 
     grains: tuple[int, ...]
@@ -149,12 +149,12 @@ class PreferentialPath:
 def contacts_on_path(
     graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights, at_most: float = np.inf
 ) -> tuple[int, int]:
-    """Count the sand contacts and the cemented ones on one of the shortest paths, whichever is found first.
+    """Count the sand contacts and the cemented ones on the shortest path that is found first.
 
-    A path of the length `at_most` is known: grains beyond are not visited. Errors are those of `ShortestPaths.search`,
-    which takes twice as long.
+    A path of length `at_most` is known, so grains further away are not visited. Errors are those of
+    `ShortestPaths.search`, which takes twice as long.
     """
-    if weights.bond == weights.hertz:  # a length does not tell what made it
+    if weights.bond == weights.hertz:  # the length alone does not determine the counts
         path = ShortestPaths.search(graph, bonded, weights).first()
         return path.hertz_contacts, path.bonded_contacts
     lengths = graph.matrix(bonded, weights)
@@ -180,14 +180,14 @@ def _refuse_apart(shortest: float) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShortestPaths:
-    """All shortest paths from the transmitter to the receiver: distances, and with them the next grains of a path.
+    """All shortest paths from the transmitter to the receiver, as distances that determine the next grains.
 
     Attributes
     ----------
     distance
         Weighted distance of each grain from the nearest receiver grain, shape (N,).
     starts
-        Grains of the transmitter from which a shortest path begins, ascending.
+        Transmitter grains at which a shortest path starts, ascending.
     weights
         Weight of each kind of contact.
     """
@@ -203,8 +203,8 @@ class ShortestPaths:
     def search(cls, graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> Self:
         """Search from all receiver grains at once (Dijkstra 1959, doi:10.1007/BF01386390).
 
-        ``bonded`` (m,) says which contacts are cemented. `ValueError` if it has another shape, or no chain of contacts
-        joins transmitter and receiver.
+        ``bonded`` (m,) marks cemented contacts. `ValueError` if it has another shape, or no chain of contacts joins
+        transmitter and receiver.
         """
         lengths = graph.matrix(bonded, weights)
         distance = dijkstra(lengths, directed=True, indices=graph.receiver, min_only=True)
@@ -216,10 +216,10 @@ class ShortestPaths:
         return cls(distance, tuple(starts.tolist()), weights, lengths, kinds, slack)
 
     def first(self) -> PreferentialPath:
-        """Give the one that starts at the lowest-numbered grain and continues at every step to the lowest-numbered one.
+        """Return the path that starts at, and always continues to, the grain with the lowest number.
 
-        With only two different weights, many paths are equally short. This one depends on nothing but the numbering of
-        the grains, which all cells of a campaign share.
+        With only two different weights, many paths are equally short. This one depends only on the numbering of the
+        grains, which is common to all cells of a campaign.
         """
         grains, kinds = [self.starts[0]], []
         while self.distance[grains[-1]] > 0:
@@ -229,17 +229,17 @@ class ShortestPaths:
         return PreferentialPath(tuple(grains), tuple(kinds))
 
     def mean_longest_bonded_run(self) -> float:
-        """Give the mean, over all of them, of the longest run of cemented contacts on a path.
+        """Return the mean over all shortest paths of the longest run of cemented contacts.
 
-        Equally short paths have runs of different lengths. Each path counts once. Every step comes nearer to the
-        receiver, so the shortest paths make a graph without cycles. Its grains are visited from the transmitter on. At
-        each, paths are counted by the length of their present run (columns), once for each limit that none of their
-        runs exceeds (rows). The counts within each limit at the receiver are the distribution of the longest run.
+        Equally short paths have runs of different lengths; each path counts once. Every step approaches the receiver,
+        so the shortest paths form a graph without cycles. Its grains are visited from the transmitter on. At each
+        grain, paths are counted by the length of their present run (columns), for each limit that no run exceeds
+        (rows). The counts for each limit at the receiver give the distribution of the longest run.
         """
-        # A path has as many cemented contacts as fit into its length.
+        # The length of a path bounds its number of cemented contacts.
         most = self.distance[self.starts[0]] / self.weights.bond * (1 + _RELATIVE_TIE) if self._bonded.any() else 0.0
         rows = 1 + int(most)
-        within = np.tri(rows)  # the present run, too, is within the limit
+        within = np.tri(rows)  # the present run is within the limit, too
         nothing = np.zeros((rows, rows))
         paths = {start: nothing + (np.arange(rows) == 0) for start in self.starts}
         arrived = np.zeros(rows)
@@ -262,7 +262,7 @@ class ShortestPaths:
         return float(np.sum(1.0 - arrived / arrived[-1]))
 
     def _onward(self, grain: int) -> list[tuple[int, bool]]:
-        """Give the next grains of a shortest path, ascending, and whether cement leads there."""
+        """Return the next grains of a shortest path, ascending, each with True if the contact is cemented."""
         entries = slice(self._lengths.indptr[grain], self._lengths.indptr[grain + 1])
         neighbours = self._lengths.indices[entries]
         shortest = self._lengths.data[entries] + self.distance[neighbours] <= self.distance[grain] + self._slack

@@ -1,9 +1,8 @@
-"""How closely path features and Vs go together (Fig. 13a), over all contents and within one content.
+"""Correlation of path features with Vs (Fig. 13a), over all contents and within one content.
 
-Both the features and Vs grow with calcite content, so over all contents they correlate strongly whatever the
-paths are like. How much of the scatter at a fixed content a feature explains is another, harder question.
-Both are answered here. Within a content each variable is divided by its own scatter there. Otherwise contents of
-large Vs would decide alone.
+Features and Vs both grow with calcite content, so over all contents they correlate strongly for any paths. The
+scatter explained by a feature at a fixed content is a separate, harder question. This module answers both. Within a
+content each variable is divided by its scatter there; otherwise contents with large Vs would dominate.
 """
 
 from dataclasses import dataclass
@@ -17,10 +16,10 @@ from calcidem.analysis.intervals import BOOTSTRAP_SEED
 
 _PERMUTATIONS = 9999
 _ROUND_OFF = 1e-12
-"""Relative size below which a variable does not vary, and two coefficients are equal."""
+"""Relative size below which variation and differences of coefficients are round-off."""
 
 _FEWEST_FOR_INTERVAL = 3
-"""More samples than this have an interval of their correlation."""
+"""A correlation of more samples than this has an interval."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,15 +27,15 @@ class Correlations:
     """Correlation matrices of one table of variables.
 
     Each is a Dataset along (variable, other) with `pearson`, its interval `pearson_low` and `pearson_high`,
-    `spearman`, and the number of samples `n`. A variable that does not vary has NaN.
+    `spearman`, and the number of samples `n`. Constant variables have NaN.
 
     Attributes
     ----------
     overall
         Over all samples of all contents. A common trend with content inflates it.
     within
-        After subtracting from each variable its mean at the same content and dividing by its standard deviation there:
-        the deviations from the trend, each content alike. Spearman's coefficient takes ranks within the content.
+        Over deviations from the trend: each variable minus its mean at the content, divided by its standard deviation
+        there. Spearman's coefficient takes ranks within the content.
     """
 
     overall: xr.Dataset
@@ -46,12 +45,12 @@ class Correlations:
 def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     """Correlate all variables of a table with one another.
 
-    The table has numbers along (seed, content), NaN where missing; a sample counts only if it has all of them.
-    ``level`` is that of the intervals. `ValueError` for other dimensions, or fewer than two variables.
+    The table has numbers along (seed, content), NaN if missing; only complete samples count. ``level`` is the level of
+    the intervals. `ValueError` for other dimensions, or fewer than two variables.
 
     Intervals by Fisher's z, tanh(artanh(r) -/+ z / sqrt(n - 3)), with one degree of freedom less for each further
-    content whose mean was subtracted (Fisher 1924, on partial correlation). They take samples as independent. Those of
-    different seeds are; those of one seed share their cement, so the intervals are somewhat too narrow.
+    content whose mean was subtracted (Fisher 1924, on partial correlation). They assume independent samples. Samples of
+    one seed share their cement, so the intervals are somewhat too narrow.
     """
     names, values = _complete_values(table)
     complete = np.isfinite(values[..., 0])
@@ -70,13 +69,13 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
 
 
 def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) -> xr.Dataset:
-    """Correlate the variables of a table with one of them, positive, at each content.
+    """Correlate the variables of a table with a positive target variable at each content.
 
     Table and errors are as for `correlate`; also `ValueError` if the table lacks the target. Intervals of a variable
-    hold at all contents together with probability ``level``. Given are along (variable, content), without the target:
-    ``n``, ``pearson``, ``pearson_log`` with the logarithm of the target, ``spearman``, its interval ``low`` and
-    ``high`` and its ``p``, and ``p_corrected`` for all variables and contents. NaN where a variable does not vary or
-    there are fewer than four samples.
+    hold at all contents simultaneously with probability ``level``. Returns along (variable, content), without the
+    target: ``n``, ``pearson``, ``pearson_log`` with the logarithm of the target, ``spearman``, its interval ``low`` and
+    ``high`` and its ``p``, and ``p_corrected`` for all variables and contents. NaN for constant variables or fewer than
+    four samples.
 
     Intervals by Fisher's z with the variance of Bonett and Wright (2000, doi:10.1007/BF02294183), each at level 1 - (1
     - level) / contents (Bonferroni). The correction of p controls the false discovery rate (Benjamini and Hochberg
@@ -120,27 +119,27 @@ def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) ->
 
 
 def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
-    """Test which variables of a table go together with one of them, the target, within one content.
+    """Test which variables of a table correlate with the target variable within one content.
 
-    Table and errors are as for `correlate_by_content`. Given are along variable, without the target: ``pearson`` as
-    `correlate` gives it within one content, its two-sided ``p``, and ``p_corrected``, the probability that the largest
-    of all coefficients is as large by chance. NaN for a variable that does not vary.
+    Table and errors are as for `correlate_by_content`. Returns along variable, without the target: ``pearson`` of
+    `correlate` within one content, its two-sided ``p``, and ``p_corrected``, the probability that the largest of all
+    coefficients is as large by chance. NaN for constant variables.
 
-    The rows of whole seeds are exchanged at random against those of the target, so that samples of one seed are not
-    taken as independent. A missing sample counts as the mean of its content. The correction is that of the largest
-    statistic (Westfall and Young 1993, doi:10.2307/2532216): no assumption on how the variables go together.
+    Rows of whole seeds are permuted at random against those of the target, since samples of one seed are not
+    independent. A missing sample counts as the mean of its content. The correction uses the largest statistic (Westfall
+    and Young 1993, doi:10.2307/2532216) and does not assume any dependence of the variables.
     """
     names, values = _complete_values(table)
     place = _place_of(target, names)
-    values = values[np.isfinite(values).any(axis=(1, 2))]  # a seed that was not analysed is exchanged with none
+    values = values[np.isfinite(values).any(axis=(1, 2))]  # seeds without data are not permuted
     known: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=-1))
     standard = np.zeros(values.shape)
-    for column in np.flatnonzero(known.any(axis=0)).tolist():  # a content without a velocity has no correlation
+    for column in np.flatnonzero(known.any(axis=0)).tolist():  # contents without a velocity have no correlation
         standard[known[:, column], column] = np.nan_to_num(_standardised(values[known[:, column], column]))
     scale = np.linalg.norm(standard, axis=(0, 1))
     scaled = standard / np.where(scale > 0, scale, np.nan)
     others = [number for number in range(len(names)) if number != place]
-    # Of each pair of seeds what it adds if the one's features stand beside the other's target.
+    # Contribution of each pair of seeds: features of one seed with the target of the other.
     added = np.einsum("acf,bc->abf", scaled[..., others], scaled[..., place])
     seeds = np.arange(len(added))
     observed = added[seeds, seeds].sum(axis=0)
@@ -165,7 +164,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
 
 
 def _complete_values(table: xr.Dataset) -> tuple[list[str], NDArray[np.float64]]:
-    """Names of the variables of a table and their values (seed, content, variable); NaN in all where one is missing."""
+    """Names of the variables of a table and values (seed, content, variable); NaN in all if one is missing."""
     names = [str(name) for name in table.data_vars]
     if len(names) <= 1:
         raise ValueError(f"table holds the variables {names}; a correlation needs at least two")
@@ -186,7 +185,7 @@ def _fisher_interval(
     if freedom <= 0:
         return np.full_like(coefficient, np.nan), np.full_like(coefficient, np.nan)
     half = float(stats.norm.ppf((1 + level) / 2)) / np.sqrt(freedom)
-    with np.errstate(divide="ignore"):  # a coefficient of one has an infinite z, and tanh gives back one
+    with np.errstate(divide="ignore"):  # a coefficient of one has an infinite z, and tanh returns one
         z = np.arctanh(coefficient)
     return np.tanh(z - half), np.tanh(z + half)
 
@@ -216,7 +215,7 @@ def _correlation_matrix(
 
 
 def _pearson_matrix(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Pearson's matrix of samples (n, variables), NaN for columns that do not vary."""
+    """Pearson's matrix of samples (n, variables), NaN for constant columns."""
     count, size = samples.shape
     if count <= 1:
         return np.full((size, size), np.nan)
@@ -227,7 +226,7 @@ def _pearson_matrix(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _standardised(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Samples (n, variables) less their means and over their deviations; NaN where a column does not vary."""
+    """Standardised samples (n, variables): zero mean, unit deviation; NaN for constant columns."""
     centred = samples - samples.mean(axis=0)
     scale = centred.std(axis=0)
     constant = scale <= _ROUND_OFF * np.abs(samples).max(axis=0)
@@ -240,7 +239,7 @@ def _ranks(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _place_of(target: str, names: list[str]) -> int:
-    """Place of a variable; raises a `ValueError` if it is none of the table."""
+    """Index of a variable; `ValueError` if the table lacks it."""
     if target not in names:
         raise ValueError(f"table holds the variables {names}; {target} is not one of them")
     return names.index(target)

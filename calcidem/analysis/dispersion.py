@@ -1,7 +1,7 @@
-"""Phase velocity against frequency, from the space-time sections of many samples of one content.
+"""Phase velocity over frequency, from the space-time sections of many samples of one content.
 
-One sample holds one to three wavelengths, so its spectrum over frequency and wavenumber is broad. The mean of the
-spectra of many samples gives the dispersion of the content and the speed of its long waves.
+One sample contains one to three wavelengths, so its spectrum over frequency and wavenumber is broad. The mean spectrum
+of many samples gives the dispersion of the content and its long-wave speed.
 """
 
 from collections.abc import Sequence
@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-_VELOCITIES = 400  # of the grid, evenly spaced by their logarithm
+_VELOCITIES = 400  # size of the grid, evenly spaced in the logarithm
 FEWEST_SECTIONS = 3
-"""Samples that a jackknife needs."""
+"""Fewest samples for a jackknife."""
 
-_RESOLVED = 1e-3  # of a velocity, which a parabola over that grid resolves
+_RESOLVED = 1e-3  # relative resolution of a velocity by a parabola over that grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,13 +47,13 @@ class Dispersion:
     velocity
         (V,) m/s.
     power
-        (F, V) mean over the samples of the stacked power, from 0 to 1: 1 where all places move in phase.
+        (F, V) mean stacked power of the samples, from 0 to 1: 1 if all places move in phase.
     phase_velocity, standard_error
-        (F,) velocity of the largest power and its standard error by the jackknife over samples, m/s.
+        (F,) velocity of the largest power and its jackknife standard error over samples, m/s.
     long_wave, long_wave_error
         Limit at frequency zero and its standard error, m/s.
     samples
-        How many samples.
+        Number of samples.
     """
 
     frequency: NDArray[np.float64]
@@ -75,9 +75,9 @@ class ContentDispersion:
     content
         Percent.
     found
-        Result of the sections.
+        Dispersion.
     vs, static
-        Medians of Vs and of the static speed of the samples, m/s; NaN where the latter is not known.
+        Medians of Vs and of the static speed of the samples, m/s; NaN if the latter is unknown.
     """
 
     content: float
@@ -93,7 +93,7 @@ def dispersion(
     *,
     shares: Sequence[float] = tuple(np.arange(0.4, 1.81, 0.1).round(2).tolist()),
 ) -> Dispersion:
-    """Find the phase velocity of shear waves from sections of samples of one content.
+    """Return the phase velocity of shear waves from sections of samples of one content.
 
     `ValueError` if there are fewer than three sections, or the velocities are not an increasing pair of positive
     numbers.
@@ -101,31 +101,31 @@ def dispersion(
     Parameters
     ----------
     sections
-        Of three samples and more, from the transmitted pulse to the end of the received one.
+        Sections of at least three samples, from the transmitted pulse to the end of the received one.
     frequency, velocities
-        Of the pulse, Hz, and the slowest and fastest phase velocity that is looked for, m/s.
+        Frequency of the pulse, Hz, and the range of phase velocities to search, m/s.
     shares
         Frequencies of the result over that of the pulse, whose spectrum is zero at 2.
 
     Notes
     -----
-    At each frequency the spectra of all places, each over its own absolute value, are shifted by the phase of a plane
-    wave and summed (phase-shift method: Park, Miller and Xia 1998, SEG Expanded Abstracts 17:1377). The power of this
-    sum is averaged over the samples. The long-wave limit is the intercept of the phase velocity over the square of the
-    frequency, each weighted by its standard error: a lattice of spacing d has ``c = c0 (1 - (pi f d / c0)^2 / 6)``.
+    At each frequency the spectra of all places are normalised to unit magnitude, shifted by the phase of a plane wave
+    and summed (phase-shift method: Park, Miller and Xia 1998, SEG Expanded Abstracts 17:1377). The power of this sum is
+    averaged over the samples. The long-wave limit is the intercept of the phase velocity over the squared frequency,
+    weighted by standard errors: a lattice of spacing d has ``c = c0 (1 - (pi f d / c0)^2 / 6)``.
     """
     if len(sections) < FEWEST_SECTIONS:
-        raise ValueError(f"sections: {len(sections)} given; give those of three samples and more")
+        raise ValueError(f"sections: {len(sections)} given; give those of at least three samples")
     if not 0.0 < velocities[0] < velocities[1]:
         raise ValueError(f"velocities = {velocities}: give a slowest and a fastest positive velocity, m/s")
     wanted = frequency * np.asarray(shares, dtype=float)
     velocity = np.geomspace(*velocities, _VELOCITIES)
-    waves: dict[bytes, NDArray[np.complex128]] = {}  # sections of one content have much the same times and places
+    waves: dict[bytes, NDArray[np.complex128]] = {}  # sections of one content share most times and places
     powers = np.array([_power(section, wanted, velocity, waves) for section in sections])
     total, count = powers.sum(axis=0), len(sections)
     found, left_out = _ridge(total, velocity), np.array([_ridge(total - power, velocity) for power in powers])
     error = _jackknife(left_out)
-    known = np.maximum(error, _RESOLVED * found)  # no less than the resolution of the grid
+    known = np.maximum(error, _RESOLVED * found)  # at least the resolution of the grid
     limits = np.array([_long_wave(wanted, ridge, known) for ridge in left_out])
     return Dispersion(
         frequency=wanted,
@@ -145,7 +145,7 @@ def _power(
     velocity: NDArray[np.float64],
     waves: dict[bytes, NDArray[np.complex128]],
 ) -> NDArray[np.float64]:
-    """(F, V) stacked power of one sample; `waves` keeps the waves (F, T) and (F, V, X) at its times and places."""
+    """(F, V) stacked power of one sample; `waves` caches the waves (F, T) and (F, V, X) at its times and places."""
     times, places = section.times.tobytes(), section.places.tobytes()
     if times not in waves:
         waves[times] = np.exp(-2j * np.pi * frequency[:, None] * section.times)
@@ -158,7 +158,7 @@ def _power(
 
 
 def _ridge(power: NDArray[np.float64], velocity: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(F,) velocity of the largest power, between those of the grid by a parabola over the logarithm."""
+    """(F,) velocity of the largest power, refined by a parabola over the logarithm."""
     best = np.clip(power.argmax(axis=1), 1, len(velocity) - 2)
     rows = np.arange(len(power))
     left, middle, right = (power[rows, best + shift] for shift in (-1, 0, 1))
@@ -177,6 +177,6 @@ def _long_wave(
 
 
 def _jackknife(left_out: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Standard error from estimates (N, ...) with one sample left out each."""
+    """Standard error from estimates (N, ...) that each leave out one sample."""
     count = len(left_out)
     return np.asarray(np.sqrt((count - 1) / count * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)))

@@ -29,10 +29,10 @@ class NormalFit:
     Attributes
     ----------
     mean, standard_deviation
-        In the unit of the sample; the deviation has n - 1 in its denominator.
+        In the unit of the sample; the deviation has the denominator n - 1.
     largest_distance
         Largest distance between the sample's cumulative distribution and the fitted one (Kolmogorov's
-        statistic, between 0 and 1); NaN where the deviation is zero or undefined.
+        statistic, between 0 and 1); NaN if the deviation is zero or undefined.
     """
 
     mean: float
@@ -40,7 +40,7 @@ class NormalFit:
     largest_distance: float
 
     def density(self, values: ArrayLike) -> NDArray[np.float64]:
-        """Give the fitted probability density at `values`, in one over the unit of the sample."""
+        """Return the fitted probability density at `values`, in the inverse unit of the sample."""
         return np.asarray(stats.norm.pdf(np.asarray(values, dtype=np.float64), self.mean, self.standard_deviation))
 
 
@@ -53,7 +53,7 @@ class Distribution:
     n
         Number of values.
     mean, standard_deviation
-        The deviation has n - 1 in its denominator.
+        The deviation has the denominator n - 1.
     skewness, kurtosis
         Population moments, Eqs. 6 and 7 (0 and 3 for a normal distribution).
     normality
@@ -63,7 +63,7 @@ class Distribution:
     standard_deviation_interval
         Confidence interval of the standard deviation, see `intervals.standard_deviation_interval`.
     prediction_interval, prediction_interval_ordered
-        Interval for one new sample if values are normal, and from the ordered values without assuming it.
+        Interval for one new sample, for normal values and without this assumption from the ordered values.
     normal_fit
         The fitted normal distribution.
     """
@@ -83,7 +83,7 @@ class Distribution:
 
 @dataclass(frozen=True, slots=True)
 class ContentDistribution:
-    """The distribution at one calcite content, and the cells that are not in it.
+    """Distribution at one calcite content, and numbers of cells without a velocity.
 
     Attributes
     ----------
@@ -104,9 +104,9 @@ class ContentDistribution:
 
 
 def describe(values: ArrayLike, level: float = 0.95) -> Distribution:
-    """Describe one sample of finite values (n,), with intervals at a level; `ValueError` for others.
+    """Describe one sample of finite values (n,), with intervals at a level; `ValueError` for other shapes or NaN.
 
-    What is undefined for so few values, or because all are equal, becomes NaN.
+    Results that are undefined for few or equal values are NaN.
     """
     sample = np.asarray(values, dtype=np.float64)
     if sample.ndim != 1 or not np.isfinite(sample).all():
@@ -153,7 +153,7 @@ def describe_contents(
 
 
 def tabulate(distributions: tuple[ContentDistribution, ...]) -> xr.Dataset:
-    """Arrange distributions, one for each content, as a table: a variable with units for each number of `Distribution`.
+    """Arrange distributions of contents as a table: a variable with units for each number of `Distribution`.
 
     Intervals have a further dimension `bound`.
     """
@@ -170,7 +170,7 @@ def tabulate(distributions: tuple[ContentDistribution, ...]) -> xr.Dataset:
 
 
 def _columns(name: str, values: list[object]) -> list[tuple[str, tuple[str, ...], list[object]]]:
-    """Spread records over columns: an interval becomes two bounds, a test or a fit its numbers."""
+    """Split records into columns: an interval into its bounds, a test or a fit into its numbers."""
     match values[0] if values else None:
         case Interval():
             return [(name, ("content", "bound"), [_numbers(value, "low", "high") for value in values])]

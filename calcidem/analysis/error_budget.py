@@ -1,4 +1,4 @@
-"""What the velocities of some cells are worth: their standard errors, and where the two velocities differ."""
+"""Standard errors of velocities, and cells whose two velocities differ."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from calcidem.storage.records.error_budget import departs
 
 BUDGET_QUANTITIES = ("vs", "reading_error", "numerical_error", "vs_error", "path_departure")
-"""What `error_budget` needs of each cell."""
+"""Quantities of each cell that `error_budget` needs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,12 +20,12 @@ class ErrorBudget:
     Attributes
     ----------
     total, reading, numerical
-        Medians of the relative standard error of Vs and of its two parts; NaN where it is not known.
+        Medians of the relative standard error of Vs and of its two parts; NaN if unknown.
     scatter
-        Root mean square of the reading errors, m/s: the part of the standard deviation of Vs that is reading error.
-        NaN where all velocities are the same: seeds without cement are one sample, and share one reading error.
+        Root mean square of the reading errors, m/s: their part of the standard deviation of Vs. NaN if all velocities
+        are equal: seeds without cement are one sample with one reading error.
     compared, departing
-        Number of cells with both velocities, and of those whose velocities differ by more than their errors allow.
+        Number of cells with both velocities, and number of those that differ by more than their errors.
     """
 
     total: float
@@ -37,7 +37,7 @@ class ErrorBudget:
 
 
 def error_budget(cells: Mapping[Any, ArrayLike]) -> ErrorBudget:
-    """Sum up the errors of some cells: `BUDGET_QUANTITIES` by name, arrays of one shape with NaN where missing."""
+    """Summarise the errors of cells: `BUDGET_QUANTITIES` by name, arrays of one shape with NaN if missing."""
     vs, reading, numerical, total, departure = (np.asarray(cells[name], dtype=float) for name in BUDGET_QUANTITIES)
     absolute = (vs * reading)[np.isfinite(vs * reading)]
     known = vs[np.isfinite(vs)]
@@ -53,20 +53,20 @@ def error_budget(cells: Mapping[Any, ArrayLike]) -> ErrorBudget:
 
 
 def median_known(given: ArrayLike) -> float:
-    """Median of the finite values, NaN without any."""
+    """Median of the finite values; NaN if there are none."""
     values = np.asarray(given, dtype=float)
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else np.nan
 
 
 def budget_text(budget: ErrorBudget) -> str:
-    """Say the standard error of a velocity and what makes it."""
+    """Describe the standard error of a velocity and its parts in one text."""
     total, parts = budget_texts(budget)
     return f"{total} ({parts})"
 
 
 def budget_texts(budget: ErrorBudget) -> tuple[str, str]:
-    """Say the standard error of a velocity, and what makes it."""
+    """Describe the standard error of a velocity, and its parts."""
     if not np.isfinite(budget.total):
         return "unknown", "no error of the reading is stored"
     total, reading, numerical = (f"{100 * part:.2g} %" for part in (budget.total, budget.reading, budget.numerical))

@@ -1,4 +1,4 @@
-"""The eight features of the preferential path that are compared with Vs (Fig. 13 of the paper).
+"""The eight features of the preferential path for comparison with Vs (Fig. 13 of the paper).
 
 The paper's text names five of them (LP, PLLC, QLLC, C_d and C_d,n); the three counts complete the eight of
 its figure. `FEATURES` defines each, in the order of the figures, and `measure_path` computes them.
@@ -18,11 +18,11 @@ class Feature:
     Attributes
     ----------
     name
-        Of the quantity, here and everywhere (`calcidem.storage.records.PathFeatures`).
+        Name of the quantity throughout (`calcidem.storage.records.PathFeatures`).
     symbol
-        As in the paper.
+        Symbol in the paper.
     definition
-        In words.
+        Definition in words.
     """
 
     name: str
@@ -58,7 +58,7 @@ FEATURES = (
 def measure_path(
     path: PreferentialPath, longest_bonded_run: float, weights: ContactWeights, scale: PathScale
 ) -> PathFeatures:
-    """Compute the eight features of a path of one contact or more, for the weights of the search.
+    """Compute the eight features of a path of at least one contact, for the weights of the search.
 
     ``longest_bonded_run`` is the mean over all shortest paths. `ValueError` if both weights are equal, where C_d,n is
     undefined.

@@ -12,7 +12,7 @@ _PARAMETER_COUNT = 3
 """The law has the three parameters a, b and c."""
 
 _START_EXPONENTS = np.concatenate([np.arange(-4.0, 0.0, 0.25), np.arange(0.25, 4.25, 0.25)])
-"""Exponents tried as starting points; 0 is none, since there a C^b and c are the same term."""
+"""Starting exponents; 0 is excluded, since a C^b and c would be the same term."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,12 +26,11 @@ class PowerLawFit:
     a_interval, b_interval, c_interval
         Their confidence intervals.
     covariance
-        Covariance of (a, b, c), shape (3, 3). The three are strongly correlated: use it, not the intervals
-        alone.
+        Covariance of (a, b, c), shape (3, 3). The three are strongly correlated, so the intervals alone do not suffice.
     residuals
-        Measured minus fitted velocity of each sample used, in m/s, shape (n,).
+        Measured minus fitted velocity of each used sample, in m/s, shape (n,).
     residual_standard_deviation
-        Their standard deviation with n - 3 degrees of freedom, in m/s.
+        Standard deviation of the residuals with n - 3 degrees of freedom, in m/s.
     n
         Number of samples used.
     left_out
@@ -51,7 +50,7 @@ class PowerLawFit:
     left_out: int
 
     def predict(self, connectivity: ArrayLike) -> NDArray[np.float64]:
-        """Give the velocity in m/s for positive values of C_d,n, any shape."""
+        """Return the velocity in m/s for positive values of C_d,n, any shape."""
         x = np.asarray(connectivity, dtype=np.float64)
         velocity: NDArray[np.float64] = power_law(x, self.a, self.b, self.c)
         return velocity
@@ -59,11 +58,11 @@ class PowerLawFit:
     def prediction_bounds(
         self, connectivity: ArrayLike, level: float = 0.95
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Give the ends of the interval in which the velocity of a new sample falls with probability `level`, in m/s.
+        """Return the bounds, in m/s, that contain the velocity of a new sample with probability `level`.
 
-        Scatter of a sample and uncertainty of the curve (delta method) together, with Student's t. It takes scatter as
-        equal for all C_d,n, positive, any shape. Where it is not, `leave_one_seed_out` tells how often the interval
-        really holds.
+        They combine scatter of a sample and uncertainty of the curve (delta method) with Student's t. C_d,n is
+        positive, of any shape, and the scatter is assumed equal for all. If it is not, `leave_one_seed_out` gives the
+        true coverage.
         """
         x = np.asarray(connectivity, dtype=np.float64)
         gradient = _power_law_gradient(x, self.a, self.b, self.c)
@@ -76,16 +75,16 @@ class PowerLawFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeaveOneSeedOut:
-    """How well the law predicts the samples of a seed it was not fitted to.
+    """Prediction errors of the law for seeds left out of the fit.
 
     Attributes
     ----------
     errors
-        Measured minus predicted velocity in m/s of every sample used, shape (n,).
+        Measured minus predicted velocity in m/s of every used sample, shape (n,).
     root_mean_square_error
-        Of these errors, in m/s.
+        Root mean square of these errors, in m/s.
     coverage
-        Share of the samples inside their prediction interval, to compare with its level.
+        Share of samples inside their prediction interval, for comparison with its level.
     """
 
     errors: NDArray[np.float64]
@@ -94,7 +93,7 @@ class LeaveOneSeedOut:
 
 
 def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -> PowerLawFit:
-    """Fit Vs = a C^b + c by least squares to positive C_d,n and velocities (m/s), both (n,), NaN where unknown.
+    """Fit Vs = a C^b + c by least squares to positive C_d,n and velocities (m/s), both (n,), NaN if unknown.
 
     ``level`` is that of the parameters' intervals. `ValueError` if shapes disagree, a connectivity is not positive,
     there are fewer than four samples or three different connectivities, or the fit does not converge.
@@ -129,10 +128,10 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
 
 
 def leave_one_seed_out(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike, level: float = 0.95) -> LeaveOneSeedOut:
-    """Predict the samples of each seed from a law fitted to all other seeds; errors as of `fit_power_law`.
+    """Predict the samples of each seed from a law fitted to all other seeds; errors as for `fit_power_law`.
 
-    All contents of a seed are left out together: they share their cement, and a fit that has seen one of them has seen
-    part of the others. Of the prediction interval at ``level`` the coverage is counted.
+    All contents of a seed are left out together, because they share their cement. The coverage is that of prediction
+    intervals at ``level``.
     """
     x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
     seeds = np.asarray(seed)
@@ -157,12 +156,12 @@ def leave_one_seed_out(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike, 
 
 
 def power_law(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[np.float64]:
-    """Give a x^b + c for positive x."""
+    """Return a x^b + c for positive x."""
     return a * x**b + c
 
 
 def _power_law_gradient(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[np.float64]:  # noqa: ARG001 - curve_fit's signature
-    """Give the derivatives of the law by a, b and c, shape (..., 3)."""
+    """Return the derivatives of the law with respect to a, b and c, shape (..., 3)."""
     power = x**b
     return np.stack([power, a * power * np.log(x), np.ones_like(x)], axis=-1)
 
@@ -181,7 +180,7 @@ def _known_samples(connectivity: ArrayLike, vs: ArrayLike) -> tuple[NDArray[np.f
 
 
 def _starting_point(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Start from the best of some exponents, each with its best a and c, which are linear."""
+    """Start from the best of several exponents, each with optimal linear parameters a and c."""
     best, smallest = np.zeros(3), np.inf
     for exponent in _START_EXPONENTS:
         design = np.stack([x**exponent, np.ones_like(x)], axis=1)

@@ -1,9 +1,8 @@
-"""Where a mean, a standard deviation or one further sample lies.
+"""Intervals of a mean, a standard deviation or one further sample.
 
-Every function takes the values of one sample, shape (n,), finite and independent, in any unit, and returns an
-`Interval` in the same unit. Its docstring names the assumption it rests on. Where an interval is undefined
-(too few values) both ends are NaN. All values equal (the uncemented sample is the same for every seed) is no
-error: the interval then has no width.
+Every function takes finite and independent values of one sample, shape (n,), in any unit, and returns an `Interval`
+in the same unit. Its docstring names its assumption. If an interval is undefined (too few values) both ends are NaN.
+Equal values (the uncemented sample is the same for every seed) give an interval of zero width.
 """
 
 import math
@@ -12,11 +11,11 @@ from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
-import scipy  # whose parts load when they are used: commands that answer at once and ranks need none of them
+import scipy  # loads its submodules on use: quick commands and ranks need none of them
 from numpy.typing import NDArray
 
 BOOTSTRAP_SEED = 20_240_501
-"""Resampling draws the same numbers in every run, so that a report can be reproduced to the last digit."""
+"""Seed of resampling, which makes reports reproducible to the last digit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +25,7 @@ class Interval:
     Attributes
     ----------
     low, high
-        The two ends, in the unit of the quantity; NaN where the interval is undefined.
+        Ends, in the unit of the quantity; NaN if the interval is undefined.
     """
 
     low: float
@@ -38,30 +37,30 @@ class Interval:
         return (self.high - self.low) / 2
 
     def contains(self, value: float) -> bool:
-        """Say whether `value` lies between the ends, which belong to the interval."""
+        """Return whether `value` lies in the interval, ends included."""
         return self.low <= value <= self.high
 
 
 _LAST_STEP = 1e-14
-"""Relative size of the step with which Newton's method ends: rounding alone."""
+"""Relative step at which Newton's method ends, at the level of rounding."""
 
 _FEWEST_FOR_KURTOSIS = 8
-"""Below this the kurtosis of a sample is too uncertain to correct an interval for it."""
+"""Fewest values for an interval corrected by kurtosis; below, the kurtosis is too uncertain."""
 
 UNDEFINED = Interval(math.nan, math.nan)
 
 
 def mean_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Give the confidence interval of the mean by Student's t, exact for normal values."""
+    """Return the confidence interval of the mean by Student's t, exact for normal values."""
     return _around_mean(values, level, lambda n: 1 / n)
 
 
 def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Give the confidence interval of the standard deviation: by chi-square below 8 values, by Bonett from there on.
+    """Return the confidence interval of the standard deviation: chi-square below 8 values, Bonett from 8 on.
 
-    Chi-square is exact for normal values and misses more often the more the kurtosis exceeds 3, however large n is. The
-    other is corrected for the sample's kurtosis (Bonett 2006, doi:10.1016/j.csda.2004.10.003). A percentile or BCa
-    bootstrap of a few values covers far less than it promises: 57 % instead of 95 % of four normal values.
+    Chi-square is exact for normal values; for any n its coverage falls as the kurtosis exceeds 3. Bonett's interval is
+    corrected for the sample's kurtosis (Bonett 2006, doi:10.1016/j.csda.2004.10.003). A percentile or BCa bootstrap of
+    few values has far too little coverage: 57 % instead of 95 % for four normal values.
     """
     n = values.size
     if n <= 1:
@@ -83,15 +82,15 @@ def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95
 
 
 def prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Give the interval in which one new value falls with probability `level`, if the values are normal.
+    """Return the interval that contains one new value with probability `level`, for normal values.
 
-    mean -/+ t s sqrt(1 + 1/n), with t the quantile of Student's distribution with n - 1 degrees of freedom.
+    It is mean -/+ t s sqrt(1 + 1/n) with the quantile t of Student's distribution with n - 1 degrees of freedom.
     """
     return _around_mean(values, level, lambda n: 1 + 1 / n)
 
 
 def difference_interval(values: NDArray[np.float64], references: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Give the confidence interval of the mean of one sample less that of another one; the variances may differ.
+    """Return the confidence interval of the difference of two means, values minus references; variances may differ.
 
     Welch (1947), doi:10.1093/biomet/34.1-2.28.
     """
@@ -108,7 +107,7 @@ def difference_interval(values: NDArray[np.float64], references: NDArray[np.floa
 
 
 def _around_mean(values: NDArray[np.float64], level: float, variance: Callable[[int], float]) -> Interval:
-    """Interval of Student's t around the mean, of a variance in units of that of the values."""
+    """Student's t interval around the mean, with a variance relative to that of the values."""
     n = values.size
     if n <= 1:
         return UNDEFINED
@@ -118,10 +117,10 @@ def _around_mean(values: NDArray[np.float64], level: float, variance: Callable[[
 
 
 def _student_quantile(freedom: int, probability: float) -> float:
-    """Quantile of Student's t: that of `scipy.special.stdtrit`, which takes longer to load than a status to show.
+    """Quantile of Student's t, as `scipy.special.stdtrit`, which loads too slowly for the status.
 
-    Newton's method begins at the normal quantile, which is smaller. From there on the distribution is concave, so that
-    no step goes beyond the quantile.
+    Newton's method starts at the normal quantile, which is smaller. From there on the distribution is concave, so no
+    step overshoots the quantile.
 
     Parameters
     ----------
@@ -151,14 +150,14 @@ def _student_quantile(freedom: int, probability: float) -> float:
 
 
 def ordered_prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Give a prediction interval for one new value that assumes no distribution, and holds at least `level`.
+    """Return a distribution-free prediction interval for one new value, with a probability of at least `level`.
 
-    A new value falls between the j-th smallest and the j-th largest of n with probability (n + 1 - 2 j) / (n + 1); the
-    largest j that still gives `level` is taken (Wilks 1941, doi:10.1214/aoms/1177731788). Undefined below
+    A new value falls between the j-th smallest and the j-th largest of n with probability (n + 1 - 2 j) / (n + 1). The
+    largest j that reaches `level` is used (Wilks 1941, doi:10.1214/aoms/1177731788). Undefined below
     n = 2 / (1 - level) - 1 (39 values for 95 %).
     """
     n = values.size
-    rank = math.floor((1 - level) * (n + 1) / 2 + 1e-9)  # 0.05 * 40 / 2 must give 1 in spite of round-off
+    rank = math.floor((1 - level) * (n + 1) / 2 + 1e-9)  # 0.05 * 40 / 2 must give 1 despite round-off
     if rank < 1:
         return UNDEFINED
     ordered = np.sort(values)
@@ -166,12 +165,12 @@ def ordered_prediction_interval(values: NDArray[np.float64], level: float = 0.95
 
 
 def mean(values: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
-    """Give the mean along an axis; of equal values exactly that value."""
+    """Return the mean along an axis; exact for equal values."""
     first = np.take(values, 0, axis)
     return np.asarray(first + np.mean(values - np.expand_dims(first, axis), axis=axis))
 
 
 def standard_deviation(values: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
-    """Give the standard deviation along an axis, with n - 1 in the denominator; of equal values exactly zero."""
+    """Return the standard deviation along an axis, with denominator n - 1; exactly zero for equal values."""
     first = np.take(values, [0], axis)
     return np.asarray(np.std(values - first, axis=axis, ddof=1))

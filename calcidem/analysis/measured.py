@@ -1,4 +1,4 @@
-"""Velocities measured in a laboratory beside those of a campaign."""
+"""Comparison of a campaign with laboratory velocities."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from calcidem.analysis.distribution import ContentDistribution
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What was measured at one content.
+    """Laboratory measurement at one content.
 
     Attributes
     ----------
@@ -20,9 +20,9 @@ class Target:
     vs
         Mean, m/s.
     sd
-        Standard deviation between samples, m/s; None if it is not known or not to be fitted.
+        Standard deviation between samples, m/s; None if unknown or not to be fitted.
     samples
-        Number of samples that both are from; None if they are taken as exact.
+        Number of samples of both; None if they count as exact.
     """
 
     content: float
@@ -33,22 +33,22 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """A campaign beside what was measured at one content.
+    """Comparison of a campaign with a measurement at one content.
 
     Attributes
     ----------
     measured
-        What was measured.
+        Measurement.
     mean, standard_deviation
-        Of the campaign there, m/s; between its contents by straight lines.
+        Values of the campaign there, m/s, interpolated linearly between its contents.
     interpolated
-        Whether the campaign lacks the content itself.
+        True if the campaign lacks the content itself.
     difference
-        Mean less the measured one, over the measured one.
+        Relative difference of the mean from the measured one.
     standard_errors
-        The same in standard errors of the difference of both means; NaN where nothing scatters.
+        Difference of both means over its standard error; NaN without scatter.
     deviation_ratio
-        Standard deviation over the measured one; NaN where that is not known.
+        Standard deviation over the measured one; NaN if the latter is unknown.
     """
 
     measured: Target
@@ -61,9 +61,9 @@ class Misfit:
 
 
 def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Target]) -> tuple[Misfit, ...]:
-    """Compare a campaign with measured velocities; those outside the range of its contents are left out.
+    """Compare a campaign with measured velocities, except those outside the range of its contents.
 
-    The distributions are of each content, ascending; contents without a velocity do not count.
+    The distributions are in order of content; contents without a velocity do not count.
     """
     rows = [row for row in distributions if row.vs.n]
     contents = np.array([row.content for row in rows])
@@ -75,7 +75,7 @@ def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Tar
 
 
 _EQUAL_CONTENTS = 1e-6
-"""Percent by which two contents differ that are the same: they come out of text."""
+"""Largest difference of equal contents, percent, since they are parsed from text."""
 
 
 def _misfit(rows: Sequence[ContentDistribution], contents: np.ndarray, target: Target) -> Misfit:
@@ -96,5 +96,5 @@ def _misfit(rows: Sequence[ContentDistribution], contents: np.ndarray, target: T
 
 
 def root_mean_square_misfit(found: Sequence[Misfit]) -> float:
-    """Root mean square of the relative differences of the means; NaN of none."""
+    """Root mean square of the relative differences of the means; NaN if there are none."""
     return float(np.sqrt(np.mean([one.difference**2 for one in found]))) if found else math.nan

@@ -1,4 +1,4 @@
-"""Measured, failed and not yet computed cells of a matrix of seeds and contents, counted apart."""
+"""Separate counts of measured, failed and missing cells in a matrix of seeds and contents."""
 
 import numpy as np
 import xarray as xr
@@ -11,15 +11,15 @@ _NOT_COMPUTED = ""
 
 
 def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.Dataset:
-    """Count the cells of each content by what became of them.
+    """Count the cells of each content by outcome.
 
-    A cell that is missing because it was not computed yet says nothing about Vs. A cell that failed may well do (the
-    slow samples are the ones whose arrival is hard to see), so the two are never added up.
+    A cell that was not computed yet carries no information about Vs. A failed cell may, since the arrival of slow
+    samples is hard to pick. The two are therefore never added.
 
-    Both are along (seed, content): Vs in m/s, NaN where there is none, and the outcome as text, "done" where Vs is a
-    number, "" where the cell was not computed, any other text for a failure of that name. Without it every NaN counts
-    as not computed. Given are `measured`, `missing` and `failed` along content, and `failures` along (outcome,
-    content). `ValueError` if `vs` has other dimensions, an infinite value, or disagrees with `status`.
+    Both arguments are along (seed, content): Vs in m/s, NaN if missing, and the outcome as text. It is "done" if Vs is
+    a number, "" if the cell was not computed, and else the name of the failure. Without `status` every NaN counts as
+    not computed. Returns `measured`, `missing` and `failed` along content, and `failures` along (outcome, content).
+    `ValueError` if `vs` has other dimensions, an infinite value, or disagrees with `status`.
     """
     vs = arrange_matrix(vs)
     measured = np.isfinite(vs.to_numpy())
@@ -39,7 +39,7 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
 
 
 def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
-    """Outcome of each cell as text along (seed, content), empty where there is none, from its `STATUS_CODES`."""
+    """Outcome of each cell as text along (seed, content), from its `STATUS_CODES`; empty if there is none."""
     names = np.full(max(STATUS_CODES.values()) + 1, _NOT_COMPUTED, dtype=object)
     for name, code in STATUS_CODES.items():
         if name not in (CellStatus.PENDING, CellStatus.DAMAGED, NOT_PLANNED):

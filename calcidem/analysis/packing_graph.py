@@ -1,4 +1,4 @@
-"""From a stored packing and a stored cement pattern to the contact graph and its path features."""
+"""Contact graph and path features from a stored packing and cement pattern."""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -15,20 +15,20 @@ from calcidem.storage.records import CementPattern, PackingRecord, PathFeatures
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackingGraph:
-    """The contacts of a packing, and what turns its paths into features.
+    """Contacts of a packing, and the data that turn its paths into features.
 
     Attributes
     ----------
     packing
         The disks.
     graph
-        Their contacts and the grains at transmitter and receiver.
+        Contacts, and grains at transmitter and receiver.
     weights
         Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains.
     scale
         Distance between transmitter and receiver, and median diameter by count.
     in_column
-        Which contacts lie at the height of the receiver, shape (m,).
+        True for contacts at the height of the receiver, shape (m,).
     """
 
     packing: PackingRecord
@@ -39,11 +39,11 @@ class PackingGraph:
     _keys: NDArray[np.int64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Number the contacts, for each pattern asks where its own are."""
+        """Number the contacts for fast lookup by patterns."""
         object.__setattr__(self, "_keys", _contact_keys(self.graph.pairs, self.graph.grain_count))
 
     def bonded(self, cement: CementPattern) -> NDArray[np.bool_]:
-        """Give which contacts of the graph are cemented, shape (m,).
+        """Return True for cemented contacts of the graph, shape (m,).
 
         `ValueError` if the pattern cements two grains that do not touch.
         """
@@ -52,17 +52,17 @@ class PackingGraph:
         return mask
 
     def kinds(self, cement: CementPattern) -> NDArray[np.uint8]:
-        """Give 0 (sand), 1 (P) or 2 (C) for each contact of the graph, shape (m,); errors as `bonded`."""
+        """Return 0 (sand), 1 (P) or 2 (C) for each contact of the graph, shape (m,); errors as for `bonded`."""
         kinds = np.zeros(self.graph.contact_count, dtype=np.uint8)
         kinds[self._rows(cement.contacts)] = cement.kind
         return kinds
 
     def column_share(self, bonded: NDArray[np.bool_]) -> float:
-        """Share of the contacts at the height of the receiver that are cemented; NaN if there are none."""
+        """Share of cemented contacts at the height of the receiver; NaN if there are no contacts."""
         return float(np.mean(bonded[self.in_column])) if self.in_column.any() else np.nan
 
     def path(self, bonded: NDArray[np.bool_], known: tuple[int, ...] = ()) -> PreferentialPath:
-        """Give the preferential path of a sample with these cemented contacts (m,); known grains save the search.
+        """Return the preferential path of a sample with these cemented contacts (m,); known grains save the search.
 
         `ValueError` if no chain of contacts joins transmitter and receiver.
         """
@@ -72,15 +72,15 @@ class PackingGraph:
         return PreferentialPath(known, tuple(flags.tolist()))
 
     def shortest_paths(self, bonded: NDArray[np.bool_]) -> ShortestPaths:
-        """Search the shortest paths of one sample; argument and errors as `path`."""
+        """Search the shortest paths of one sample; argument and errors as for `path`."""
         return ShortestPaths.search(self.graph, bonded, self.weights)
 
     def features(self, paths: ShortestPaths) -> PathFeatures:
-        """Give the features of the shortest paths of one sample."""
+        """Return the features of the shortest paths of one sample."""
         return measure_path(paths.first(), paths.mean_longest_bonded_run(), self.weights, self.scale)
 
     def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Find the row of each pair among the contacts, whose pairs are sorted."""
+        """Find the row of each pair in the sorted contacts."""
         wanted = _contact_keys(np.asarray(pairs, dtype=np.int64).reshape(-1, 2), self.graph.grain_count)
         rows = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
         strange = self._keys[rows] != wanted
@@ -94,10 +94,10 @@ class PackingGraph:
 
 
 def packing_graph(packing: PackingRecord, transmitter_half_width: float, receiver_half_width: float) -> PackingGraph:
-    """Make the graph of a packing.
+    """Build the graph of a packing.
 
-    Grains that touch the left or the right wall within the half-width (m) of a band around mid-height transmit and
-    receive. `ValueError` if no grain touches one of the bands.
+    Transmitter and receiver grains touch the left and the right wall within a half-width (m) of mid-height.
+    `ValueError` if no grain touches one of the bands.
     """
     off_centre = np.abs(packing.y - packing.height / 2)
     graph = ContactGraph(
@@ -117,7 +117,7 @@ def packing_graph(packing: PackingRecord, transmitter_half_width: float, receive
 
 
 def _touching_pairs(x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Give the pairs of disks that overlap, shape (m, 2), both columns sorted; positions and radii in m."""
+    """Return the pairs of overlapping disks, shape (m, 2), both columns sorted; positions and radii in m."""
     centres = np.column_stack([x, y])
     near = cKDTree(centres).query_pairs(2 * float(radius.max()), output_type="ndarray")
     pairs = np.sort(near.astype(np.int64).reshape(-1, 2), axis=1)

@@ -1,9 +1,8 @@
-"""The shortest path for every ratio of the two weights at once.
+"""Shortest paths for all ratios of the two weights at once.
 
 With omega_h = 1 and r = omega_LPB / omega_h, a path of N_h sand and N_LPB cemented contacts has length N_h +
-r N_LPB: a straight line over r. The length of the shortest path is the lower envelope of these lines, and it
-has only a few corners. So instead of a search for every sample and every ratio, the envelope of a sample is
-found with a few searches and then holds exactly for all ratios.
+r N_LPB, a straight line over r. The length of the shortest path is the lower envelope of these lines, which has
+few corners. A few searches therefore give the exact envelope of a sample for all ratios.
 """
 
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from calcidem.analysis.contact_graph import ContactGraph, contacts_on_path
 
 
 class PathLine(NamedTuple):
-    """Numbers of contacts on a path, which make the line N_h + r N_LPB over the ratio r.
+    """Numbers of contacts on a path, which define the line N_h + r N_LPB over the ratio r.
 
     Attributes
     ----------
@@ -31,15 +30,14 @@ class PathLine(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PathEnvelope:
-    """The shortest path length of one sample as a function of the weight ratio.
+    """Shortest path length of one sample over the weight ratio.
 
     Attributes
     ----------
     lines
-        The paths that are shortest somewhere, in order of the ratio: N_LPB falls and N_h grows from each to
-        the next.
+        Paths that are shortest at some ratio, in order of the ratio: N_LPB falls and N_h grows from each to the next.
     low, high
-        The ratios between which the envelope holds.
+        Range of ratios of the envelope.
     """
 
     lines: tuple[PathLine, ...]
@@ -47,7 +45,7 @@ class PathEnvelope:
     high: float
 
     def connectivity(self, ratio: ArrayLike) -> NDArray[np.float64]:
-        """Give C_d for omega_h = 1 and these omega_LPB, any shape; `ValueError` outside of `low` and `high`."""
+        """Return C_d for omega_h = 1 and these omega_LPB, any shape; `ValueError` outside of `low` and `high`."""
         ratios = np.asarray(ratio, dtype=np.float64)
         if ratios.size and not (self.low <= ratios.min() and ratios.max() <= self.high):
             raise ValueError(
@@ -60,13 +58,14 @@ class PathEnvelope:
 
 
 def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, high: float = 0.99) -> PathEnvelope:
-    """Find the envelope of one sample, of whose contacts ``bonded`` (m,) are cemented, for 0 < low < high <= 1.
+    """Return the envelope of one sample with cemented contacts ``bonded`` (m,), for 0 < low < high <= 1.
 
-    `ValueError` if that range is another, or no chain of contacts joins transmitter and receiver.
+    `ValueError` for another range, or if no chain of contacts joins transmitter and receiver.
 
-    Eisner and Severance (1976), doi:10.1145/321978.321982: find the shortest paths at both ends of the range and cut
-    their lines; at the cut search again. A path shorter there is a new line, and both halves are treated alike; if
-    there is none, the cut is a corner. k lines take at most 2 k searches or so, and comparing them needs only integers.
+    Eisner and Severance (1976), doi:10.1145/321978.321982: find the shortest paths at both ends of the range and
+    intersect their lines, then search at the intersection. A shorter path there is a new line, and both halves are
+    treated alike; otherwise the intersection is a corner. k lines take at most about 2 k searches, and their comparison
+    needs only integers.
     """
     if not 0 < low < high <= 1:
         raise ValueError(f"low = {low} and high = {high}; they must satisfy 0 < low < high <= 1")
@@ -96,8 +95,8 @@ def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, hig
 def _strictly_shortest(found: list[PathLine], low: float, high: float) -> tuple[PathLine, ...]:
     """Drop the lines that only touch the envelope, at a corner or at an end of the range.
 
-    A search there may return any of the paths that tie. Equal corners are equal numbers, since each is the
-    quotient of two integers, rounded once.
+    A search there may return any of the tied paths. Equal corners are equal numbers, since each is the quotient of two
+    integers, rounded once.
     """
     lines: list[PathLine] = []
     for line in found:
@@ -109,12 +108,12 @@ def _strictly_shortest(found: list[PathLine], low: float, high: float) -> tuple[
 
 
 def _corner(before: PathLine, after: PathLine) -> float:
-    """Give the ratio at which two different lines cut."""
+    """Return the ratio at which two different lines intersect."""
     return (after.hertz_contacts - before.hertz_contacts) / (before.bonded_contacts - after.bonded_contacts)
 
 
 def _shorter_at_corner(middle: PathLine, left: PathLine, right: PathLine) -> bool:
-    """Say whether `middle` is strictly shorter where the other two cut; in integers, so without round-off."""
+    """Return whether `middle` is strictly shorter where the others intersect; in integers, without round-off."""
     rise = right.hertz_contacts - left.hertz_contacts
     run = left.bonded_contacts - right.bonded_contacts
     hertz_gain = left.hertz_contacts - middle.hertz_contacts

@@ -1,4 +1,4 @@
-"""How many seeds a campaign needs: Monte-Carlo error against number of samples."""
+"""Number of seeds that a campaign needs: Monte-Carlo error over number of samples."""
 
 import math
 from collections.abc import Sequence
@@ -18,25 +18,25 @@ from calcidem.analysis.intervals import (
 from calcidem.analysis.intervals import mean as mean_of
 
 _SMALLEST_COUNT = 3
-"""Fewer values than this always have the same skewness."""
+"""Fewest values; fewer always have the same skewness."""
 
 
 @dataclass(frozen=True, slots=True)
 class SeedPlan:
-    """How many seeds make the confidence interval of a mean as narrow as asked.
+    """Number of seeds for a requested confidence interval of a mean.
 
     Attributes
     ----------
     half_width
         Requested half-width, in the unit of the values.
     present, present_half_width
-        Seeds with a velocity there are, and the half-width they give.
+        Present seeds with a velocity, and their half-width.
     unreadable
-        Seeds that gave none.
+        Seeds without a readable velocity.
     needed
-        Seeds with a velocity needed in all, if the standard deviation is the one measured.
+        Total seeds with a velocity needed, for the measured standard deviation.
     needed_low, needed_high
-        The same at the two ends of the confidence interval of the standard deviation.
+        The same at both ends of the confidence interval of the standard deviation.
     """
 
     half_width: float
@@ -49,17 +49,17 @@ class SeedPlan:
 
     @property
     def more(self) -> int:
-        """Seeds still to be computed, if as many of them as so far give no velocity."""
+        """Seeds still to be computed, if the same share as so far gives no velocity."""
         return math.ceil(max(0, self.needed - self.present) * (self.present + self.unreadable) / self.present)
 
 
 def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0.95) -> int:
-    """Smallest number of seeds whose mean has an interval of at most this half-width, in the unit of the deviation."""
+    """Smallest number of seeds for an interval of the mean of at most this half-width, in the unit of the deviation."""
     if not (math.isfinite(standard_deviation) and standard_deviation >= 0):
         raise ValueError(f"standard_deviation is {standard_deviation}; it must be a finite number, not negative")
     if not half_width > 0:
         raise ValueError(f"half_width is {half_width}; it must be positive")
-    # The normal quantile gives too few, by two or three: Student's is larger.
+    # The normal quantile gives two or three too few, since Student's is larger.
     quantile = float(stats.norm.ppf((1 + level) / 2))
     n = max(2, math.ceil((quantile * standard_deviation / half_width) ** 2))
     while mean_half_width(standard_deviation, n, level) > half_width:
@@ -68,10 +68,10 @@ def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0
 
 
 def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95, unreadable: int = 0) -> SeedPlan:
-    """Plan the seeds of one content from the values that it has (n,), NaN left out, and those that gave no velocity.
+    """Plan the seeds of one content from its values (n,), without NaN, and its seeds without a velocity.
 
-    ``level`` is that of the planned interval, and of the deviation's that gives the range of the plan. `ValueError` if
-    there are fewer than two values, or the half-width, in their unit, is not positive.
+    ``level`` applies to the planned interval and to the interval of the deviation, which gives the range of the plan.
+    `ValueError` for fewer than two values, or if the half-width, in their unit, is not positive.
     """
     sample = _finite_values(values)
     deviation = float(standard_deviation(sample))
@@ -88,23 +88,23 @@ def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95, unread
 
 
 FEWEST_READ = 0.5
-"""Part of the seeds that has to have a velocity: of fewer, more seeds do not make the mean of all known."""
+"""Smallest share of seeds with a velocity; below it, more seeds do not determine the mean of all."""
 
 _ADDED_TOGETHER = 8
-"""Seeds are added in multiples of this number, which fill the lanes of a batch."""
+"""Seeds are added in multiples of this number to fill the lanes of a batch."""
 
 
 def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, sd: float | None = None) -> int:
-    """Give the number of seeds that a content should have next, so that its intervals become as narrow as asked.
+    """Return the next number of seeds of a content on the way to the requested intervals.
 
-    That is the number n of values (NaN where a seed gave none) once they are, or once there are `most`; else what the
-    intervals so far suggest, but at most twice as many as there are. The result depends on the values alone, whoever
-    computed them. Where fewer than half of the seeds have a value, no more are added. ``mean`` and ``sd`` are the
-    largest half-widths of the 95 % intervals of mean and standard deviation, relative to these; None for any.
+    It stays at the number n of values (NaN if a seed gave none) once the intervals suffice or n reaches `most`.
+    Otherwise the present intervals suggest it, up to twice n. The result depends only on the values. If fewer than half
+    of the seeds have a value, no more are added. ``mean`` and ``sd`` are the largest relative half-widths of the 95 %
+    intervals of mean and standard deviation; None for any.
 
-    The interval is looked at again and again, which makes one that is narrow by chance more likely to be the last (Chow
-    & Robbins 1965, doi:10.1214/aoms/1177700156). From 8 seeds on it still holds the mean, or the standard deviation, in
-    93 to 96 % of cases (normal and log-normal, sd/mean .05 to .25; tests/analysis/test_planning.py).
+    Repeated checks favour stopping at an interval that is narrow by chance (Chow & Robbins 1965,
+    doi:10.1214/aoms/1177700156). From 8 seeds on it still contains the mean, or the standard deviation, in 93 to 96 %
+    of cases (normal and log-normal, sd/mean .05 to .25; tests/analysis/test_planning.py).
     """
     sample = np.asarray(values, dtype=np.float64)
     count, known = sample.size, sample[np.isfinite(sample)]
@@ -125,13 +125,12 @@ def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, 
 
 
 def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, replicates: int = 2000) -> xr.Dataset:
-    """Give the half-widths that mean, standard deviation and skewness would have with 3 and more seeds.
+    """Forecast the half-widths of mean, standard deviation and skewness for at least 3 seeds.
 
-    They are along `count`, the first two in the unit of the values (n,), of which NaN are left out. The mean's is
-    t s / sqrt(count). The other two assume no distribution: `count` values are drawn from the sample with replacement
-    again and again, and half the width of the central `level` of the results is taken. That is a forecast from the
-    values so far; from few of them it understates skewness, which rare values make. `ValueError` for fewer than two
-    values, or a count below 3.
+    They are along `count`, the first two in the unit of the values (n,); NaN are left out. That of the mean is
+    t s / sqrt(count). The other two are bootstrap results without assumed distribution: half the width of the central
+    `level` over samples of `count` values. Few values underestimate the half-width of skewness, which depends on rare
+    values. `ValueError` for fewer than two values, or a count below 3.
     """
     sample = _finite_values(values)
     if min(counts, default=_SMALLEST_COUNT) < _SMALLEST_COUNT:
@@ -141,7 +140,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, rep
     mean, spread, skew = [], [], []
     for count in counts:
         resampled = sample[generator.integers(sample.size, size=(replicates, count))]
-        varied = resampled[np.ptp(resampled, axis=1) > 0]  # a resample of equal values has no skewness
+        varied = resampled[np.ptp(resampled, axis=1) > 0]  # equal values have no skewness
         mean.append(mean_half_width(deviation, count, level))
         spread.append(_half_of_central(np.std(resampled, axis=1, ddof=1), level))
         skew.append(_half_of_central(stats.skew(varied, axis=1), level) if len(varied) else math.nan)
@@ -153,7 +152,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, rep
 
 
 def mean_half_width(deviation: float, n: int, level: float) -> float:
-    """Half of the width of the interval that holds the mean of n samples, in the unit of the deviation."""
+    """Half-width of the interval of the mean of n samples, in the unit of the deviation."""
     return float(stats.t.ppf((1 + level) / 2, n - 1)) * deviation / math.sqrt(n)
 
 

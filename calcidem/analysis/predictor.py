@@ -1,8 +1,8 @@
-"""Vs of a sample that was not simulated, and an interval: from its content, and from features of its cement.
+"""Prediction of Vs, with an interval, for samples that were not simulated, from content and features of the cement.
 
-Each content has a predictor of its own, so that the interval is as wide as Vs scatters there. The logarithm of Vs is
-linear in the features (least squares). The interval has the quantiles of the errors of samples that the regression has
-not seen. It assumes no distribution and is never negative.
+Each content has its own predictor, so the interval reflects the scatter of Vs there. The logarithm of Vs is linear in
+the features (least squares). The interval uses quantiles of leave-one-out errors. It assumes no distribution and is
+never negative.
 """
 
 import math
@@ -15,26 +15,26 @@ from scipy import stats
 from calcidem.analysis.intervals import Interval
 
 FEWEST_ROWS = 3
-"""Samples that a predictor needs beside one for each feature."""
+"""Samples that a predictor needs in addition to one for each feature."""
 
 _CONSTANT = 1e-12
-"""Relative size below which a feature does not vary."""
+"""Relative variation below which a feature is constant."""
 
 Matrix = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Vs of a sample that was not simulated.
+    """Prediction of Vs for a sample that was not simulated.
 
     Attributes
     ----------
     vs
-        Its median, m/s.
+        Median, m/s.
     interval
-        In which it falls with the given probability, m/s.
+        Interval with the given probability, m/s.
     uses_features
-        Whether features had a part in it; otherwise the content alone made it.
+        False if the prediction depends on the content alone.
     """
 
     vs: float
@@ -44,14 +44,14 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VelocityPredictor:
-    """A predictor for one content; see `fit_predictor`.
+    """Predictor for one content; see `fit_predictor`.
 
     Attributes
     ----------
     centre, slopes
-        Logarithm of Vs (m/s) where all features are zero, and its change with each, shape (k,).
+        Logarithm of Vs (m/s) at zero features, and its slope with each feature, shape (k,).
     errors
-        Logarithm of Vs of each sample less that predicted without it, shape (n,).
+        Logarithm of Vs of each sample minus its prediction without this sample, shape (n,).
     level
         Probability of the intervals.
     """
@@ -62,17 +62,17 @@ class VelocityPredictor:
     level: float
 
     def predict(self, features: ArrayLike = ()) -> Prediction:
-        """Predict a sample from its features, shape (k,), in the order of those fitted."""
+        """Predict a sample from its features, shape (k,), in the order of the fit."""
         logarithm = self.centre + float(np.asarray(features, dtype=np.float64) @ self.slopes)
         low, middle, high = np.exp(logarithm + self._quantiles()).tolist()
         return Prediction(middle, Interval(low, high), bool(self.slopes.any()))
 
     def _quantiles(self) -> Matrix:
-        """Ends of the interval and median of an error.
+        """Quantiles of the errors for the interval and the median.
 
-        A new error falls below the j-th smallest of n with probability j / (n + 1), and ranks between whole ones are
-        interpolated (Hyndman & Fan 1996, doi:10.1080/00031305.1996.10473566, definition 6). Too few errors to have
-        such ranks are taken as normal.
+        A new error falls below the j-th smallest of n with probability j / (n + 1); fractional ranks are interpolated
+        (Hyndman & Fan 1996, doi:10.1080/00031305.1996.10473566, definition 6). With too few errors for such ranks, a
+        normal distribution is assumed.
         """
         tail, count = (1.0 - self.level) / 2.0, self.errors.size
         if tail * (count + 1) >= 1.0 - 1e-9:
@@ -84,9 +84,9 @@ class VelocityPredictor:
 def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> VelocityPredictor:
     """Fit the predictor of one content by least squares to features (n, k) and positive velocities (n,), m/s.
 
-    With k of 0 the content alone is left, and so are features that do not vary. `ValueError` if there are fewer than
-    three samples more than features, or lengths differ. The error of a left-out sample is that of the fit to all over
-    one less its own influence (Allen 1974, doi:10.1080/00401706.1974.10489157).
+    For k = 0 or constant features the content alone is used. `ValueError` if there are fewer than k + 3 samples, or
+    lengths differ. The error of a left-out sample is its residual in the full fit over one minus its leverage (Allen
+    1974, doi:10.1080/00401706.1974.10489157).
     """
     x, y = np.asarray(features, dtype=np.float64), np.log(np.asarray(vs, dtype=np.float64))
     if x.ndim != 2 or len(x) != len(y) or len(y) < FEWEST_ROWS + x.shape[1]:  # noqa: PLR2004 - a table
@@ -96,7 +96,7 @@ def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> Ve
     scale = np.linalg.norm(centred, axis=0)
     varied = scale > _CONSTANT * np.linalg.norm(x, axis=0)
     standard = centred[:, varied] / scale[varied]
-    # The pseudo-inverse, since features may depend on one another: some of a path are sums of others.
+    # Pseudo-inverse, since features may be linearly dependent: some of a path are sums of others.
     inverse = np.linalg.pinv(standard, rcond=1e-9)
     weights = inverse @ (y - y.mean())
     influence = np.einsum("ik,ki->i", standard, inverse) + 1.0 / y.size
@@ -107,9 +107,9 @@ def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> Ve
 
 
 def interval_score(interval: Interval, value: float, level: float) -> float:
-    """Width of an interval, and 2 / (1 - level) times the distance of a value that lies outside; smaller is better.
+    """Width of an interval plus 2 / (1 - level) times the distance of a value outside; smaller is better.
 
-    Gneiting & Raftery (2007), doi:10.1198/016214506000001437, Eq. 43; it is least on average for the true quantiles.
+    Gneiting & Raftery (2007), doi:10.1198/016214506000001437, Eq. 43; its mean is smallest for the true quantiles.
     """
     outside = max(0.0, interval.low - value, value - interval.high)
     return interval.high - interval.low + 2.0 / (1.0 - level) * outside
@@ -117,14 +117,14 @@ def interval_score(interval: Interval, value: float, level: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictorCheck:
-    """How the predictor of a content fares on samples that it was not fitted to.
+    """Performance of the predictor of a content on samples left out of the fit.
 
     Attributes
     ----------
     inside
-        Whether each sample lay in its interval, shape (n,).
+        True for samples in their interval, shape (n,).
     scores
-        Interval score of each in m/s, shape (n,).
+        Interval score of each sample in m/s, shape (n,).
     """
 
     inside: NDArray[np.bool_]
@@ -132,12 +132,12 @@ class PredictorCheck:
 
     @property
     def n(self) -> int:
-        """Number of samples, each of a seed of its own."""
+        """Number of samples, each of a different seed."""
         return self.scores.size
 
     @property
     def coverage(self) -> float:
-        """Share of the samples in their interval."""
+        """Share of samples in their interval."""
         return float(self.inside.mean())
 
     @property
@@ -147,7 +147,7 @@ class PredictorCheck:
 
 
 def check_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> PredictorCheck:
-    """Predict each sample of one content from all others; arguments and errors of `fit_predictor`, one sample more."""
+    """Predict each sample of one content from all others; as `fit_predictor`, but with at least one more sample."""
     x, y = np.asarray(features, dtype=np.float64), np.asarray(vs, dtype=np.float64)
     intervals = [
         fit_predictor(np.delete(x, out, axis=0), np.delete(y, out), level).predict(x[out]).interval

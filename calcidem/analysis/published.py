@@ -1,8 +1,8 @@
 """The printed numbers of the study this project reproduces, as data.
 
 "Sand Stiffness Variability Induced by Stochastic Distributions of Calcite Precipitates: A Monte Carlo-DEM
-Study", Tables 1 to 4 and section 3.2.1. They stand in `published.toml` beside this file as they were printed;
-whether they agree with one another is the business of docs/reproduction/published_check.py.
+Study", Tables 1 to 4 and section 3.2.1. `published.toml` in this folder has them as printed;
+docs/reproduction/published_check.py checks their consistency.
 """
 
 import tomllib
@@ -24,13 +24,13 @@ class PublishedVelocity:
     Attributes
     ----------
     stage
-        Roman numeral of the stage it belongs to.
+        Roman numeral of its stage.
     mean, standard_deviation
         m/s.
     skewness, kurtosis
         Moments (0 and 3 for a normal distribution).
     normal
-        Whether it is marked normal.
+        True if marked normal.
     """
 
     stage: str
@@ -69,11 +69,11 @@ class PublishedStage:
     name
         Roman numeral.
     text_range
-        Its borders in the text, in percent.
+        Bounds in the text, in percent.
     rate
         Growth rate in m/s per percent.
     variance_range
-        Range in m/s of what the text calls variance.
+        Range of "variance" in the text, m/s.
     """
 
     name: str
@@ -89,7 +89,7 @@ class PublishedLaw:
     Attributes
     ----------
     name
-        How the weights were chosen.
+        Choice of the weights.
     weights
         The contact weights.
     connectivity_range
@@ -97,7 +97,7 @@ class PublishedLaw:
     a, c
         Parameters of the law.
     table_b, conclusions_b
-        Its exponent as the table and as the conclusions print it.
+        Exponent printed in the table, and in the conclusions.
     """
 
     name: str
@@ -118,7 +118,7 @@ class PublishedStudy:
     title
         Title of the paper.
     seeds, samples
-        Numbers of random distributions of calcite and of samples.
+        Number of random distributions of calcite, and of samples.
     parameters
         Table 1 in SI units; names as in `published.toml`.
     contents
@@ -180,11 +180,11 @@ PUBLISHED_KEYS = {
     "wave.damping": "local_damping",
     "wave.band_friction": "wall_friction",
 }
-"""Which published parameter a key of a configuration is."""
+"""Published parameter of each configuration key."""
 
 
 def is_published_sand(config: Mapping[str, Any]) -> bool:
-    """Say whether a configuration is of the published sand in the published box, whatever its stress and cement."""
+    """Return whether a configuration has the published sand and box, at any stress and cement."""
     published = published_study().parameters
     grading = [published["grain_diameter_smallest"], published["grain_diameter_largest"]]
     sections = {name: config.get(name, {}) for name in ("packing", "sand")}
@@ -196,5 +196,5 @@ def is_published_sand(config: Mapping[str, Any]) -> bool:
 
 
 def _with_intervals(row: dict[str, Any]) -> dict[str, Any]:
-    """Entries of a row, pairs of numbers as intervals."""
+    """Convert pairs of numbers in a row to intervals."""
     return {name: Interval(*value) if isinstance(value, list) else value for name, value in row.items()}

@@ -1,4 +1,4 @@
-"""Variance and correlation length of fields: what a random-field model of a soil takes in."""
+"""Variance and correlation length of fields: input of random-field models of soil."""
 
 from collections.abc import Mapping
 from typing import Any, TypeAlias
@@ -13,7 +13,7 @@ _FieldArray: TypeAlias = NDArray[np.floating[Any]]
 def _autocorrelation(fields: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
     """Autocorrelation (L,) of fields (..., Y, X) along x (-1) or y (-2) for lags of 0, 1, 2, ... steps.
 
-    NaN are left out. The mean is that of all fields: the mean of each would take away what is longer than a sample.
+    NaN are left out. The mean of all fields is subtracted; the mean of each would remove wavelengths above its size.
     """
     centred = np.moveaxis(fields - np.nanmean(fields), axis, -1)
     known, values = np.isfinite(centred), np.nan_to_num(centred)
@@ -26,11 +26,11 @@ def _autocorrelation(fields: NDArray[np.float64], axis: int) -> NDArray[np.float
 
 
 def _scale_of_fluctuation(correlations: NDArray[np.float64], step: float) -> float:
-    """Give twice the area below an autocorrelation (L,) up to its first zero, in the unit of the step.
+    """Return twice the area below an autocorrelation (L,) up to its first zero, in the unit of the step.
 
-    Vanmarcke (1983), *Random Fields*, chapter 5. It is 2 / b for ``exp(-b x)``, and the side of the window for
-    uncorrelated values that are averaged over a window. Where it ends before its first zero, it is too small. NaN
-    without any correlation, as for equal values.
+    Vanmarcke (1983), *Random Fields*, chapter 5. It is 2 / b for ``exp(-b x)``, and the side of the window for window
+    averages of uncorrelated values. It is too small if the data end before the first zero. NaN if the correlation is
+    undefined, as for equal values.
     """
     if not np.isfinite(correlations[0]):
         return np.nan
@@ -53,13 +53,13 @@ def _area(values: NDArray[np.float64]) -> float:
 def describe_fields(
     fields: Mapping[tuple[int, float], tuple[_FieldArray, _FieldArray, _FieldArray]],
 ) -> xr.Dataset:
-    """Gather positive fields of samples, and describe them as random-field models take them: log-normal, with a length.
+    """Collect positive fields of samples, and describe them as log-normal random fields.
 
-    Given by seed and content, at least one, are x (X,), y (Y,) on a regular grid, m, the same for all, and the values
-    (Y, X), NaN where there is none. The result has `shear_modulus` (content, seed, y, x), Pa, all NaN for a sample that
-    is not given. Along content: `geometric_mean`, `log_deviation` of the natural logarithm, `between` the part of its
-    variance that is between samples, and the scales of fluctuation of the logarithm along x and y, `scale_x` and
-    `scale_y`, m. `unknown` is the part of the places without a value.
+    `fields` has at least one sample. By seed and content it gives x (X,) and y (Y,) of a common regular grid, m, and
+    values (Y, X), NaN if missing. The result has `shear_modulus` (content, seed, y, x), Pa, NaN for missing samples.
+    Along content: `geometric_mean`, `log_deviation` of the natural logarithm, `between` the part of its variance
+    between samples, and the scales of fluctuation of the logarithm along x and y, `scale_x` and `scale_y`, m.
+    `unknown` is the share of grid points without a value.
     """
     x, y, first = next(iter(fields.values()))
     seeds, contents = (np.unique([key[place] for key in fields]) for place in (0, 1))
@@ -89,7 +89,7 @@ def describe_fields(
 
 
 def _field_numbers(logs: NDArray[np.float64], step_x: float, step_y: float) -> tuple[float, ...]:
-    """Statistics of one content, of logarithms (S, Y, X)."""
+    """Statistics of one content from logarithms (S, Y, X)."""
     if not np.isfinite(logs).any():
         return (*(np.nan,) * 5, 1.0)
     variance, samples = float(np.nanvar(logs)), logs[np.isfinite(logs).any(axis=(1, 2))]

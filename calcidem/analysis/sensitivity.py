@@ -1,4 +1,4 @@
-"""How mean and scatter of Vs change when one choice of a campaign is changed and the seeds stay the same."""
+"""Change of mean and scatter of Vs with one setting of a campaign, for the same seeds."""
 
 import math
 from dataclasses import dataclass
@@ -10,25 +10,25 @@ from calcidem.analysis.intervals import BOOTSTRAP_SEED, UNDEFINED, Interval
 
 _REPLICATES = 4000
 _FEWEST_PAIRS = 4
-"""With fewer common seeds a ratio of scatters means nothing."""
+"""Fewest common seeds for a meaningful ratio of standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One content of a variant beside the same seeds of the reference.
+    """Comparison of a variant with the same seeds of the reference at one content.
 
     Attributes
     ----------
     content
         Percent.
     planned, measured
-        Cells of the variant, and those that have a velocity.
+        Number of cells of the variant, and of those with a velocity.
     mean, standard_deviation
-        Of the variant, m/s, over all that it measured.
+        Of all measured cells of the variant, m/s.
     mean_ratio, deviation_ratio
-        Mean and standard deviation over those of the reference, both over the seeds that have a velocity in both.
+        Mean and standard deviation over those of the reference, for seeds with a velocity in both.
     deviation_ratio_interval
-        Bootstrap interval of that: seeds are drawn with replacement, the same ones on both sides.
+        Bootstrap interval of the deviation ratio; the same seeds are drawn with replacement on both sides.
     """
 
     content: float
@@ -42,7 +42,7 @@ class Change:
 
 
 def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float = 0.95) -> tuple[Change, ...]:
-    """Compare two matrices of Vs (m/s) along (seed, content), NaN where there is none, on the seeds that both have.
+    """Compare two matrices of Vs (m/s) along (seed, content), NaN if missing, on their common seeds.
 
     Contents that the reference lacks are left out.
     """
@@ -74,7 +74,7 @@ def _paired_ratios(pair: np.ndarray, level: float) -> tuple[float, float, Interv
     if count < _FEWEST_PAIRS:
         return math.nan, math.nan, UNDEFINED
     drawn = pair[:, np.random.default_rng(BOOTSTRAP_SEED).integers(0, count, (_REPLICATES, count))]
-    # Reference without scatter (no cement, one packing): a ratio of scatters is not defined.
+    # A reference without scatter (no cement, one packing) has no deviation ratio.
     with np.errstate(divide="ignore", invalid="ignore"):
         deviations = drawn[0].std(axis=1) / drawn[1].std(axis=1)
         ratio = float(np.divide(*pair.std(axis=1)))
@@ -82,7 +82,7 @@ def _paired_ratios(pair: np.ndarray, level: float) -> tuple[float, float, Interv
 
 
 def _percentiles(values: np.ndarray, level: float = 0.95) -> Interval:
-    """Middle part of bootstrap replicates."""
+    """Central interval of bootstrap replicates."""
     finite = values[np.isfinite(values)]
     if not finite.size:
         return UNDEFINED
@@ -97,11 +97,11 @@ class VarianceParts:
     Attributes
     ----------
     first, second
-        Of the causes themselves; unbiased estimates, so that one of nothing may be below zero.
+        Parts of the two causes; unbiased estimates, which may be negative for no effect.
     rest
-        Of both together (interaction) and of everything else.
+        Part of the interaction and of everything else.
     mean
-        Of all values, m/s.
+        Mean of all values, m/s.
     """
 
     first: float
@@ -122,9 +122,9 @@ class VarianceParts:
 
 
 def variance_parts(values: np.ndarray) -> VarianceParts:
-    """Divide the variance of a complete table (m/s), at least 2 x 2, between its rows, its columns and the rest.
+    """Divide the variance of a complete table (m/s), at least 2 x 2, into rows, columns and the rest.
 
-    Two-way random-effects analysis of variance with one value in each place. `ValueError` for gaps or a smaller table.
+    Two-way random-effects analysis of variance with one value per cell. `ValueError` for gaps or a smaller table.
     """
     rows, columns = values.shape
     if min(rows, columns) < 2 or not np.isfinite(values).all():  # noqa: PLR2004 - a variance needs two

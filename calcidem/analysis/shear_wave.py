@@ -1,4 +1,4 @@
-"""What follows from a shear-wave velocity: modulus, damping ratio, wavelengths, and whether near field spoils it."""
+"""Quantities derived from a shear-wave velocity: modulus, damping ratio, wavelengths and near-field criterion."""
 
 import math
 from typing import TYPE_CHECKING, TypeVar
@@ -9,19 +9,19 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.published import published_study
 
 if TYPE_CHECKING:
-    import xarray as xr  # half a second that a rank would wait for
+    import xarray as xr  # its import would delay a rank by half a second
 
 FEWEST_WAVELENGTHS = 2.0
 """Wavelengths from transmitter to receiver below which near field and shear wave arrive together (section 3.1.3)."""
 
 LONGEST_WAVELENGTH = 10.0
-"""Median diameters below which a wavelength has to be, as section 3.1.3 prints it."""
+"""Upper limit of the wavelength in median diameters, as printed in section 3.1.3."""
 
 Values = TypeVar("Values", float, NDArray[np.float64], "xr.DataArray")
 
 
 def small_strain_modulus(vs: Values, density: float | None = None) -> Values:
-    """Shear modulus G0 = rho Vs^2 (Eq. 1), Pa; the density of the sample, kg/m^3, is that of Table 1, 1659, by default.
+    """Shear modulus G0 = rho Vs^2 (Eq. 1), Pa; the default density of the sample is that of Table 1, 1659 kg/m^3.
 
     Examples
     --------
@@ -44,10 +44,10 @@ def damping_ratio(local_damping: float) -> float:
 
 
 def median_diameter_by_mass(radius: ArrayLike) -> float:
-    """Diameter d50 that half of the mass of disks (N,) lies below, in the unit of the radii.
+    """Median diameter d50 by mass of disks (N,), in the unit of the radii.
 
-    The median of soil mechanics; the paper's disks, uniform from 2.12 to 3 mm, have 2.632 mm. Half of their number lies
-    below 2.562 mm.
+    This is the median of soil mechanics: 2.632 mm for the paper's disks, uniform from 2.12 to 3 mm. Their median by
+    number is 2.562 mm.
     """
     ascending = np.sort(np.asarray(radius, dtype=np.float64))
     passing = np.cumsum(ascending * ascending)

@@ -1,4 +1,4 @@
-"""How much of the variance of an output each of several uncertain numbers makes: Sobol indices."""
+"""Sobol indices: share of the variance of an output due to each uncertain parameter."""
 
 import math
 from collections.abc import Mapping
@@ -15,17 +15,17 @@ from calcidem.storage.errors import StoreError
 _RESAMPLES = 1000
 
 _FEWEST_BASES = 4
-"""Base points below which indices mean nothing."""
+"""Fewest base points for meaningful indices."""
 
 OUTPUTS = {"mean": "mean Vs (m/s)", "relative_deviation": "sd / mean", "readable_share": "readable share"}
-"""What `campaign_outputs` gives of each content, and how it is called in figures and tables."""
+"""Outputs of `campaign_outputs` for each content, and their names in figures and tables."""
 
 
 def sobol_points(ranges: Mapping[str, tuple[float, float]], bases: int) -> NDArray[np.float64]:
-    """Give the points at which a model has to be evaluated, shape (bases (P + 2), P), the same in every call.
+    """Return the points at which to evaluate a model, shape (bases (P + 2), P), the same in every call.
 
-    Each of the P parameters is uniform in its range; ``bases`` is a power of two. `ValueError` if it is none,
-    `StoreError` if SALib is not installed. Scrambled Sobol sequence, each base point with its P crossings (Saltelli
+    Each of the P parameters is uniform in its range; ``bases`` is a power of two, else `ValueError`. `StoreError` if
+    SALib is not installed. The points are a scrambled Sobol sequence, each base point with its P crossings (Saltelli
     2010, doi:10.1016/j.cpc.2009.09.018).
     """
     if bases < _FEWEST_BASES or bases & (bases - 1):
@@ -35,12 +35,12 @@ def sobol_points(ranges: Mapping[str, tuple[float, float]], bases: int) -> NDArr
 
 
 def sobol_indices(ranges: Mapping[str, tuple[float, float]], output: ArrayLike, level: float = 0.95) -> xr.Dataset:
-    """Estimate first and total Sobol indices from a model's output at `sobol_points`, NaN where there is none.
+    """Estimate first and total Sobol indices from a model's output at `sobol_points`, NaN if missing.
 
-    A base point with a gap among its crossings is left out. Given are along parameter ``first`` and ``total``, the
-    shares of the variance that the parameter makes alone and with all others, and ``first_half_width`` and
-    ``total_half_width`` of their bootstrap intervals; ``bases`` is the number of base points that count, 0 if they are
-    fewer than four. All NaN then, or if the output does not vary.
+    Base points with a missing crossing are left out. Returns along parameter ``first`` and ``total``, the shares of
+    variance due to the parameter alone and with all others, and the half-widths ``first_half_width`` and
+    ``total_half_width`` of their bootstrap intervals. ``bases`` is the number of used base points, 0 if fewer than
+    four. In that case, or for constant output, all indices are NaN.
     """
     rows = np.asarray(output, dtype=np.float64).reshape(-1, len(ranges) + 2)
     whole = rows[np.isfinite(rows).all(axis=1)]
@@ -55,10 +55,10 @@ def sobol_indices(ranges: Mapping[str, tuple[float, float]], output: ArrayLike, 
 
 
 def campaign_outputs(vs: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Mean (m/s), standard deviation over mean, and readable share of samples, each with the leading shape of ``vs``.
+    """Mean (m/s), relative standard deviation, and readable share of samples, each with the leading shape of ``vs``.
 
-    Velocities are in m/s, NaN where there is none, seeds along the last axis. Below two there is no mean, either: it
-    would be that of other seeds than elsewhere.
+    Velocities are in m/s, NaN if missing, with seeds along the last axis. Fewer than two give no mean, since its seeds
+    would differ from those elsewhere.
     """
     read = np.isfinite(vs)
     count = read.sum(axis=-1)
@@ -70,7 +70,7 @@ def campaign_outputs(vs: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
 
 
 def _problem(ranges: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
-    """Parameters in the form of SALib."""
+    """Parameters in SALib's format."""
     return {"num_vars": len(ranges), "names": list(ranges), "bounds": [list(limits) for limits in ranges.values()]}
 
 

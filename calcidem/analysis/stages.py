@@ -1,4 +1,4 @@
-"""The four stages in which Vs grows with calcite content, and how fast it grows in each (section 3.2.1)."""
+"""The four stages of growth of Vs with calcite content, and their rates (section 3.2.1)."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ class Stage:
     name
         Roman numeral, as in the paper.
     low, high
-        First and last content that belong to it, in percent of sand mass.
+        First and last content, in percent of sand mass.
     """
 
     name: str
@@ -30,26 +30,25 @@ STAGES = (
     Stage("III", 4.0, 6.0),
     Stage("IV", 7.0, 9.0),
 )
-"""The ranges whose end points give the growth rates that the paper prints. Its text draws other borders
-(0.66, 2.55 and 6 %), and with those its rates do not come out; see docs/reproduction/published_check.py."""
+"""Ranges whose end points give the printed growth rates. The text of the paper has other bounds (0.66, 2.55 and
+6 %), which do not give these rates; see docs/reproduction/published_check.py."""
 
 
 @dataclass(frozen=True, slots=True)
 class StageGrowth:
-    """How mean Vs grows within one stage.
+    """Growth of mean Vs within one stage.
 
     Attributes
     ----------
     stage
         The range.
     contents
-        The contents of the campaign that fall into it, in percent.
+        Contents of the campaign in this range, in percent.
     end_point_slope
-        Difference of the mean at the last and the first of them over the difference of content, in m/s per
-        percent: the paper's rate.
+        Difference of the means at the last and first content over the difference of content, in m/s per percent: the
+        paper's rate.
     least_squares_slope
-        Slope of the straight line through all their means, in m/s per percent. Both are NaN with fewer than two
-        contents.
+        Slope of the regression line through all means, in m/s per percent. Both are NaN with fewer than two contents.
     """
 
     stage: Stage
@@ -61,7 +60,7 @@ class StageGrowth:
 def growth_by_stage(
     content: ArrayLike, mean_vs: ArrayLike, stages: tuple[Stage, ...] = STAGES
 ) -> tuple[StageGrowth, ...]:
-    """Give the growth rate of each stage from contents (%) and mean velocities (m/s), both (k,); NaN is left out."""
+    """Return the growth rate of each stage from contents (%) and mean velocities (m/s), both (k,), without NaN."""
     contents, means = np.asarray(content, dtype=np.float64), np.asarray(mean_vs, dtype=np.float64)
     if contents.ndim != 1 or contents.shape != means.shape:
         raise ValueError(
@@ -71,7 +70,7 @@ def growth_by_stage(
     contents, means = contents[order], means[order]
     growth = []
     for stage in stages:
-        # Contents come out of text files and databases as decimals; a last-bit difference must not exclude one.
+        # Contents are parsed from decimal text; a difference in the last bit must not exclude one.
         inside = (contents >= stage.low - 1e-9) & (contents <= stage.high + 1e-9) & np.isfinite(means)
         x, y = contents[inside], means[inside]
         enough = x.size > 1

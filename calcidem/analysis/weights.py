@@ -1,4 +1,4 @@
-"""Which ratio of the contact weights makes C_d,n tell most about Vs (Fig. 14 of the paper)."""
+"""Ratio of the contact weights with the best correlation of C_d,n and Vs (Fig. 14 of the paper)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,14 +10,13 @@ from calcidem.analysis.intervals import BOOTSTRAP_SEED, Interval
 from calcidem.analysis.path_envelope import PathEnvelope
 
 _SMALLEST_SAMPLE = 3
-"""Two samples always lie on a line, so a correlation has no meaning."""
+"""Fewest samples: two always lie on a line, so their correlation has no meaning."""
 
 _CORRELATION_TIE = 1e-6
-"""Correlations closer than this are taken for equal."""
+"""Difference below which correlations are equal."""
 
 _WEIGHT_RATIOS = np.linspace(0.01, 0.99, 99)
-"""The ratios of the scan. The value 1 is left out: there cement makes no difference and C_d,n is
-undefined."""
+"""Ratios of the scan, without 1, where cement makes no difference and C_d,n is undefined."""
 _WEIGHT_RATIOS.flags.writeable = False
 
 
@@ -30,13 +29,13 @@ class RatioScan:
     ratios
         omega_LPB / omega_h, shape (k,).
     correlation
-        Pearson's coefficient at each, shape (k,); NaN where C_d,n is the same for all samples.
+        Pearson's coefficient at each ratio, shape (k,); NaN if C_d,n is the same for all samples.
     best_ratio
-        Where it is most negative.
+        Ratio of the most negative coefficient.
     best_correlation
-        Its value there.
+        Coefficient at the best ratio.
     best_ratio_interval
-        Interval with the best ratio of 95 % of the bootstrap replicates (or of another level).
+        Bootstrap interval of the best ratio, by default at 95 %.
     n
         Number of samples used.
     left_out
@@ -68,20 +67,19 @@ def scan_ratio(
     Parameters
     ----------
     envelopes, vs, seed
-        One of each for every sample: its shortest path for all ratios, its velocity in m/s (NaN for none), and
-        its seed.
+        For every sample its shortest path for all ratios, its velocity in m/s (NaN if missing), and its seed.
     ratios
         Ratios to compare, shape (k,), ascending, at least two.
     level, replicates
-        Of the interval, and bootstrap replicates.
+        Level of the interval, and number of bootstrap replicates.
 
     Notes
     -----
-    At one ratio C_d,n is C_d shifted and divided by constants (Eq. 9), so both have the same correlation with Vs and
-    C_d is used, which stays finite near a ratio of 1.
+    At one ratio C_d,n is a linear function of C_d (Eq. 9), so both have the same correlation with Vs. C_d is used
+    because it stays finite near a ratio of 1.
 
-    The bootstrap draws seeds, with all contents of a seed, since samples of one seed share their cement from content to
-    content and are not independent (Davison and Hinkley 1997, section 3.8).
+    The bootstrap draws seeds with all their contents, since samples of one seed share their cement and are not
+    independent (Davison and Hinkley 1997, section 3.8).
     """
     velocity, seeds = np.asarray(vs, dtype=np.float64), np.asarray(seed)
     grid = np.asarray(ratios, dtype=np.float64)
@@ -103,7 +101,7 @@ def scan_ratio(
     generator = np.random.default_rng(BOOTSTRAP_SEED)
     draws = generator.multinomial(seed_count, np.full(seed_count, 1 / seed_count), size=replicates)
     drawn = _correlate_sums(draws.astype(np.float64), sums)
-    # A replicate of one seed drawn repeatedly may have no correlation at all; it is left out.
+    # A replicate with a single seed may have no correlation; it is left out.
     usable = drawn[~np.isnan(drawn).all(axis=1)]
     best_ratios = grid[_first_best(usable)]
     low, high = np.quantile(best_ratios, [(1 - level) / 2, (1 + level) / 2])
@@ -119,10 +117,10 @@ def scan_ratio(
 
 
 def _first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Place of the smallest ratio that correlates as well as the best one, in each row of shape (replicates, ratios).
+    """Index of the smallest ratio that correlates as well as the best one, in each row of shape (replicates, ratios).
 
-    From some ratio on the shortest paths no longer change, and with them neither does the correlation. The scan then
-    ends in a plateau on which round-off alone would choose, while C_d,n grows without limit.
+    Above some ratio the shortest paths, and with them the correlation, no longer change. On this plateau round-off
+    would decide, while C_d,n grows without limit.
     """
     best = np.nanmin(correlation, axis=1, keepdims=True)
     return np.asarray(np.argmax(correlation <= best + _CORRELATION_TIE, axis=1))
@@ -131,7 +129,7 @@ def _first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
 def _sums_by_seed(
     lengths: NDArray[np.float64], vs: NDArray[np.float64], seeds: NDArray[np.generic]
 ) -> NDArray[np.float64]:
-    """Add up n, x, y, x^2, y^2 and x y over the samples of each seed: all that Pearson's coefficient needs.
+    """Sum n, x, y, x^2, y^2 and x y over the samples of each seed, as needed for Pearson's coefficient.
 
     Shape (seeds, 6, ratios). Values are centred first, since sums of squares of large numbers lose digits.
     """
@@ -148,7 +146,7 @@ def _correlate_sums(multiplicity: NDArray[np.float64], sums: NDArray[np.float64]
     """Pearson's coefficient when each seed counts `multiplicity` times; shape (replicates, ratios)."""
     n, x, y, xx, yy, xy = np.moveaxis(np.tensordot(multiplicity, sums, axes=1), 1, 0)
     variance_x, variance_y = xx - x * x / n, yy - y * y / n
-    # What is left of a variance after cancellation is no variance.
+    # Cancellation leaves round-off instead of a variance.
     constant = (variance_x <= 1e-12 * n) | (variance_y <= 1e-12 * n)
     with np.errstate(divide="ignore", invalid="ignore"):
         coefficient = (xy - x * y / n) / np.sqrt(variance_x * variance_y)

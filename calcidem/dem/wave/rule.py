@@ -48,7 +48,7 @@ class WaveRule:
     samples_per_period
         Samples of the section per period of the pulse. With 40 a peak shifts by 2e-4, with 20 by 1e-3.
     slowest
-        Slowest velocity that the record can contain, m/s.
+        Slowest velocity covered by the length of the record, m/s.
     listening_depth
         Depth before the receiver in which disks that do not touch it are recorded, m.
     most_broken_bonds
