@@ -1,1 +1,1 @@
-"""Studies that run simulations beside a campaign: errors, extreme cases, sensitivity, calibration, verification."""
+"""Studies with their own simulations: errors, extreme cases, sensitivity, calibration, verification."""

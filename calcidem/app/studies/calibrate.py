@@ -1,4 +1,4 @@
-"""Fitting what the paper leaves open to measured means and scatter of Vs: named parameters, common random numbers."""
+"""Calibration of named parameters on measured means and scatter of Vs, with common random numbers."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -22,19 +22,19 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 
 FITTED_BY_DEFAULT = ("sand.wave_stiffness_factor", "pattern.p_share", "pattern.cluster_area")
-"""Parameters that are fitted if none are named, as far as there are targets."""
+"""Parameters fitted by default, as many as there are targets."""
 
 _STEP = 0.06
-"""Relative step of the derivatives: whole contacts and clusters come and go, so Vs is no smooth function."""
+"""Relative step of the derivatives; Vs is not smooth, since whole contacts and clusters change."""
 
 _CONVERGED = 0.01
-"""Relative change of the parameters that is not worth another round; their statistical error is larger."""
+"""Relative change of the parameters at which the fit ends; their statistical error is larger."""
 
 _LARGEST_CHANGE = math.log(2.0)
 """Largest change of a logarithm in one round."""
 
 _MOST_ROUNDS = 6
-"""From a start within a factor of two, three are enough."""
+"""Largest number of rounds; from a start within a factor of two, three suffice."""
 
 _MOST_HALVINGS = 3
 
@@ -45,32 +45,32 @@ ParameterValues = Mapping[str, float]
 """Value of each parameter by its name."""
 
 _FEWEST_SEEDS = 3
-"""Seeds with a velocity below which a content is left out: mean and standard deviation say nothing."""
+"""Fewest seeds with a velocity for a meaningful mean and standard deviation; contents with fewer are left out."""
 
 _FEW_SEEDS = 0.5
-"""Part of the seeds below which those with a velocity may not stand for the others."""
+"""Share of seeds with a velocity below which they may not represent the others."""
 
 _TOO_MUCH = 4.0
-"""Chi-square for each degree of freedom that is no chance any more."""
+"""Chi-square per degree of freedom above which deviations are not random."""
 
 
 @dataclass(frozen=True, slots=True)
 class FitPlan:
-    """What is fitted to what.
+    """Parameters and targets of a fit.
 
     Attributes
     ----------
     targets
-        What to meet; those at a content of ``predict`` are only compared.
+        Targets of the fit; those at a content of ``predict`` are only compared.
     free
         Parameters to fit, at most as many as numbers to meet.
     seeds
-        The same in every trial, so that trials differ by the parameters alone; a seed counts at a content only if it
-        has a velocity in every one of them.
+        Seeds common to all trials, so that trials differ only in the parameters. A seed counts at a content only if it
+        has a velocity in every trial.
     predict
         Further contents to measure with the fitted values, percent.
     tolerance
-        Relative deviation that the model may have by itself, added to the sampling error of every target.
+        Relative error of the model itself, added to the sampling error of every target.
     """
 
     targets: Sequence[Target]
@@ -94,16 +94,16 @@ class FittedContent:
     content
         Percent.
     target
-        What was wanted there, None if nothing was.
+        Target there, or None.
     role
-        ``fitted``, ``left out`` where too few seeds have a velocity, or ``predicted``.
+        ``fitted``, ``left out`` with too few readable seeds, or ``predicted``.
     seeds, planned
-        Seeds that are read in every trial, or with the fitted values for a prediction; and all that were measured.
+        Seeds with a velocity in every trial, or in a prediction with the fitted values, and all measured seeds.
     mean, mean_error, sd
-        Of Vs over these seeds with the fitted values, the standard error of the mean, and the standard deviation, m/s.
+        Mean of Vs over these seeds with the fitted values, its standard error, and the standard deviation, m/s.
     mean_band, sd_band
-        Where 95 % of campaigns of as many samples as the target's have their mean and standard deviation, m/s, with
-        parameters drawn from their posterior; None where that is not known.
+        95 % bands of mean and standard deviation, m/s, of campaigns with as many samples as the target, for parameters
+        drawn from their posterior; None if unknown.
     """
 
     content: float
@@ -120,30 +120,29 @@ class FittedContent:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedParameters:
-    """Parameters that a fit found.
+    """Fitted parameters.
 
     Attributes
     ----------
     values
         Fitted value of each parameter, in SI units.
     deviations
-        Standard deviation of each, by the scatter of Vs between seeds and between the samples of the targets.
+        Standard deviation of each parameter from the scatter of Vs between seeds and between samples of the targets.
     correlation
-        (P, P) of the parameters.
+        (P, P) correlation of the parameters.
     intervals
-        Lower and upper end of the 95 % interval of each in its posterior (`calcidem.app.studies.posterior`), where the
-        trials tell it.
+        Bounds of the 95 % posterior interval of each (`calcidem.app.studies.posterior`), if the trials determine it.
     at_limit
-        Parameters that ended at a limit of their range, so that their deviation says little.
+        Parameters that ended at a limit of their range; their deviations mean little.
     contents
-        Targets and what was reached, then predictions.
+        Targets with the results reached, then predictions.
     trials
         Number of points at which Vs was measured.
     chi_square, freedom
-        Sum of the squares that are left, each over that of its error, and how many numbers to meet there are more than
-        parameters: far above that, the model cannot meet the targets, and the deviations are too small.
+        Sum of squared residuals over squared errors, and degrees of freedom: targets minus parameters. If chi-square is
+        far above the latter, the model cannot meet the targets, and the deviations are too small.
     doubts
-        What speaks against the result, a sentence each.
+        Objections to the result, a sentence each.
     """
 
     values: ParameterValues
@@ -159,23 +158,23 @@ class FittedParameters:
 
     @property
     def is_fitted(self) -> bool:
-        """Whether anything was: otherwise the values are those of the start."""
+        """Whether any parameter was fitted; otherwise the values are those of the start."""
         return any(row.role == "fitted" for row in self.contents)
 
 
 class _UnreadTrialError(ValueError):
-    """Too few seeds would be left by a trial."""
+    """A trial would leave too few seeds."""
 
 
 class _Fit:
-    """Trials of a fit, and the deviations from the targets on the seeds that all of them read.
+    """Trials of a fit, and deviations from the targets over the seeds with a velocity in all trials.
 
     Parameters
     ----------
     targets
-        One for each column of what ``measure`` gives.
+        One for each column of the result of ``measure``.
     tolerance
-        Relative deviation of the model that counts as an error of every target.
+        Relative error of the model, counted for every target.
     """
 
     def __init__(
@@ -187,18 +186,18 @@ class _Fit:
 
     @property
     def wanted(self) -> int:
-        """Number of means and standard deviations at the contents that are used."""
+        """Number of target means and standard deviations at the used contents."""
         return sum(1 if self._targets[i].sd is None else 2 for i in self.used)
 
     def begin(self, points: Sequence[Floats]) -> None:
-        """Measure the first points, and leave out the contents at which too few seeds have a velocity."""
+        """Measure the first points, and leave out contents with too few readable seeds."""
         self.trials = {point.tobytes(): vs for point, vs in zip(points, self._measure(points), strict=True)}
         self.used = tuple(np.flatnonzero(self.common.sum(axis=0) >= _FEWEST_SEEDS).tolist())
 
     def try_points(self, points: Sequence[Floats]) -> None:
-        """Measure points (logarithms of values) that are not known yet.
+        """Measure new points (logarithms of values).
 
-        `_UnreadTrialError` if they leave too few seeds at a content that is used; then none of the points counts.
+        `_UnreadTrialError` if they leave too few seeds at a used content; then none of the points counts.
         """
         new = [point for point in points if point.tobytes() not in self.trials]
         former = dict(self.trials)
@@ -214,7 +213,7 @@ class _Fit:
 
     @property
     def common(self) -> NDArray[np.bool_]:
-        """Which seeds count at each content, (seeds, contents): those that have a velocity in every trial."""
+        """Used seeds at each content, (seeds, contents): those with a velocity in every trial."""
         return np.asarray(np.isfinite(list(self.trials.values())).all(axis=0))
 
     def near(self, point: Floats) -> list[Floats]:
@@ -223,7 +222,7 @@ class _Fit:
         return [other for other in trials if np.abs(other - point).max() < _LINEAR_WITHIN]
 
     def deviation(self, point: Floats) -> Floats:
-        """Logarithms of mean, and of standard deviation where there is a target, over their targets, (R,)."""
+        """Logarithms of mean and, if targeted, standard deviation over their targets, (R,)."""
         found = []
         for target, vs in self.columns(point):
             found.append(math.log(vs.mean() / target.vs))
@@ -232,7 +231,7 @@ class _Fit:
         return np.array(found)
 
     def errors(self, point: Floats) -> Floats:
-        """Standard errors of `deviation` for normal scatter, (R,): of target and trial, and the model's tolerance."""
+        """Standard errors of `deviation` for normal scatter, (R,), from target, trial and the model's tolerance."""
         found = []
         for target, vs in self.columns(point):
             scatter = max((target.sd or vs.std(ddof=1)) / target.vs, 1e-6)
@@ -247,8 +246,8 @@ class _Fit:
     def covariance(self, point: Floats) -> Floats:
         """Covariance of `deviation` by sampling, (R, R).
 
-        Of the trial by the influence of each seed, which is at work at all contents, so that neither normal scatter nor
-        independent contents are assumed (Efron & Tibshirani 1993, chapter 21); of the targets for normal scatter.
+        For the trial it follows from the influence of each seed at all contents, without assuming normal scatter or
+        independent contents (Efron & Tibshirani 1993, chapter 21). For the targets normal scatter is assumed.
         """
         influence, of_targets = [], []
         trial, common = self.trials[point.tobytes()], self.common
@@ -267,7 +266,7 @@ class _Fit:
         return np.asarray(rows @ rows.T + np.diag(of_targets))
 
     def columns(self, point: Floats) -> list[tuple[Target, Floats]]:
-        """Each target that is used with the velocities that count there."""
+        """Each used target with its used velocities."""
         vs, common = self.trials[point.tobytes()], self.common
         return [(self._targets[i], vs[common[:, i], i]) for i in self.used]
 
@@ -280,15 +279,15 @@ def calibrate(
     tell: Callable[[str], None] = lambda _: None,
     kept: Path | None = None,
 ) -> FittedParameters:
-    """Fit parameters to means, and standard deviations, of Vs by weighted least squares of their logarithms.
+    """Fit parameters to means and standard deviations of Vs by weighted least squares of their logarithms.
 
-    So many ``cores`` compute batches of seeds at a time. Every trial is told, and ``kept`` in a file as soon as it is
-    measured, from which it is taken again. `ConfigurationError` if a parameter cannot be fitted, there are more
-    parameters than numbers to meet, or the file has no trials.
+    Batches of seeds run on ``cores`` processes. Every trial is reported by ``tell`` and stored at once in the file
+    ``kept``, which supplies it when the fit is repeated. `ConfigurationError` if a parameter cannot be fitted, there
+    are more parameters than numbers to meet, or the file has no trials.
 
-    Gauss-Newton on the logarithms of the parameters, within their ranges, with one-sided differences; a step that does
-    not come nearer is halved. A content at which fewer than three seeds have a velocity is left out. What speaks
-    against the result is said with it.
+    The method is Gauss-Newton on the logarithms of the parameters, within their ranges, with one-sided differences. A
+    step without improvement is halved. A content with fewer than three readable seeds is left out. The result lists
+    objections to it.
     """
     trials = KeptTrials(kept, packing)
     check_ranges(configuration, plan.free, "calibration")
@@ -305,7 +304,7 @@ def calibrate(
         def velocities(tried: Sequence[ParameterValues]) -> list[Floats]:
             possible: dict[int, Configuration] = {}
             for place, values in enumerate(tried):
-                with suppress(ValueError):  # values that their class refuses give no velocity
+                with suppress(ValueError):  # refused values give no velocity
                     possible[place] = with_values(configuration, values)
             found = measure(list(possible.values()))
             none = np.full((len(plan.seeds), len(contents)), np.nan)
@@ -332,10 +331,10 @@ def _fit_to_targets(
     start: Sequence[float],
     tell: Callable[[str], None] = lambda _: None,
 ) -> FittedParameters:
-    """Fit as `calibrate` does, whatever gives the velocities.
+    """Fit as `calibrate` does, to any source of velocities.
 
-    ``measure`` takes values of the parameters, which begin with ``start``, and gives Vs for each, (seeds, contents of
-    the targets), NaN where there is none; the predictions are the caller's. Errors are those of `calibrate`.
+    ``measure`` takes values of the parameters, first ``start``, and returns Vs for each, (seeds, contents of the
+    targets), NaN if missing. The caller makes predictions. Errors are those of `calibrate`.
     """
     names, wanted = [chosen.name for chosen in plan.free], sum(1 if row.sd is None else 2 for row in plan.met)
     problems = []
@@ -346,7 +345,7 @@ def _fit_to_targets(
         problems.append(Problem(f"tolerance = {plan.tolerance}: give a number of 0 or more, such as 0.02"))
     if problems:
         raise ConfigurationError("calibration", problems)
-    with np.errstate(divide="ignore"):  # without a lower limit it is 0, whose logarithm is minus infinity
+    with np.errstate(divide="ignore"):  # a missing lower limit is 0, with logarithm minus infinity
         limits = np.log([[chosen.low, chosen.high] for chosen in plan.free])
     fit = _Fit(lambda points: measure([_values_at(names, point) for point in points]), plan.met, plan.tolerance)
     point, slopes, doubts = _descend(fit, np.log(start), limits, names, tell)
@@ -408,10 +407,10 @@ def _fit_to_targets(
 
 
 def _slopes_of_all(fit: _Fit, point: Floats, slopes: Floats) -> tuple[Floats, Floats]:
-    """Slopes (R, P) by all trials near a point, and the variance of a trial about them, (R,).
+    """Slopes (R, P) from all trials near a point, and the variance of a trial about them, (R,).
 
-    Noise of the few trials of one round makes slopes steeper, and so the deviations of the parameters too small. Where
-    the trials do not tell more, the slopes are those given.
+    Noise in the few trials of one round steepens slopes and makes the deviations of the parameters too small. If the
+    trials do not suffice, the given slopes are returned.
     """
     near = fit.near(point)
     with suppress(ValueError):
@@ -423,7 +422,7 @@ def _slopes_of_all(fit: _Fit, point: Floats, slopes: Floats) -> tuple[Floats, Fl
 def _open_questions(
     fit: _Fit, point: Floats, limits: Floats
 ) -> tuple[list[tuple[float, float]], dict[tuple[float, str], tuple[float, float]]]:
-    """Intervals of the parameters, and bands by content and what is wanted there; none where few trials are near."""
+    """Intervals of the parameters, and bands by content and target; empty with too few trials near the point."""
     near = fit.near(point)
     wanted = [(target, of) for target, _ in fit.columns(point) for of in ("vs", "sd")[: 1 if target.sd is None else 2]]
     fresh, covariance = [], fit.covariance(point) + fit.tolerance**2 * np.eye(len(wanted))
@@ -449,7 +448,7 @@ def _open_questions(
 
 
 def _doubts_of_content(row: FittedContent) -> Iterator[str]:
-    """What speaks against a content that is to be met."""
+    """Objections to a content of the fit."""
     read = f"at {row.content:g} % {row.seeds} of {row.planned} seeds have a velocity in every trial"
     if row.seeds < _FEWEST_SEEDS:
         yield f"{read}, so that it was left out: begin with values whose waves are read, or change wave.frequency"
@@ -465,9 +464,9 @@ def _values_at(names: Sequence[str], point: Floats) -> dict[str, float]:
 def _descend(
     fit: _Fit, start: Floats, limits: Floats, names: Sequence[str], tell: Callable[[str], None]
 ) -> tuple[Floats, Floats, list[str]]:
-    """Point at which the weighted squares are least, the slopes (R, P) of the last round, and what ended it too early.
+    """Point of the least weighted squares, slopes (R, P) of the last round, and reasons of an early end.
 
-    Without slopes nothing could be fitted.
+    Empty slopes mean that nothing could be fitted.
     """
     point, slopes, converged, nearer, unread = start, np.empty((0, 0)), False, None, ""
     for number in range(_MOST_ROUNDS):
@@ -488,7 +487,7 @@ def _descend(
         slopes = np.array([(fit.deviation(other) - own) / step for other, step in zip(beside, steps, strict=True)]).T
         low, high = np.maximum(limits.T[0] - point, -_LARGEST_CHANGE), np.minimum(limits.T[1] - point, _LARGEST_CHANGE)
         step = lsq_linear(slopes / errors[:, None], -own / errors, bounds=(low - 1e-9, high + 1e-9)).x.clip(low, high)
-        step[~slopes.any(axis=0)] = 0.0  # nothing says where to
+        step[~slopes.any(axis=0)] = 0.0  # the direction is unknown
         nearer, unread = _nearer(fit, point, step, errors)
         converged = nearer is None or bool(np.abs(nearer - point).max() < _CONVERGED)
         point = point if nearer is None else nearer
@@ -502,9 +501,9 @@ def _descend(
 
 
 def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> tuple[Floats | None, str]:
-    """First of the step, its half, its quarter and so on that comes nearer to the targets; None if none does.
+    """First point of improvement for the step, its half, its quarter and so on, or None.
 
-    And why a trial among them could not be compared; empty if all could.
+    Also the reason why a trial among them could not be compared; empty if all could.
     """
     unread = ""
     for halvings in range(_MOST_HALVINGS + 1):
@@ -521,7 +520,7 @@ def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> tuple[Flo
 
 
 def _told(names: Sequence[str], point: Floats, deviation: Floats, errors: Floats) -> str:
-    """What is told of a point."""
+    """Message about a point."""
     shown = ", ".join(f"{name} {value:.4g}" for name, value in _values_at(names, point).items())
     ratios = ", ".join(f"{ratio:.3f}" for ratio in np.exp(deviation))
     return f"{shown}: over target {ratios}; chi-square {np.sum((deviation / errors) ** 2):.2f}"
@@ -534,7 +533,7 @@ def _summary(
     used: NDArray[np.bool_],
     role: Literal["fitted", "left out", "predicted"],
 ) -> FittedContent:
-    """Row of the result for the velocities of one content and those among them that count."""
+    """Row of the result for the velocities of one content, of which ``used`` count."""
     count, chosen = int(used.sum()), vs[used]
     mean = float(chosen.mean()) if count else math.nan
     sd = float(chosen.std(ddof=1)) if count > 1 else math.nan

@@ -1,7 +1,7 @@
-"""What the scenes of a campaign need, what is left out of them, and what leaving it out saves and costs.
+"""Features that the scenes of a campaign need or omit, and the savings and errors of omitting them.
 
-Nothing here is taken on trust: each row is a measurement of the same cells with and without. Beside it stands the error
-of both ways against a converged reference, where `calcidem accuracy` has measured that.
+Each row measures the same cells with and without a feature. It also has the errors of both against a converged
+reference if `calcidem accuracy` has measured them.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,20 +19,20 @@ from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """Something that the kernel does or leaves out, and the experiment that does the opposite.
+    """Feature that the kernel includes or omits, and the experiment that does the opposite.
 
     Attributes
     ----------
     what
-        Its name.
+        Name.
     needed
-        Whether the campaign does it.
+        Whether the campaign includes it.
     why
-        Why it is needed, or why it is safe to leave it out.
+        Reason why it is needed, or can safely be omitted.
     opposite
-        The experiment with it if it is left out, without it if it is needed; None if there is no such thing.
+        Experiment with the feature if it is omitted, without it if it is needed; None if impossible.
     setting
-        Name of the opposite among the settings of `calcidem accuracy`, empty if it is none of them.
+        Name of the opposite in the settings of `calcidem accuracy`; empty if it has none.
     """
 
     what: str
@@ -51,14 +51,14 @@ class Explanation:
     content
         Percent of the sand's mass.
     alternative
-        What is explained.
+        Explained feature.
     time_ratio
-        Processor time of the opposite over that of the campaign's own way, median of interleaved rounds.
+        Processor time of the opposite over that of the campaign, median of interleaved rounds.
     difference
-        Largest relative difference in Vs between the two; None if no cell has a velocity both ways.
+        Largest relative difference in Vs between the two; None if no cell has both velocities.
     error, other_error
-        Largest relative error of Vs against a converged reference, the campaign's own way and the other; None where it
-        has not been measured.
+        Largest relative error of Vs against a converged reference, for the campaign and for the opposite; None if not
+        measured.
     """
 
     content: float
@@ -77,9 +77,9 @@ def explain(
     measured: MeasuredErrors | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> list[Explanation]:
-    """Measure what each alternative saves and costs; at most ``lanes`` seeds, which share a batch.
+    """Measure savings and errors of each alternative with at most ``lanes`` seeds, which share a batch.
 
-    ``measured`` has errors against a converged reference; ``progress`` is told what is being measured.
+    ``measured`` has errors against a converged reference; ``progress`` receives the name of each measurement.
     """
     rows = []
     for content in contents:
@@ -90,7 +90,7 @@ def explain(
 
 
 def _with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanation:
-    """Row with the errors of both ways, if they were measured."""
+    """Row with the errors of both alternatives, if measured."""
     if measured is None or not row.alternative.setting:
         return row
     own, other = (measured.worst.get((name, row.content)) for name in (DEFAULT, row.alternative.setting))
@@ -98,7 +98,7 @@ def _with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanati
 
 
 def _alternatives_of(experiment: Experiment, content: float) -> list[Alternative]:
-    """What can be said about the scenes of one content."""
+    """Alternatives for the scenes of one content."""
     wave = experiment.wave
     stop, double, wall = experiment.early_stop, wave.precision == "float64", wave.transmitter == "wall"
     other = "float32" if double else "float64"
@@ -125,7 +125,7 @@ def _alternatives_of(experiment: Experiment, content: float) -> list[Alternative
 
 
 def _displacements(experiment: Experiment) -> list[Alternative]:
-    """How displacements and contact laws are treated."""
+    """Alternatives of displacements and contact laws."""
     regime, slip, turns = experiment.wave.regime, "slip, opening and Hertz stiffening", "new normals and overlaps"
     if regime != "linear":
         why = f'the configuration asks for regime = "{regime}"'
@@ -144,7 +144,7 @@ def _displacements(experiment: Experiment) -> list[Alternative]:
 
 
 def _whole_domain(experiment: Experiment) -> Alternative:
-    """Disks deep in the damping layers, and disks without a contact."""
+    """Alternative for disks deep in the damping layers or without a contact."""
     wave, packing = experiment.wave, experiment.packing
     share = 1.0 - len(domain_of(packing, wave, experiment.installation).packing.x) / len(packing.x)
     if share == 0.0:

@@ -1,4 +1,4 @@
-"""Sensitivity studies: how reading, damping and excitation frequency change Vs (section 3.1 of the paper)."""
+"""Sensitivity of Vs to picking method, damping and excitation frequency (section 3.1 of the paper)."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -35,12 +35,12 @@ def _frequency_study(
     seeds: Sequence[int] = (1, 2, 3, 4),
     check: Callable[[], None] = lambda: None,
 ) -> xr.Dataset:
-    """Measure the same samples, at most 32 of a content (%), with several frequencies, Hz (Figs. 6 and 9 of the paper).
+    """Measure the same samples, at most 32 per content (%), at several frequencies, Hz (Figs. 6 and 9 of the paper).
 
-    ``check`` is called every fraction of a second; it may raise to end the study. Given are `vs_peak`,
+    ``check`` is called every fraction of a second; it may raise to end the study. Returns `vs_peak`,
     `vs_first_arrival`, `vs_cross_correlation` (m/s) and `received_frequency` (Hz) along (content, frequency, seed), NaN
-    where nothing trustworthy was read; `campaign_frequency` (Hz) along content: what the experiment itself would send;
-    the attribute `distance` (m) between transmitter and receiver.
+    without a reliable reading. `campaign_frequency` (Hz) along content is that of the experiment itself. The attribute
+    `distance` (m) is that between transmitter and receiver.
     """
     shape = (len(contents), len(frequencies), len(seeds))
     values = {name: np.full(shape, np.nan) for name in (*(f"vs_{m}" for m in _METHODS), "received_frequency")}
@@ -73,9 +73,9 @@ def _damping_study(
 ) -> xr.Dataset:
     """Measure one sample of each content (%) with several local damping factors, 0 to 1 (Fig. 7 of the paper).
 
-    Damping of the boundary layers is kept; records are so many ``periods`` of the pulse long. Given are `received`
+    The damping of boundary layers is kept; records are ``periods`` periods of the pulse long. Returns `received`
     (velocity of the receiver, m/s) along (content, damping, sample), `time` (s) along (content, sample), and `vs_peak`
-    (m/s) along (content, damping), NaN where nothing trustworthy was read.
+    (m/s) along (content, damping), NaN without a reliable reading.
     """
     time = np.stack([np.linspace(0.0, periods / experiment.frequency(content), _RECORD_POINTS) for content in contents])
     received = np.zeros((len(contents), len(factors), _RECORD_POINTS))
@@ -99,7 +99,7 @@ def _damping_study(
 
 
 def _readings(experiment: Experiment, measurement: Measurement) -> dict[str, float]:
-    """Give what could be trusted of a measurement: vs by each method in m/s, and the received frequency in Hz."""
+    """Return reliable readings of a measurement: vs by each method in m/s, and the received frequency in Hz."""
     record, frequency = measurement.record, measurement.frequency
     found = {f"vs_{method}": _velocity(experiment, method, record) for method in _METHODS}
     if np.isfinite(found["vs_peak"]):
@@ -113,16 +113,16 @@ def _readings(experiment: Experiment, measurement: Measurement) -> dict[str, flo
 
 
 def _velocity(experiment: Experiment, method: Method, record: WaveRecord) -> float:
-    """Give what a campaign that reads by this method would store, m/s; NaN where it would store a reason."""
+    """Return the velocity that a campaign with this method would store, m/s; NaN if it would store a reason."""
     return interpret_record(replace(experiment, pick=replace(experiment.pick, method=method)), record).vs or np.nan
 
 
 def _pulse_frequency(signal: Floats, sampling_interval: float, moment: float, reach: float) -> float:
-    """Give the frequency of the pulse that peaks at a moment: one over twice its width at half height.
+    """Return the frequency of the pulse that peaks at a moment: one over twice its width at half amplitude.
 
-    For ``v0 (1 - cos 2 pi f t)`` this is exactly f. A spectrum would not do: a pulse of one sign has its largest
-    amplitude at frequency zero. Intervals and times are in s: ``moment`` is that of the peak after the first sample,
-    ``reach`` how far from it the largest value may be. NaN if the signal does not fall to half its peak on both sides.
+    For ``v0 (1 - cos 2 pi f t)`` this is exactly f. A spectrum fails, since a pulse of one sign has its largest
+    amplitude at frequency zero. ``moment`` is the time of the peak after the first sample, ``reach`` the largest
+    distance of the maximum from it, all in s. NaN if the signal does not fall to half its peak on both sides.
     """
     near, wide = round(moment / sampling_interval), max(1, round(reach / sampling_interval))
     begin = max(0, near - wide)
@@ -140,7 +140,7 @@ def _pulse_frequency(signal: Floats, sampling_interval: float, moment: float, re
 def _long_record(
     experiment: Experiment, content: float, seed: int, duration: float, check: Callable[[], None]
 ) -> WaveRecord:
-    """Record one sample for a given time in s, whatever arrives when."""
+    """Record one sample for a given time in s, regardless of arrivals."""
     patient = replace(experiment, wave=replace(experiment.wave, slowest=experiment.distance / duration))
     bonded = [experiment.ordering(seed).at(content).bonded]
     frequency = experiment.frequency(content)
@@ -155,7 +155,7 @@ def _set_units(study: xr.Dataset) -> None:
 
 
 def study_table(study: xr.Dataset, varied: str) -> str:
-    """Mean of Vs from peak to peak (m/s) against the content and what was varied, as a table in Markdown."""
+    """Mean of Vs from peak to peak (m/s) over content and varied parameter, as a Markdown table."""
     means = study["vs_peak"].mean([name for name in study["vs_peak"].dims if name == "seed"])
     unit = "Hz" if varied == "frequency" else "1"
     rows = [
@@ -179,8 +179,8 @@ def run_studies(
     """Run the studies "frequency" and "damping" on the samples of a campaign; nothing is written to its database.
 
     Contents are in percent, by default those of the study; ``check`` is called every fraction of a second and may raise
-    to end it. The results are as `calcidem.app.report.page.write_report` takes them. `ValueError` if a study is
-    unknown, or the campaign cannot be computed again from what is stored.
+    to end it. `calcidem.app.report.page.write_report` accepts the results. `ValueError` if a study is unknown, or the
+    campaign cannot be recomputed from its stored data.
     """
     unknown = sorted(set(names) - set(_STUDIES))
     if unknown:

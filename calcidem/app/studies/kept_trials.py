@@ -1,4 +1,4 @@
-"""Trials of a calibration in a file, so that none is measured twice: a line of JSON for each, written as it comes."""
+"""Trials of a calibration in a file, one line of JSON each, so that none is measured twice."""
 
 import json
 import os
@@ -18,19 +18,19 @@ _BEGINNING = b'{"physics": "'
 
 
 class KeptTrials:
-    """Velocities of trials by what decides them: the physics of the configuration, packing, contents and seeds.
+    """Velocities of trials by physics of the configuration, packing, contents and seeds.
 
     Parameters
     ----------
     file
-        Where they are kept; None to keep them as long as this object.
+        File of the trials; None keeps them only in this object.
     packing
-        Of all trials.
+        Packing of all trials.
 
     Raises
     ------
     ConfigurationError
-        If the file has something else. A last line that was cut off is left out.
+        If the file has other contents. A truncated last line is ignored.
     """
 
     def __init__(self, file: Path | None, packing: Packing) -> None:
@@ -40,11 +40,11 @@ class KeptTrials:
             self._read(file)
 
     def __len__(self) -> int:
-        """Number of trials that are known."""
+        """Number of known trials."""
         return len(self._known)
 
     def remembered(self, measure: MeasureTrials, contents: Sequence[float], seeds: Sequence[int]) -> MeasureTrials:
-        """Give what measures as ``measure`` does at these contents and seeds, but none that is known."""
+        """Return ``measure`` for these contents and seeds with known trials taken from memory."""
 
         def measured(configurations: Sequence[Configuration]) -> Iterator[Floats]:
             keys = [self._key(configuration, contents, seeds) for configuration in configurations]
@@ -75,7 +75,7 @@ class KeptTrials:
         cut_off = content[len(whole) :]
         lines = whole.decode(errors="replace").splitlines()
         if not (cut_off.startswith(_BEGINNING) or _BEGINNING.startswith(cut_off)):
-            lines.append("")  # no trial that a stop cut off
+            lines.append("")  # a stop truncated this trial
         for number, line in enumerate(lines, 1):
             try:
                 trial = json.loads(line)

@@ -1,4 +1,4 @@
-"""Numbers of a configuration that studies vary, by name and range, and the file that they are written back to."""
+"""Parameters of a configuration that studies vary, by name and range, and their output to a file."""
 
 import math
 import re
@@ -17,7 +17,7 @@ from calcidem.dem.sample.packing import Packing
 
 @dataclass(frozen=True, slots=True)
 class ParameterRange:
-    """A number of the configuration, and where it may lie.
+    """Parameter of the configuration and its range.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class ParameterRange:
 def parse_range(text: str) -> ParameterRange:
     """Read ``section.key`` or ``section.key=low:high``.
 
-    `ConfigurationError` if the limits are no rising positive numbers.
+    `ConfigurationError` if the limits are not increasing positive numbers.
     """
     name, _, limits = text.partition("=")
     if not limits:
@@ -48,9 +48,9 @@ def parse_range(text: str) -> ParameterRange:
 
 
 def check_ranges(configuration: Configuration, ranges: Sequence[ParameterRange], source: str) -> None:
-    """Refuse parameters that are no numbers of the wave stage, double ones, and ranges that cannot be computed.
+    """Refuse parameters that are not numbers of the wave stage, duplicates, and ranges that cannot be computed.
 
-    `ConfigurationError` with everything that is wrong; ``source`` says where the ranges are from.
+    `ConfigurationError` lists all problems; ``source`` names the origin of the ranges.
     """
     problems = [problem for chosen in ranges for problem in _range_problems(configuration, chosen)]
     names = [chosen.name for chosen in ranges]
@@ -62,7 +62,7 @@ def check_ranges(configuration: Configuration, ranges: Sequence[ParameterRange],
 
 
 def _range_problems(configuration: Configuration, chosen: ParameterRange) -> Iterator[Problem]:
-    """What is wrong with one range."""
+    """Problems of one range."""
     name = chosen.name
     if name not in _variable_keys():
         yield Problem(
@@ -98,7 +98,7 @@ def _variable_keys() -> dict[str, tuple[str, str]]:
 
 
 def with_values(configuration: Configuration, values: Mapping[str, float]) -> Configuration:
-    """Configuration with some parameters changed."""
+    """Configuration with changed parameters."""
     changed = configuration
     for name, value in values.items():
         attribute, key = _variable_keys()[name]
@@ -107,9 +107,9 @@ def with_values(configuration: Configuration, values: Mapping[str, float]) -> Co
 
 
 def start_value(configuration: Configuration, packing: Packing, chosen: ParameterRange) -> float:
-    """Value of a parameter to begin with, within its range; that of a cluster's area is Eq. 2 for a mean cluster.
+    """Initial value of a parameter, within its range; for a cluster's area that of Eq. 2 for a mean cluster.
 
-    A key without a value begins in the (geometric) middle of its range. `ValueError` if there is neither.
+    A key without a value starts at the geometric mean of its range. `ValueError` if there is neither.
     """
     attribute, key = _variable_keys()[chosen.name]
     value = getattr(getattr(configuration, attribute), key)
@@ -132,7 +132,7 @@ def _area_of_clusters(configuration: Configuration, packing: Packing) -> float:
 
 
 def text_with_values(text: str, values: Mapping[str, float]) -> str:
-    """TOML text with the values put in: keys that are there are replaced, others added to their section."""
+    """TOML text with these values: existing keys are replaced, others are added to their section."""
     for name, value in values.items():
         section, key = name.split(".")
         line = f"{key} = {value:.5g}  # calibrated"

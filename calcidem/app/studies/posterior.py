@@ -1,4 +1,4 @@
-"""What a calibration leaves open: parameters drawn from their posterior, and bands of mean and scatter with them."""
+"""Uncertainty of a calibration: posterior draws of the parameters, and bands of mean and scatter."""
 
 from dataclasses import dataclass
 
@@ -8,26 +8,26 @@ from scipy import stats
 from calcidem.dem.kernels.layout import Floats
 
 _WIDER = 1.3
-"""Of the proposal over the posterior of the linear model: weights have no long tail then."""
+"""Width of the proposal over the posterior of the linear model, which avoids a long tail of weights."""
 
 _FREEDOM = 5
-"""Degrees of freedom of the proposal, Student's t."""
+"""Degrees of freedom of the proposal, a Student's t distribution."""
 
 _SEED = 20_250_601
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """Draws of the parameters, and what they predict.
+    """Draws of the parameters, and their predictions.
 
     Attributes
     ----------
     points
-        (D, P) logarithms of the parameters, all with the same weight.
+        (D, P) logarithms of the parameters, with equal weights.
     predicted
-        (D, R) logarithms of the means and standard deviations that a new campaign would have.
+        (D, R) logarithms of the means and standard deviations of a new campaign.
     effective
-        How many independent draws they are worth; far below D, the trials do not tell the posterior.
+        Effective number of independent draws; if it is far below D, the trials do not determine the posterior.
     """
 
     points: Floats
@@ -44,9 +44,9 @@ class Posterior:
 
 
 def linear_model(trials: Floats, statistics: Floats) -> tuple[Floats, Floats]:
-    """Statistics (T, R) as linear functions of trials (T, P): (1 + P, R) constants and slopes, and what is missed (R,).
+    """Statistics (T, R) as linear functions of trials (T, P): constants and slopes (1 + P, R), residual variance (R,).
 
-    That is the variance of a trial about the line. `ValueError` if the trials do not tell all slopes.
+    `ValueError` if the trials do not determine all slopes.
     """
     count, parameters = trials.shape
     design = np.column_stack([np.ones(count), trials])
@@ -65,32 +65,32 @@ def draw_posterior(
     limits: Floats,
     draws: int = 4000,
 ) -> Posterior:
-    """Draw parameters by importance sampling, on a linear model of the trials of a calibration.
+    """Draw parameters by importance sampling with a linear model of the trials of a calibration.
 
-    `ValueError` if there are not more trials than parameters, or they lie in a plane.
+    `ValueError` if there are no more trials than parameters, or the trials lie in a hyperplane.
 
     Parameters
     ----------
     trials
         (T, P) logarithms of the parameters of the trials.
     statistics
-        (T, R) logarithms of the means and standard deviations that they gave.
+        (T, R) logarithms of their means and standard deviations.
     wanted
         (R,) logarithms of the targets.
     covariance
-        (R, R) of what targets and trials have as errors, the tolerance of the model among them.
+        (R, R) covariance of the errors of targets and trials, including the tolerance of the model.
     fresh
-        (R,) standard errors of what a new campaign measures, in log.
+        (R,) standard errors of the statistics of a new campaign, in log.
     limits
-        (P, 2) logarithms of the ranges, between which every value is as likely before.
+        (P, 2) logarithms of the ranges, with a uniform prior between them.
     draws
-        Their number.
+        Number of draws.
 
     Notes
     -----
-    What the linear model misses of the trials counts as one more error of each number, independent of the others. The
-    weights are those of the posterior over a wider Student's t around its mode (Robert & Casella 2004, chapter 3); the
-    draws are then drawn again by them.
+    The residual of the linear model counts as an additional independent error of each number. Importance weights are
+    the posterior over a wider Student's t around its mode (Robert & Casella 2004, chapter 3); draws are resampled by
+    them.
     """
     parameters, (line, missed) = trials.shape[1], linear_model(trials, statistics)
     inverse = np.linalg.inv(covariance + np.diag(missed))

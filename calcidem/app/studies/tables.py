@@ -1,4 +1,4 @@
-"""Tables of the studies in Markdown."""
+"""Markdown tables of the studies."""
 
 from collections.abc import Iterable, Sequence
 
@@ -10,5 +10,5 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def number(value: float | None, form: str = ".1e") -> str:
-    """Write a number, or a dash for one that is missing."""
+    """Format a number, or a dash if it is missing."""
     return "-" if value is None else format(value, form)

@@ -1,4 +1,4 @@
-"""Velocities of many configurations on the same packing, contents and seeds, spread over cores."""
+"""Velocities of many configurations with the same packing, contents and seeds, distributed over cores."""
 
 import multiprocessing
 import os
@@ -21,15 +21,15 @@ from calcidem.dem.wave.measurement import measure
 from calcidem.launch.starter import die_with_parent
 
 MeasureTrials = Callable[[Sequence[Configuration]], Iterator[Floats]]
-"""Takes configurations; gives Vs of each in turn, m/s, shape (seeds, contents), NaN where there is none."""
+"""Function of configurations that yields Vs of each in turn, m/s, shape (seeds, contents), NaN if missing."""
 
 
 def check_cells(
     configuration: Configuration, packing: Packing, contents: Sequence[float], seeds: Sequence[int]
 ) -> None:
-    """Refuse contents and seeds that the configuration or its packing cannot have.
+    """Refuse contents and seeds that are impossible for the configuration or its packing.
 
-    `ConfigurationError` with everything that is wrong.
+    `ConfigurationError` lists all problems.
     """
     try:
         plan = replace(configuration.campaign, contents=tuple(contents), seeds=tuple(seeds))
@@ -45,7 +45,7 @@ def check_cells(
 def trial_workers(
     packing: Packing, contents: Sequence[float], seeds: Sequence[int], cores: int = 1
 ) -> Iterator[MeasureTrials]:
-    """Give a function that measures configurations, which keeps so many cores busy until the block ends."""
+    """Yield a function that measures configurations on ``cores`` processes until the block ends."""
 
     def measure_trials(
         configurations: Sequence[Configuration], spread: Callable[..., Iterator[Floats]] = map
@@ -59,14 +59,14 @@ def trial_workers(
     if cores == 1:
         yield measure_trials
         return
-    # Fresh processes: a fork would share what libraries hold open. They would outlive a command that is killed.
+    # Fresh processes: a fork would share open resources of libraries. They would outlive a command that is killed.
     ending = partial(die_with_parent, os.getpid()) if sys.platform == "linux" else None
     with ProcessPoolExecutor(cores, multiprocessing.get_context("spawn"), ending) as pool:
         yield partial(measure_trials, spread=pool.map)
 
 
 def _seed_batches(seeds: Sequence[int], lanes: int) -> list[tuple[int, ...]]:
-    """Seeds in parts as wide as the kernel."""
+    """Seeds in batches of kernel width."""
     return [tuple(seeds[begin : begin + lanes]) for begin in range(0, len(seeds), lanes)]
 
 
@@ -80,7 +80,7 @@ def _velocities(
     def column(content: float) -> list[float]:
         try:
             cells = measure(experiment, content, seeds, lanes=configuration.run.lanes, ordering=ordering)
-        except ValueError:  # what other values of the same plan allow: more cement, a pulse that the steps resolve
+        except ValueError:  # other values of the plan may allow it: more cement, a pulse that the steps resolve
             return [np.nan] * len(seeds)
         return [np.nan if cell.vs is None else cell.vs for cell in cells]
 

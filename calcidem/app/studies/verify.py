@@ -1,4 +1,4 @@
-"""Computing stored cells again, to see whether what the database says is still what the program gives."""
+"""Recomputation of stored cells, to check whether the program still gives the stored results."""
 
 import math
 import random
@@ -22,29 +22,29 @@ from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 ExperimentOf = Callable[[int], Experiment]
-"""Gives what the cells of a packing share, by the packing's index."""
+"""Function that returns the common experiment of a packing's cells by the packing's index."""
 
 _REPEATABLE = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
-"""Outcomes that physics decides; the others depend on the machine of the day."""
+"""Outcomes decided by physics; the others depend on the machine."""
 
 _ROUNDING_TOLERANCE = 1e-9
 """Largest relative difference that counts as rounding.
 
-The same cell on the same packing differed between processors by up to 1e-10 while its bits still depended on them; what
-chaos has touched, as contacts that slip or a packing made anew, differs by more than 1e-6.
+The same cell on the same packing differed between processors by up to 1e-10 while its bits still depended on them.
+Chaos, as in slipping contacts or a new packing, causes differences above 1e-6.
 """
 
 _SHARES = ("coherence", "reading_error", "path_error", "expected_error", "error_bound")
-"""Numbers that are relative as they are: a difference of small ones counts as it is, since rounding does not."""
+"""Numbers that are already relative, so their absolute difference counts."""
 
 _VERIFIED = (*EXACT_QUANTITIES, "expected_error", "error_bound")
 
 _COUNTED = ("across", "along")
-"""Velocities in whole counts: rounding may move one across the middle between two counts."""
+"""Velocities in whole counts; rounding may change one by a count."""
 
 
 class Agreement(StrEnum):
-    """What came out of a comparison, from the best to the worst; the value is the word for the user."""
+    """Result of a comparison, from the best to the worst; the value is the text for the user."""
 
     SAME_BITS = "same bits"
     ROUNDING = "same to rounding"
@@ -53,15 +53,15 @@ class Agreement(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """One cell, computed again.
+    """One recomputed cell.
 
     Attributes
     ----------
     stored, computed
         Both outcomes.
     differences
-        What does not have the same bits, and how large its relative difference is: infinite where something is no
-        longer there, or is no number and another. A quantity that the stored cell lacks is not compared.
+        Relative differences of quantities whose bits differ: infinite for missing quantities and for differing values
+        that are not numbers. A quantity that the stored cell lacks is not compared.
     """
 
     stored: CellResult
@@ -70,7 +70,7 @@ class Verification:
 
     @property
     def agreement(self) -> Agreement:
-        """What follows."""
+        """Agreement that follows from the differences."""
         if not self.differences:
             return Agreement.SAME_BITS
         size = self.differences[self.most_different]
@@ -78,12 +78,12 @@ class Verification:
 
     @property
     def most_different(self) -> str:
-        """Name of the quantity that differs most, the first of equals; empty if none does."""
+        """Name of the quantity that differs most, the first of equal ones; empty if none does."""
         return max(self.differences, key=lambda name: self.differences[name], default="")
 
     @property
     def lacking(self) -> tuple[str, ...]:
-        """Names of quantities that the computed cell has and the stored one lacks: it may be older than they are."""
+        """Quantities of the computed cell that the stored one lacks, since it may be older."""
         if self.stored.status is not self.computed.status:
             return ()
         there = [{n for n in _VERIFIED if getattr(cell, n) is not None} for cell in (self.stored, self.computed)]
@@ -91,16 +91,15 @@ class Verification:
 
 
 def worst_agreement(found: Iterable[Verification]) -> Agreement:
-    """What came out for all cells together: what came out for the worst of them."""
+    """Worst agreement of all cells."""
     order = list(Agreement)
     return max((verification.agreement for verification in found), key=order.index, default=Agreement.SAME_BITS)
 
 
 def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[CellKey, ...]:
-    """Choose stored cells at random, by seed, then content; all where there are fewer.
+    """Choose stored cells at random, by seed, then content; all if there are fewer.
 
-    ``choice`` is the seed of the choice; None for another one each time. `UnknownCellError` if there is none that could
-    be computed again.
+    ``choice`` is the seed of the choice; None varies it each time. `UnknownCellError` if no cell can be recomputed.
     """
     keys = [result.key for result in store.results(Selection(statuses=_REPEATABLE))]
     if not keys:
@@ -114,10 +113,10 @@ def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[C
 def verify(
     store: Store, keys: Iterable[CellKey], experiment_of: ExperimentOf, *, lanes: int = 8
 ) -> Iterator[Verification]:
-    """Compute stored cells again and compare them, as many side by side as there are lanes, which changes nothing.
+    """Recompute stored cells and compare them, without changing the store; ``lanes`` cells run side by side.
 
-    ``experiment_of`` gives what the cells of a packing share, such as `Campaign.experiment`: the stored packing and
-    physics. `CampaignMismatchError` if the campaign was computed with another version of the physics;
+    ``experiment_of`` returns the experiment of a packing's cells with the stored packing and physics, such as
+    `Campaign.experiment`. `CampaignMismatchError` if the campaign has another version of the physics;
     `UnknownCellError` if a cell has no outcome.
     """
     refuse_other_physics(store.record)
@@ -141,7 +140,7 @@ def _verify_batch(
 
 
 def _compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
-    """Compare two outcomes of one cell: status, numbers, and cement and section where they were stored."""
+    """Compare two outcomes of one cell: status, numbers, and cement and section if stored."""
     differences = dict(_different_quantities(stored, computed))
     if stored.cement is not None:
         differences |= _different_arrays("cement", stored.cement, computed.cement)
@@ -151,7 +150,7 @@ def _compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
 
 
 def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[tuple[str, float]]:
-    """Give what differs among status and numbers, and by how much."""
+    """Yield differing status and numbers with their differences."""
     if stored.status != computed.status:
         yield "status", math.inf
     for name in _VERIFIED:
@@ -167,7 +166,7 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
 def _different_arrays(
     name: str, stored: CementPattern | RecordedSection, computed: CementPattern | RecordedSection | None
 ) -> dict[str, float]:
-    """Name the fields that differ between two records of arrays, and by how much."""
+    """Return the differing fields of two records of arrays with their differences."""
     if computed is None:
         return {name: math.inf}
     pairs = {field.name: (getattr(stored, field.name), getattr(computed, field.name)) for field in fields(stored)}
@@ -182,7 +181,7 @@ def _different_arrays(
 def _array_difference(stored: npt.NDArray[Any], computed: npt.NDArray[Any], *, is_counted: bool) -> float:
     """Return the largest difference of two arrays over their largest magnitude; counts may be one apart.
 
-    Infinite for other shapes, and for whole numbers, which name disks or kinds, that are not the same.
+    Infinite for different shapes, and for different integers that identify disks or kinds.
     """
     if stored.shape != computed.shape or not (is_counted or stored.dtype.kind == "f"):
         return math.inf

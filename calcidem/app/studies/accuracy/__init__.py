@@ -1,5 +1,5 @@
-"""Error against run time: what each numerical setting costs and how far it moves a result.
+"""Error over run time: cost of each numerical setting, and its effect on the result.
 
-`settings` lists them, `reference` gives the truth, `study.run_study` measures, `questions` has those with a truth of
-their own, `report` shows, `command` does it all.
+`settings` lists them, `reference` computes the reference, `study.run_study` measures, `questions` covers questions with
+their own reference, `report` presents, `command` runs all.
 """

@@ -1,4 +1,4 @@
-"""The command `calcidem accuracy`: a study of the configuration's own scenes, as tables, figure and JSON."""
+"""Command `calcidem accuracy`: a study of the configuration's scenes, as tables, figure and JSON."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -25,16 +25,16 @@ _CONVERGENCE_CASES: tuple[tuple[bool, Regime], ...] = ((True, "linear"), (False,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """What is to be measured.
+    """Measurements to make.
 
     Attributes
     ----------
     configuration
-        Of the campaign.
+        Configuration of the campaign.
     experiment, contents, seeds
-        The cells; contents in percent.
+        Cells; contents in percent.
     stored
-        Velocities of a stored campaign at each content, m/s; None measures some samples instead.
+        Velocities of a stored campaign at each content, m/s; None measures a few samples instead.
     """
 
     configuration: Configuration
@@ -51,10 +51,10 @@ def plan_task(
     database: str | os.PathLike[str] | None,
     progress: Callable[[str], None],
 ) -> Task:
-    """Plan to measure some contents, all of the campaign if there are none, and its first seeds.
+    """Plan to measure the given contents, by default all of the campaign, with its first seeds.
 
-    From a database the campaign's packing is taken, and its velocities for the scatter of its samples.
-    `CampaignMismatchError` if the database has a campaign of another configuration.
+    A database supplies the campaign's packing, and its velocities for the scatter of samples.
+    `CampaignMismatchError` if its campaign has another configuration.
     """
     contents = contents or sorted(configuration.campaign.contents)
     velocities = None
@@ -76,11 +76,10 @@ def accuracy(
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Findings:
-    """Measure error against run time.
+    """Measure error over run time.
 
-    With names of settings in ``only`` these and the default are compared with the reference and nothing else is
-    measured; `ValueError` if there is none of a name. The folder ``out`` takes the figure, ``accuracy.md`` and
-    ``accuracy.json``.
+    With names of settings in ``only``, only these and the default are compared with the reference; `ValueError` for an
+    unknown name. The folder ``out`` receives the figure, ``accuracy.md`` and ``accuracy.json``.
     """
     compared, rounds = (choose_settings(task.experiment, only), {"rounds": 1}) if only else (None, {})
     lanes = task.configuration.run.lanes
@@ -98,7 +97,7 @@ def accuracy(
 
 
 def choose_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting]:
-    """Give the default and the settings of these names; `ValueError` if there is none of a name."""
+    """Return the default and the settings of these names; `ValueError` for an unknown name."""
     known = {setting.name: setting for setting in settings(experiment)}
     for name in only:
         if name not in known:
@@ -107,12 +106,12 @@ def choose_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting
 
 
 def _answer_questions(task: Task, findings: Findings, progress: Callable[[str], None]) -> Findings:
-    """Add what has a truth of its own."""
+    """Add the results that have their own reference."""
     configuration, experiment, contents, seeds = task.configuration, task.experiment, task.contents, task.seeds
     lanes, all_seeds = configuration.run.lanes, configuration.campaign.seed_numbers
 
     def packing_of(ratio: float) -> Packing:
-        # A packing that is kept may have been made by another version: another sample, not the same at another ratio.
+        # A stored packing may come from another version and then be another sample, not the same at another ratio.
         rule = replace(configuration.packing, unbalanced_force_ratio=ratio)
         return new_packing(replace(configuration, packing=rule), progress)
 
@@ -134,11 +133,11 @@ def _answer_questions(task: Task, findings: Findings, progress: Callable[[str], 
 
 
 def _orders(task: Task, study: Study, progress: Callable[[str], None]) -> tuple[Convergence, ...]:
-    """Order of convergence at each content of which the reference has a velocity."""
+    """Order of convergence at each content with a velocity of the reference."""
     orders, own = [], task.experiment.wave.regime
     for content in dict.fromkeys(cell.content for cell in study.references if cell.vs is not None):
         slowest = min(cell.vs for cell in study.references if cell.content == content and cell.vs is not None)
-        # The linear regime refuses a loud pulse, so the configuration's own takes its place.
+        # The linear regime refuses a strong pulse, so the configuration's regime replaces it.
         cases = ((damped, own if regime == "linear" else regime) for damped, regime in _CONVERGENCE_CASES)
         for damped, regime in dict.fromkeys(cases):
             progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}, {regime}")
@@ -152,7 +151,7 @@ def _orders(task: Task, study: Study, progress: Callable[[str], None]) -> tuple[
 
 
 def parse_target(text: str) -> float:
-    """Turn ``0.5%`` or ``0.005`` into 0.005."""
+    """Parse ``0.5%`` or ``0.005`` as 0.005."""
     digits, scale = (text[:-1], 0.01) if text.rstrip().endswith("%") else (text, 1.0)
     try:
         value = float(digits) * scale

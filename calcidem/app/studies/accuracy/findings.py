@@ -1,4 +1,4 @@
-"""Everything that one run of `calcidem accuracy` measured, as JSON and read back from it."""
+"""Results of one run of `calcidem accuracy`, written as JSON and read from it."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -11,12 +11,12 @@ from calcidem.app.studies.accuracy.reference import Convergence
 from calcidem.app.studies.accuracy.study import Study
 
 _PACKAGED = Path(__file__).with_name("measured.json")
-"""Excerpt of what ``calcidem accuracy examples/paper-small-pulse.toml`` found, see benchmarks/accuracy/publish.py."""
+"""Excerpt of the results for ``examples/paper-small-pulse.toml``, see benchmarks/accuracy/publish.py."""
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """Everything that one run of the command measured.
+    """Results of one run of the command.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class Findings:
     study
         Errors of the settings.
     convergence, amplitudes, equilibrium, scatter
-        Rows of the other tables, empty where they were not measured.
+        Rows of the other tables, empty if not measured.
     """
 
     campaign_hash: str
@@ -46,9 +46,9 @@ class MeasuredErrors:
     Attributes
     ----------
     source
-        File that they are from.
+        Source file.
     worst
-        By name of the setting and content in percent.
+        Largest error by name of the setting and content in percent.
     """
 
     source: Path
@@ -56,7 +56,7 @@ class MeasuredErrors:
 
 
 def findings_json(findings: Findings) -> str:
-    """Everything as JSON: numbers to five digits, null for what is no finite number."""
+    """Results as JSON: numbers to five digits, null for values that are not finite."""
 
     def rounded(value: object) -> object:
         if isinstance(value, dict):
@@ -73,8 +73,8 @@ def findings_json(findings: Findings) -> str:
 def measured_errors(campaign_hash: str, packing_hash: str, path: Path | None = None) -> MeasuredErrors | None:
     """Errors measured for a campaign's physics and packing (`Packing.content_hash`).
 
-    They are those in a JSON of `calcidem accuracy`, by default the packaged one, if it is about both. `ValueError` if
-    the given file is none, or about another campaign or packing.
+    They are read from a JSON of `calcidem accuracy`, by default the packaged one if it matches both. `ValueError` if
+    the given file is not such a JSON, or has another campaign or packing.
     """
     source = path or _PACKAGED
     try:

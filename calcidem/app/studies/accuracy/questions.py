@@ -1,8 +1,8 @@
-"""Questions with a truth of their own: strength of the pulse, balance of the packing, scatter of the samples.
+"""Questions with their own reference: strength of the pulse, balance of the packing, scatter of the samples.
 
-A pulse of another amplitude asks another physical question, so every amplitude has the finite regime as its own truth,
-at the same step and samples. A packing is compared with the same one, left to come to rest longer. The numerical error
-of a mean stands beside its statistical one.
+Another amplitude of the pulse is another physical problem. The reference of every amplitude is therefore the finite
+regime at the same step and samples. The reference of a packing is the same packing closer to equilibrium. The numerical
+error of a mean is compared with its statistical error.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -19,10 +19,10 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement
 
-SCATTER_SEEDS = 16  # seeds that tell the scatter if no stored campaign does
+SCATTER_SEEDS = 16  # seeds for the scatter without a stored campaign
 _AMPLITUDES = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1)  # m/s
-_DENSE_SAMPLES = 400  # in a period of the pulse
-_RATIOS = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the smallest is taken for exact
+_DENSE_SAMPLES = 400  # samples per period of the pulse
+_RATIOS = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the smallest is the reference
 
 _CellsFound = dict[tuple[int, float], Measurement]
 
@@ -36,16 +36,16 @@ class AmplitudeRow:
     amplitude
         v0 of the pulse, m/s.
     regime
-        Of the cells.
+        Regime of the cells.
     cells
-        With a velocity here and in the finite regime.
+        Cells with a velocity here and in the finite regime.
     lost
-        With a velocity in the finite regime only: refused, or no velocity because the stated error is above 5 %.
+        Cells with a velocity in the finite regime only: refused, or with a stated error above 5 %.
     median, worst
-        Relative error of Vs against the finite regime of this amplitude; for the finite regime itself, against its
-        velocity at the experiment's own amplitude: no error, but what the strength of the pulse does to the sample.
+        Relative error of Vs against the finite regime of this amplitude. For the finite regime itself it is the
+        deviation from the velocity at the experiment's amplitude: not an error, but the effect of the pulse's strength.
     refusal
-        Why there are no cells, if it was refused beforehand.
+        Reason if the pulse was refused beforehand.
     """
 
     amplitude: float
@@ -64,11 +64,11 @@ class EquilibriumRow:
     Attributes
     ----------
     unbalanced_force_ratio
-        That ratio.
+        Unbalanced-force ratio.
     changed_contacts
-        Contacts that touch here or in the packing with the smallest ratio, but not in both.
+        Contacts that touch either here or in the packing with the smallest ratio.
     cells
-        Compared.
+        Compared cells.
     median, worst
         Relative error of Vs against the packing with the smallest ratio, all else equal.
     """
@@ -82,24 +82,24 @@ class EquilibriumRow:
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """One content.
+    """Scatter and errors at one content.
 
     Attributes
     ----------
     content
         Percent.
     samples
-        That the scatter is known from.
+        Number of samples for the scatter.
     deviation
         Standard deviation of Vs over its mean.
     seeds
-        Of the campaign.
+        Number of seeds of the campaign.
     statistical
         Relative standard error of the campaign's mean, ``deviation / sqrt(seeds)``.
     numerical, worst
         Median and largest of the numerical errors of the default setting.
     bias
-        Their mean with sign: what the campaign's mean is off by. Unlike the statistical error it does not fall with the
+        Their mean with sign: the bias of the campaign's mean. Unlike the statistical error it does not fall with the
         number of seeds.
     """
 
@@ -114,7 +114,7 @@ class Scatter:
 
 
 def _errors(found: _CellsFound, exact: _CellsFound) -> list[float]:
-    """Absolute relative errors of Vs of the cells that have a velocity in both."""
+    """Absolute relative errors of Vs of cells with a velocity in both."""
     deviations = (relative_deviation(found[key].vs, exact[key].vs) for key in exact if key in found)
     return [abs(error) for error in deviations if error is not None]
 
@@ -129,7 +129,7 @@ def amplitude_rows(
     lanes: int = 8,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[AmplitudeRow, ...]:
-    """Measure some regimes at several amplitudes against the finite one."""
+    """Measure regimes at several amplitudes against the finite regime."""
 
     def measured(regime: Regime, amplitude: float) -> tuple[_CellsFound, str]:
         setting = with_wave(experiment, regime=regime, amplitude=amplitude, samples_per_period=_DENSE_SAMPLES)
@@ -195,9 +195,9 @@ def equilibrium_rows(
 
 
 def _same_contacts(packing: Packing, model: Packing) -> Packing:
-    """Packing with the list of contacts of another one, so that cement is drawn at the same places.
+    """Packing with the contact list of another one, so that cement is drawn at the same places.
 
-    Which contacts touch is a matter of the positions; the list says where cement may go and which carry shear.
+    Positions determine touching contacts; the list determines possible cement and contacts with shear.
     """
     known = dict(zip(_keys_of(packing), np.asarray(packing.preload.shear).tolist(), strict=True))
     shear = np.array([known.get(key, 0.0) for key in _keys_of(model)])
@@ -205,7 +205,7 @@ def _same_contacts(packing: Packing, model: Packing) -> Packing:
 
 
 def _keys_of(packing: Packing) -> list[int]:
-    """One number for each contact."""
+    """Key of each contact."""
     keys: list[int] = pair_keys(packing.pairs, len(packing.radius)).tolist()
     return keys
 
@@ -213,9 +213,9 @@ def _keys_of(packing: Packing) -> list[int]:
 def scatter_rows(
     cells: Iterable[CellError], velocities: Mapping[float, Sequence[float]], seeds: int
 ) -> tuple[Scatter, ...]:
-    """Put the errors of a study's default setting beside the scatter of the samples.
+    """Compare the errors of a study's default setting with the scatter of the samples.
 
-    ``velocities`` has samples of Vs at each content, m/s; ``seeds`` are those of the campaign whose mean is asked for.
+    ``velocities`` has samples of Vs at each content, m/s; ``seeds`` is the number of seeds of the campaign's mean.
     """
     errors: dict[float, list[float]] = {}
     for cell in cells:

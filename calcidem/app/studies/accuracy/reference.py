@@ -1,4 +1,4 @@
-"""The converged reference of each cell, the error of other settings, and the order of convergence."""
+"""Converged reference of each cell, error of other settings, and order of convergence."""
 
 import itertools
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ from calcidem.dem.wave.measurement import Measurement, measure_all
 from calcidem.dem.wave.reading import smooth
 from calcidem.dem.wave.recorder import WaveRecord
 
-HALVING = 1.0e-4  # relative change of Vs by which halving the step may move it
-COARSEST = 0.4  # step over the limit that is tried first
-_FINEST = 0.05  # and that is not gone below
-CONVERGENCE_STEPS = (0.8, 0.4, 0.2, 0.1)  # over the limit; each half of the one before
+HALVING = 1.0e-4  # largest relative change of Vs by halving the step
+COARSEST = 0.4  # first step over the limit
+_FINEST = 0.05  # smallest step over the limit
+CONVERGENCE_STEPS = (0.8, 0.4, 0.2, 0.1)  # steps over the limit; each is half of the previous one
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +32,11 @@ class ReferenceCell:
     seed, content
         The cell; content in percent.
     vs
-        m/s; None where the reference has no trusted pick either.
+        m/s; None if the reference has no reliable pick either.
     step_fraction
-        Its step over the stability limit.
+        Step over the stability limit.
     halving
-        Relative change of Vs when a step twice as large was halved to that step; None without a velocity.
+        Relative change of Vs by halving twice this step; None without a velocity.
     """
 
     seed: int
@@ -48,7 +48,7 @@ class ReferenceCell:
 
 @dataclass(frozen=True, slots=True)
 class CellError:
-    """How far one cell of one setting is from the reference.
+    """Deviation of one cell with one setting from the reference.
 
     Attributes
     ----------
@@ -57,15 +57,15 @@ class CellError:
     seed, content
         The cell; content in percent.
     vs, reference_vs
-        m/s; None where there is no trusted pick.
+        m/s; None without a reliable pick.
     vs_error
         Relative, signed; None unless both have a velocity.
     arrival_error
-        Relative, of the travel time of the first arrival, signed; None unless both have one.
+        Relative error of the travel time of the first arrival, signed; None unless both have one.
     signal_error
         See `signal_distance`.
     expected, bound
-        Relative error that the cell itself expects, and its bound.
+        Relative error estimated by the cell itself, and its bound.
     """
 
     setting: str
@@ -82,20 +82,20 @@ class CellError:
 
 @dataclass(frozen=True, slots=True)
 class Convergence:
-    """How the signal of a content converges, medians over its cells.
+    """Convergence of the signal at a content, medians over its cells.
 
     Attributes
     ----------
     content
         Percent.
     damped
-        With the experiment's local damping, or without any.
+        True with the experiment's local damping, False without damping.
     regime
-        ``linear``, or another in which contacts keep a history.
+        ``linear``, or a regime with contact histories.
     changes
-        Change of the signal by each halving of the step: normalised L2, at the times of the largest step's samples.
+        Change of the signal by each halving of the step: normalised L2, at the sampling times of the largest step.
     orders
-        Logarithm to base 2 of each change over the next: the order, without needing an exact solution.
+        Logarithm to base 2 of each change over the next: the order, without an exact solution.
     """
 
     content: float
@@ -106,14 +106,14 @@ class Convergence:
 
 
 def fitting_lanes(seeds: Sequence[int], lanes: int) -> int:
-    """Width of the kernel that these seeds fill: the smallest power of two, at most ``lanes``."""
+    """Width of the kernel for these seeds: the smallest sufficient power of two, at most ``lanes``."""
     return min(lanes, 1 << (len(seeds) - 1).bit_length())
 
 
 def measure_cells(
     experiment: Experiment, content: float, seeds: Sequence[int], lanes: int
 ) -> dict[tuple[int, float], Measurement]:
-    """Measurements by seed and content, in a kernel of the width that the seeds fill."""
+    """Measurements by seed and content, in a kernel of fitting width."""
     found = measure_all(experiment, content, seeds, lanes=fitting_lanes(seeds, lanes))
     return {(cell.seed, content): cell for cell in found}
 
@@ -121,9 +121,9 @@ def measure_cells(
 def measure_and_time(
     experiment: Experiment, content: float, seeds: Sequence[int], lanes: int
 ) -> tuple[tuple[Measurement, ...], float]:
-    """Measure, and give the processor time of a cell, s; what had to compile its kernels is measured again.
+    """Measure, and return also the processor time of a cell, s; repeated if kernels were compiled.
 
-    Processor time leaves out what other programs take of a shared machine, unlike the wall time of a `Measurement`.
+    Unlike the wall time of a `Measurement`, processor time excludes other programs on a shared machine.
     """
     while True:
         compiled, began = seconds_compiling(), process_time()
@@ -136,10 +136,10 @@ def measure_and_time(
 def find_reference(
     experiment: Experiment, content: float, seeds: Sequence[int], lanes: int, coarsest: float = COARSEST
 ) -> tuple[tuple[Measurement, ...], tuple[ReferenceCell, ...], float]:
-    """Measure a content exactly: the step of each cell is halved until its Vs changes by less than `HALVING`.
+    """Measure a content accurately: the step of each cell is halved until its Vs changes by less than `HALVING`.
 
-    A cell that is still moving at `_FINEST` stays with that, and says by how much. Given are the measurements, what is
-    said of each, and the mean processor time of a cell, s.
+    A cell that still changes at `_FINEST` keeps this step and records its change. Returns the measurements, their
+    reference cells, and the mean processor time of a cell, s.
     """
     step, waiting = coarsest, list(seeds)
     before = measure_cells(reference_experiment(experiment, step), content, waiting, lanes)
@@ -184,9 +184,9 @@ def relative_deviation(found: float | None, exact: float | None) -> float | None
 
 
 def signal_distance(found: WaveRecord, exact: WaveRecord) -> float:
-    """Normalised L2 distance of two received signals, each over its pulse's amplitude, on the time that both cover.
+    """Normalised L2 distance of two received signals, each over its pulse's amplitude, in their common time.
 
-    ``||a - b|| / ||b||`` at the samples of the coarser record; the finer one is interpolated by a cubic spline.
+    It is ``||a - b|| / ||b||`` at the samples of the coarser record; a cubic spline interpolates the finer one.
     """
     sections = found.section, exact.section
     times = [section.times for section in sections]
@@ -199,13 +199,13 @@ def signal_distance(found: WaveRecord, exact: WaveRecord) -> float:
 
 
 def _common_times(times: Sequence[Floats], chosen: Floats) -> Floats:
-    """Those of the chosen times that all cover."""
+    """Chosen times that all records cover."""
     begin, end = max(time[0] for time in times), min(time[-1] for time in times)
     return np.asarray(chosen[(chosen >= begin) & (chosen <= end)])
 
 
 def _at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:
-    """Values between samples, by a cubic spline; where they are not finite there is none."""
+    """Values between samples, by a cubic spline; NaN if values are not finite."""
     if not np.all(np.isfinite(values)):
         return np.full(len(wanted), np.nan)
     return np.asarray(CubicSpline(time, values)(wanted))
@@ -221,12 +221,11 @@ def measure_convergence(
     regime: Regime = "linear",
     lanes: int = 8,
 ) -> Convergence:
-    """Measure the order at one content; records end when a wave of two thirds of ``velocity`` (m/s) was received.
+    """Measure the order at one content; records last until a wave with two thirds of ``velocity`` (m/s) has arrived.
 
-    Local damping pushes against the sign of the velocity half a step before, and that sign turns over at some instant
-    within a step: an error of first order. So is the increment of a shear force in a contact that sticks while its
-    stiffness changes, as in the small and finite regimes. The rest is of second order, which shows in the linear regime
-    without damping.
+    Local damping opposes the velocity half a step before, whose sign changes within a step: an error of first order.
+    The shear-force increment of a sticking contact with changing stiffness, as in the small and finite regimes, has the
+    same order. All other errors are of second order, as the linear regime without damping shows.
     """
     even = with_wave(
         experiment,
@@ -247,7 +246,7 @@ def measure_convergence(
 def _signal_changes(records: Sequence[WaveRecord], smoothing: float) -> Floats:
     """Change from each record to the next, at the times of the first.
 
-    Smoothing removes the steps in which velocities are recorded, which are as large as the smallest change.
+    Smoothing removes the quantisation of recorded velocities, which is as large as the smallest change.
     """
     sections = [record.section for record in records]
     signals = [smooth(section.received, smoothing * section.period) for section in sections]

@@ -1,4 +1,4 @@
-"""What was found, as Markdown tables and as a figure of error against run time."""
+"""Results as Markdown tables and as a figure of error over run time."""
 
 from collections.abc import Sequence
 
@@ -13,13 +13,13 @@ from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, covere
 from calcidem.app.studies.tables import markdown_table, number
 
 _TARGETS = (0.005, 0.002, 0.001)
-_MANY_CELLS = 40  # above which the table of cells is left to the JSON
-_SMALLEST = 1e-6  # errors below this are drawn here: a setting that changes nothing has none
-_STAIRS = 4  # names one below the other, before they begin again
+_MANY_CELLS = 40  # most cells in a table; more are only in the JSON
+_SMALLEST = 1e-6  # smaller errors, including zero, are drawn here
+_STAIRS = 4  # levels of staggered labels
 
 
 def accuracy_tables(findings: Findings, targets: Sequence[float] = _TARGETS) -> dict[str, str]:
-    """Give all tables as Markdown, by name; those that were not measured are left out."""
+    """Return all measured tables as Markdown, by name."""
     study = findings.study
     wanted = [f"- {100 * target:g} %: {name_of(cheapest(study, target))}" for target in targets]
     parts = {
@@ -35,18 +35,18 @@ def accuracy_tables(findings: Findings, targets: Sequence[float] = _TARGETS) -> 
 
 
 def accuracy_page(findings: Findings) -> str:
-    """Give all tables as a page of Markdown, each between comments that name it: a program may take them over."""
+    """Return all tables as a page of Markdown, each between comments with its name for other programs."""
     parts = accuracy_tables(findings).items()
     return "\n\n".join(f"<!-- {name} -->\n{table}\n<!-- end -->" for name, table in parts) + "\n"
 
 
 def _own_cells(study: Study) -> list[CellError]:
-    """Cells of the default."""
+    """Cells of the default setting."""
     return [cell for cell in study.cells if cell.setting == DEFAULT]
 
 
 def _opening(study: Study) -> str:
-    """Say the most important numbers."""
+    """Summarise the most important numbers."""
     row = next(row for row in study.summaries if row.setting == DEFAULT)
     names = {summary.setting for summary in study.summaries if summary.numerical}
     numerical = [cell for cell in study.cells if cell.setting in names]
@@ -64,7 +64,7 @@ def _opening(study: Study) -> str:
 
 
 def _settings_table(study: Study) -> str:
-    """Give one line for each setting; those that ask another question are marked."""
+    """Return one line for each setting; those that change the exact answer are marked."""
     header = ("setting", "Vs median", "Vs worst", "first arrival", "signal (L2)", "within bound", "s a cell")
     return markdown_table(
         (*header, "cells lost"),
@@ -82,7 +82,7 @@ def _settings_table(study: Study) -> str:
 
 
 def _content_table(study: Study) -> str:
-    """Give reference and default at each content."""
+    """Return reference and default at each content."""
     rows = []
     for content in sorted({cell.content for cell in study.references}):
         exact = [cell for cell in study.references if cell.content == content]
@@ -111,7 +111,7 @@ def _content_table(study: Study) -> str:
 
 
 def _cell_table(study: Study) -> str:
-    """Give every cell of the default beside its reference, unless they are too many to read."""
+    """Return every cell of the default with its reference, unless there are too many."""
     found = {(cell.seed, cell.content): cell for cell in _own_cells(study)}
     if not found or len(study.references) > _MANY_CELLS:
         return ""
@@ -126,7 +126,7 @@ def _cell_table(study: Study) -> str:
 
 
 def _damping_table(study: Study) -> str:
-    """Give the velocity without local damping in the sample over that of the default, at each content."""
+    """Return the ratio of velocities with and without local damping at each content."""
     own = {(cell.seed, cell.content): cell.vs for cell in _own_cells(study)}
     ratios: dict[float, list[float]] = {}
     for cell in study.cells:
@@ -142,7 +142,7 @@ def _damping_table(study: Study) -> str:
 
 
 def _other_tables(findings: Findings) -> dict[str, str]:
-    """Give the tables of what has a truth of its own; the finite regime's line is an effect of the amplitude."""
+    """Return the tables with their own reference; the finite regime's line is an effect of the amplitude."""
     halvings = [f"{2 * step:g} to {step:g}" for step in CONVERGENCE_STEPS[1:]]
     seeds = findings.scatter[0].seeds if findings.scatter else 0
     return {
@@ -209,13 +209,13 @@ def _other_tables(findings: Findings) -> dict[str, str]:
 
 
 def name_of(row: Summary | None) -> str:
-    """Name of a setting with its cost."""
+    """Name and cost of a setting."""
     return "none of those measured" if row is None else f"{row.setting}, {row.seconds:.2f} s a cell"
 
 
 @apply_style
 def draw_error_against_run_time(study: Study) -> "Figure":
-    """Draw median and largest error of Vs against the processor time of a cell."""
+    """Draw median and largest error of Vs over the processor time of a cell."""
     figure = new_figure(3.6)
     axes = figure.subplots()
     rows = [row for row in study.summaries if row.numerical and row.cells]
@@ -232,7 +232,7 @@ def draw_error_against_run_time(study: Study) -> "Figure":
         axes.plot(row.seconds, drawable(row.median), "o", color=colour, markersize=size)
     named = sorted({*front, *(row for row in rows if row.setting == DEFAULT)}, key=lambda row: row.seconds)
     for place, row in enumerate(named):
-        # Below the marks, where no bar is, and one below the other, because settings of one price stand close together.
+        # Labels are below the marks and their bars, and staggered, since settings of equal cost are close together.
         axes.annotate(
             row.setting,
             (row.seconds, drawable(row.median)),

@@ -1,7 +1,6 @@
-"""The numerical settings that are compared, each one knob away from the experiment's own.
+"""Compared numerical settings; each differs from the experiment's own in one knob.
 
-Two knobs have tables of their own, because what they are compared with is not the reference: `amplitudes` and
-`equilibrium`.
+Two knobs, `amplitudes` and `equilibrium`, have separate tables, because they have another reference.
 """
 
 from collections.abc import Iterable, Iterator
@@ -14,7 +13,7 @@ from calcidem.dem.wave.rule import WHOLE_DOMAIN
 DEFAULT = "default"
 UNDAMPED = "damping 0"
 _STEP_FRACTIONS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95)
-_SAMPLES_PER_PERIOD = (50, 100, 200, 400)  # in a period of the pulse: the stride of the record
+_SAMPLES_PER_PERIOD = (50, 100, 200, 400)  # samples per period of the pulse: the stride of the record
 _BANDS = (0.8, 1.25)  # half-widths over the experiment's own
 REFERENCE_SAMPLES = 1600
 
@@ -26,14 +25,14 @@ class Setting:
     Attributes
     ----------
     knob
-        What is turned.
+        Changed parameter.
     value
-        Where it stands, as text.
+        Its value as text.
     experiment
-        The whole of it.
+        Complete experiment.
     numerical
-        False if the exact answer changes too, as with the width of a band or the damping: what it is compared with is
-        then another question, not a better answer, and `cheapest` leaves it out.
+        False if the exact answer also changes, as with the width of a band or the damping. The difference is then not
+        an error, and `cheapest` excludes the setting.
     """
 
     knob: str
@@ -43,19 +42,19 @@ class Setting:
 
     @property
     def name(self) -> str:
-        """Knob and value, unique among the settings of a study."""
+        """Knob and value, unique in a study."""
         return self.knob if not self.value else f"{self.knob} {self.value}"
 
 
 def with_wave(experiment: Experiment, **changes: Any) -> Experiment:  # noqa: ANN401 - fields of several types
-    """Return the experiment with other fields of its `WaveRule`."""
+    """Return the experiment with changed fields of its `WaveRule`."""
     return replace(experiment, wave=replace(experiment.wave, **changes))
 
 
 def reference_experiment(experiment: Experiment, step_fraction: float) -> Experiment:
-    """Return the experiment as exactly as it can be computed: float64, finite displacement, all disks, dense samples.
+    """Return the experiment at the highest accuracy: float64, finite displacement, all disks, dense samples.
 
-    Early stop keeps its setting, because it is a knob of its own that is shown to change no reading.
+    Early stop keeps its setting; as a separate knob it is shown to change no reading.
     """
     return with_wave(
         experiment,
@@ -68,7 +67,7 @@ def reference_experiment(experiment: Experiment, step_fraction: float) -> Experi
 
 
 def settings(experiment: Experiment) -> Iterator[Setting]:
-    """Give the settings of a study: the experiment's own first, then every knob."""
+    """Yield the settings of a study: the experiment's own first, then every knob."""
     wave = experiment.wave
     yield Setting(DEFAULT, "", experiment)
     yield from _vary(experiment, "step_fraction", _STEP_FRACTIONS)
@@ -80,7 +79,7 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
     yield Setting(
         "early_stop", str(not experiment.early_stop), replace(experiment, early_stop=not experiment.early_stop)
     )
-    # Together: where errors of several knobs add up or cancel.
+    # Combinations, in which errors of several knobs add up or cancel.
     yield Setting("single precision, step", "0.95", with_wave(experiment, precision="float32", step_fraction=0.95))
     finer = with_wave(experiment, regime="finite", step_fraction=0.4, samples_per_period=400)
     yield Setting("finite, 400 samples, step", "0.4", finer)
@@ -93,7 +92,7 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
 
 
 def _vary(experiment: Experiment, knob: str, values: Iterable[Any]) -> Iterator[Setting]:
-    """Give the experiment with each value of one field of its `WaveRule` that is not its own."""
+    """Yield the experiment with each other value of one field of its `WaveRule`."""
     for value in values:
         if value != getattr(experiment.wave, knob):
             yield Setting(knob, f"{value}", with_wave(experiment, **{knob: value}))

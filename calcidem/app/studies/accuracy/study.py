@@ -1,4 +1,4 @@
-"""Runs a study: the reference of every cell, then every setting against it."""
+"""Runs a study: the reference of every cell, then the comparison of every setting with it."""
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -22,27 +22,27 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement
 
 ROUNDS = 3
-_SLOW = 3.0  # settings that take this many times the default's time are timed only once
+_SLOW = 3.0  # time over the default's above which a setting is timed only once
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Errors of one setting over some cells: absolute values, relative.
+    """Absolute relative errors of one setting over its cells.
 
     Attributes
     ----------
     setting, numerical
         See `Setting`.
     cells
-        Compared; 0 if the setting was refused.
+        Compared cells; 0 if the setting was refused.
     lost
-        Cells that only the reference could read.
+        Cells with a velocity only in the reference.
     median, worst
-        Of Vs.
+        Errors of Vs.
     arrival, signal
         Medians of the errors of the first arrival and of the whole signal.
     covered
-        Share of the cells whose error of Vs is at most the bound they state.
+        Share of cells whose error of Vs is within their stated bound.
     seconds
         Processor time of a cell.
     """
@@ -61,7 +61,7 @@ class Summary:
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What was measured.
+    """Results of a study.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Study:
     seconds: Mapping[str, Mapping[float, float]]
 
 
-def run_study(  # noqa: PLR0913 - what a study does differently from the default, by keyword
+def run_study(  # noqa: PLR0913 - every departure from the default is a keyword
     experiment: Experiment,
     contents: Sequence[float],
     seeds: Sequence[int],
@@ -97,9 +97,9 @@ def run_study(  # noqa: PLR0913 - what a study does differently from the default
 ) -> Study:
     """Measure the errors of settings at contents (%) for some seeds.
 
-    The experiment's own setting comes first among those that are ``compared``, by default all of `settings.settings`.
-    The reference is sought from a step of ``coarsest`` times the limit. For fewer seeds than lanes a narrower kernel is
-    taken. Settings are timed in ``rounds``, taking turns, so that what else the machine does falls on all of them.
+    The experiment's own setting comes first in ``compared``, by default all of `settings.settings`. The search for the
+    reference starts at a step of ``coarsest`` times the limit. Fewer seeds than lanes use a narrower kernel. Settings
+    are timed alternately in ``rounds``, so that other load of the machine affects all of them.
     """
     compared = tuple(settings(experiment) if compared is None else compared)
     width = fitting_lanes(seeds, lanes)
@@ -136,7 +136,7 @@ def _compare_settings(
     rounds: int,
     progress: Callable[[str], None],
 ) -> tuple[list[CellError], dict[str, float]]:
-    """Errors of all settings at one content, and their processor time of a cell, s."""
+    """Errors of all settings at one content, and their processor times of a cell, s."""
     seeds, content = [cell.seed for cell in exact], exact[0].content
     cells: list[CellError] = []
     times: dict[str, list[float]] = {}
@@ -178,7 +178,7 @@ def _summary_of(setting: Setting, cells: Sequence[CellError], seconds: Mapping[f
 
 
 def covered_share(cells: Iterable[CellError]) -> float:
-    """Share of the cells with a velocity whose error is at most their own bound."""
+    """Share of the cells with a velocity whose error is within their own bound."""
     honest = [
         abs(cell.vs_error) <= cell.bound for cell in cells if cell.vs_error is not None and cell.bound is not None
     ]
@@ -186,7 +186,7 @@ def covered_share(cells: Iterable[CellError]) -> float:
 
 
 def rank_correlation(cells: Iterable[CellError]) -> float:
-    """Spearman's rank correlation of the error that cells expect with the one they have; NaN below three cells."""
+    """Spearman's rank correlation of expected and actual errors of cells; NaN below three cells."""
     pairs = {
         (cell.expected, abs(cell.vs_error)) for cell in cells if cell.vs_error is not None and cell.expected is not None
     }  # a set: without cement all seeds are the same cell
@@ -197,13 +197,13 @@ def rank_correlation(cells: Iterable[CellError]) -> float:
 
 
 def cheapest(study: Study, target: float) -> Summary | None:
-    """Cheapest numerical setting whose worst error of Vs meets a target (relative), None if there is none."""
+    """Cheapest numerical setting whose worst relative error of Vs meets a target; None if there is none."""
     meeting = [row for row in study.summaries if row.numerical and row.cells and not row.lost and row.worst <= target]
     return min(meeting, key=lambda row: row.seconds, default=None)
 
 
 def pareto(summaries: Iterable[Summary]) -> tuple[Summary, ...]:
-    """Settings that no other beats in both median error and run time, fastest first."""
+    """Settings that no other beats in both median error and run time (Pareto front), fastest first."""
     front: list[Summary] = []
     for row in sorted((s for s in summaries if s.numerical and s.cells), key=lambda s: (s.seconds, s.median)):
         if not front or row.median < front[-1].median:

@@ -1,1 +1,1 @@
-"""How much the choices of a campaign matter: variants of one configuration, computed with the same seeds."""
+"""Effect of the choices of a campaign: variants of one configuration, computed with the same seeds."""

@@ -1,4 +1,4 @@
-"""The file that lists variants of a configuration, and the configurations that come of it."""
+"""File of variants of a configuration, and the resulting configurations."""
 
 import os
 from collections.abc import Mapping
@@ -14,11 +14,11 @@ from calcidem.app.config.reader import parse_file, read_configuration
 from calcidem.app.config.schema import Configuration
 
 REFERENCE = "reference"
-"""Name of the configuration as it stands."""
+"""Name of the unchanged configuration."""
 
 
 class _ListedVariant(BaseModel):
-    """One ``[[variant]]`` of the file: what is chosen, and how, in words and in values."""
+    """One ``[[variant]]`` of the file: the choice and its value in words, and the changed keys."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -27,9 +27,9 @@ class _ListedVariant(BaseModel):
     change: dict[str, Any] = Field(default_factory=dict, alias="set")
     """New values by ``section.key``."""
     without: list[str] = Field(default_factory=list)
-    """Keys to leave out, so that they have their defaults."""
+    """Keys to omit, so that they have their defaults."""
     against: str = REFERENCE
-    """Name of another variant to compare with, for one that is an alternative only together with that."""
+    """Name of the variant to compare with, if it is not the reference."""
     contents: list[float] | None = None
     seeds: int | None = Field(default=None, ge=2)
 
@@ -40,7 +40,7 @@ class _ListedVariant(BaseModel):
 
 
 class _ListedPlan(BaseModel):
-    """The whole file: a TOML file, relative to this one, that is varied; percents, number of seeds; what is varied."""
+    """Whole file: path of the varied TOML file relative to it, contents in percent, number of seeds, variants."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -54,18 +54,18 @@ class _ListedPlan(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A variant ready to be computed.
+    """Variant ready for computation.
 
     Attributes
     ----------
     name
-        Of the variant, and of its campaign in the database.
+        Name of the variant and of its campaign in the database.
     choice, value
-        What is chosen, and how, in words.
+        Choice and its value in words.
     against
         Name of the variant to compare with.
     configuration
-        What is computed.
+        Configuration to compute.
     """
 
     name: str
@@ -78,8 +78,8 @@ class Variant:
 def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...]:
     """Read a file of variants (`_ListedPlan`); the reference comes first.
 
-    The cells of all of them go into the database, each variant as a campaign of its own. `ConfigurationError` with
-    everything that is wrong with the file or with a configuration that comes of it.
+    The database stores each variant as a separate campaign. `ConfigurationError` lists all problems of the file and of
+    the resulting configurations.
     """
     source = os.fspath(path)
     listed = _parse_plan(path)
@@ -100,7 +100,7 @@ def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...
 
 
 def read_plan(path: str | os.PathLike[str]) -> tuple[_ListedPlan, Configuration]:
-    """Read a file of variants or ranges, and its configuration with its cells; errors as `load_plan`."""
+    """Read a file of variants or ranges, and its configuration with its cells; errors as for `load_plan`."""
     listed = _parse_plan(path)
     base = parse_file(Path(path).parent / listed.configuration)
     _change(base, "campaign", {"seeds": listed.seeds, "contents": listed.contents})
@@ -118,7 +118,7 @@ def _parse_plan(path: str | os.PathLike[str]) -> _ListedPlan:
 
 
 def _change(document: dict[str, Any], section: str, values: Mapping[str, Any], without: str = "") -> None:
-    """Change keys of a section, and leave one out; what is no table stays for the reader to refuse."""
+    """Change keys of a section, and omit one; entries that are not tables are left for the reader to refuse."""
     table = document.setdefault(section, {})
     if isinstance(table, dict):
         table.update(values)

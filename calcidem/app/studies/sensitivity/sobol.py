@@ -1,4 +1,4 @@
-"""Which open numbers of a campaign decide mean, scatter and readability of Vs, all varied together."""
+"""Influence of jointly varied parameters of a campaign on mean, scatter and readability of Vs."""
 
 import os
 import time
@@ -24,20 +24,20 @@ from calcidem.storage.netcdf.trial import refuse_unreadable
 _SECONDS_BETWEEN_SAVES = 60.0
 
 _NEGLIGIBLE = 0.05
-"""A total index surely below this is negligible: beside all others a calibration does not find the parameter."""
+"""Total index below which a parameter is negligible: a calibration cannot determine it besides all others."""
 
 _FEWEST_TO_NEGLECT = 32
-"""Base points below which a narrow interval is a matter of luck."""
+"""Fewest base points for a reliable narrow interval."""
 
 
 @dataclass(frozen=True, slots=True)
 class SobolPlan:
-    """What is varied, and where it is looked at.
+    """Varied parameters, and cells of every point.
 
     Attributes
     ----------
     configuration
-        All other numbers, and the cells of every point: the seeds are the same in all of them.
+        All other numbers, and the cells of every point, with the same seeds.
     ranges
         Lowest and highest value of each parameter.
     bases
@@ -60,9 +60,9 @@ class SobolPlan:
 
 
 def load_sobol_plan(path: str | os.PathLike[str], bases: int) -> SobolPlan:
-    """Read a plan whose table ``[ranges]`` has the lowest and the highest value by ``section.key``.
+    """Read a plan with the lowest and the highest value by ``section.key`` in the table ``[ranges]``.
 
-    `ConfigurationError` with everything that is wrong with the file, the ranges or the configuration.
+    `ConfigurationError` lists all problems of the file, the ranges and the configuration.
     """
     listed, configuration = read_plan(path)
     ranges = [ParameterRange(name, low, high) for name, (low, high) in listed.ranges.items()]
@@ -78,12 +78,12 @@ def load_sobol_plan(path: str | os.PathLike[str], bases: int) -> SobolPlan:
 def evaluate_points(
     plan: SobolPlan, packing: Packing, file: Path, cores: int = 1, say: Callable[[str], None] = lambda _: None
 ) -> xr.Dataset:
-    """Measure Vs at all points of a plan, or at those that the file lacks; the same call goes on after a stop.
+    """Measure Vs at all points of a plan that the file lacks; the same call continues after a stop.
 
-    The NetCDF file of the points is written every minute. ``say`` is told the forecast before the points begin, and how
-    far they are. Given are ``vs`` (point, content, seed) in m/s, NaN where there is none, ``value`` (point, parameter)
-    and ``done`` (point). `ConfigurationError` if the packing cannot hold the cells; `CampaignMismatchError` if the file
-    is of another plan.
+    The NetCDF file of the points is written every minute. ``say`` receives the forecast at the start, and then the
+    progress. Returns ``vs`` (point, content, seed) in m/s, NaN if missing, ``value`` (point, parameter) and ``done``
+    (point). `ConfigurationError` if the packing cannot hold the cells; `CampaignMismatchError` if the file belongs to
+    another plan.
     """
     check_cells(plan.configuration, packing, plan.contents, plan.seeds)
     points = stored_points(plan, file)
@@ -92,7 +92,7 @@ def evaluate_points(
         return points
     values = [dict(zip(plan.ranges, row, strict=True)) for row in points["value"].to_numpy()[left].tolist()]
     tried = [with_values(plan.configuration, changed) for changed in values]
-    _save_points(points, file)  # a place that cannot be written is told before hours of work
+    _save_points(points, file)  # report an unwritable file before hours of work
     saved = time.monotonic()
     with trial_workers(packing, plan.contents, plan.seeds, cores) as measure_trials:
         say(
@@ -111,13 +111,13 @@ def evaluate_points(
 
 
 def _save_points(points: xr.Dataset, file: Path) -> None:
-    """Write the points in one step."""
+    """Write the points atomically."""
     with write_atomically(file, replaces_netcdf=True) as temporary:
         points.to_netcdf(temporary)
 
 
 def _forecast(measure_once: Callable[[], object], points: int, cells: int) -> str:
-    """What the points cost, from the configuration as it stands; its first run loads the kernels and does not count."""
+    """Cost of the points, from the unchanged configuration; its first run loads the kernels and does not count."""
     measure_once()
     began = time.monotonic()
     measure_once()
@@ -126,9 +126,9 @@ def _forecast(measure_once: Callable[[], object], points: int, cells: int) -> st
 
 
 def stored_points(plan: SobolPlan, file: Path) -> xr.Dataset:
-    """Points of a plan as far as its file has them; none of a file that is not there.
+    """Points of a plan that its file has; none if the file does not exist.
 
-    `CampaignMismatchError` if the file is of another plan.
+    `CampaignMismatchError` if the file belongs to another plan.
     """
     value = sobol_points(plan.ranges, plan.bases)
     shape = len(value), len(plan.contents), len(plan.seeds)
@@ -155,7 +155,7 @@ def stored_points(plan: SobolPlan, file: Path) -> xr.Dataset:
 def indices_of_points(plan: SobolPlan, points: xr.Dataset) -> xr.Dataset:
     """Sobol indices along (output, content, parameter), see `calcidem.analysis.sobol.sobol_indices`.
 
-    ``lowest`` and ``highest`` are the least and the largest output over the points, along (output, content).
+    ``lowest`` and ``highest`` are the extreme outputs over the points, along (output, content).
     """
     vs = points["vs"].transpose("point", "content", "seed").to_numpy()
     outputs = campaign_outputs(np.where(points["done"].to_numpy()[:, None, None], vs, np.nan))
@@ -180,9 +180,9 @@ def indices_of_points(plan: SobolPlan, points: xr.Dataset) -> xr.Dataset:
 
 
 def sobol_table(indices: xr.Dataset) -> str:
-    """Table in Markdown: a row for each output and parameter, a column for each content; first index, then total.
+    """Markdown table: a row for each output and parameter, a column for each content; first index, then total.
 
-    Below it stands which parameters are negligible, and of which the intervals are too wide to say so.
+    Text below it lists negligible and undecided parameters.
     """
     contents = indices["content"].to_numpy()
     rows = []
@@ -197,13 +197,13 @@ def sobol_table(indices: xr.Dataset) -> str:
 
 
 def _range_entry(chosen: xr.Dataset) -> str:
-    """Least and largest output over the points."""
+    """Smallest and largest output over the points."""
     low, high = float(chosen["lowest"]), float(chosen["highest"])
     return "not read" if np.isnan(low) else f"{low:.3g} to {high:.3g}"
 
 
 def _index_entry(chosen: xr.Dataset) -> str:
-    """First and total index of one parameter, with half-widths of their intervals."""
+    """First and total index of one parameter, with half-widths of the intervals."""
     if np.isnan(float(chosen["total"])):
         return "does not vary" if int(chosen["bases"]) else "not read"
     parts = (f"{float(chosen[name]):.2f} ± {float(chosen[name + '_half_width']):.2f}" for name in ("first", "total"))
@@ -211,7 +211,7 @@ def _index_entry(chosen: xr.Dataset) -> str:
 
 
 def _verdicts(indices: xr.Dataset) -> list[str]:
-    """Say which parameters do not matter to mean and sd / mean at any content, and which may or may not."""
+    """List parameters that are negligible for mean and sd / mean at all contents, and undecided ones."""
     groups = _parameters_by_weight(indices)
     bases = int(indices["bases"].sel(output=["mean", "relative_deviation"]).max())
     found = []
@@ -230,10 +230,10 @@ def _verdicts(indices: xr.Dataset) -> list[str]:
 
 
 def _parameters_by_weight(indices: xr.Dataset) -> dict[str, list[str]]:
-    """Parameters that matter, are negligible, or may be either, by the totals of mean and sd / mean at all contents.
+    """Important, negligible and undecided parameters, by the totals of mean and sd / mean at all contents.
 
-    One matters if a total is surely above `_NEGLIGIBLE`, and is negligible if all of them are surely below, from enough
-    base points.
+    A parameter is important if the interval of a total lies above `_NEGLIGIBLE`. It is negligible if all intervals lie
+    below it and there are enough base points.
     """
     decided = indices.sel(output=["mean", "relative_deviation"])
     groups: dict[str, list[str]] = {"matters": [], "negligible": [], "undecided": []}
@@ -241,7 +241,7 @@ def _parameters_by_weight(indices: xr.Dataset) -> dict[str, list[str]]:
         return groups
     low, high = (decided["total"] + sign * decided["total_half_width"] for sign in (-1, 1))
     matters = (low > _NEGLIGIBLE).any(("output", "content"))
-    # An output that does not vary at a content has no index there, and says nothing against the parameter.
+    # A constant output at a content has no index there and does not affect the verdict.
     below = ((high < _NEGLIGIBLE) | high.isnull()).all(("output", "content"))
     enough = int(decided["bases"].where(decided["bases"] > 0).min()) >= _FEWEST_TO_NEGLECT
     for name in indices["parameter"].to_numpy().tolist():

@@ -1,4 +1,4 @@
-"""Computing the variants or what is left of them, and comparing what is there in a table in Markdown."""
+"""Computation of missing cells of variants, and their comparison in a Markdown table."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +15,7 @@ from calcidem.storage.errors import UnknownCampaignError
 
 
 def compute_variants(variants: Sequence[Variant], say: Callable[[str], None]) -> None:
-    """Compute all cells that the database lacks, variant by variant; the same call goes on after a stop.
+    """Compute all cells that the database lacks, variant by variant; the same call continues after a stop.
 
     `CampaignMismatchError` if the database has a variant of that name with other parameters.
     """
@@ -25,18 +25,18 @@ def compute_variants(variants: Sequence[Variant], say: Callable[[str], None]) ->
 
 
 def _variant_velocities(variant: Variant) -> xr.DataArray | None:
-    """Vs of the planned cells of a variant, m/s along (seed, content); None if nothing of it was computed."""
+    """Vs of the planned cells of a variant, m/s along (seed, content); None if none was computed."""
     plan = variant.configuration.campaign
     try:
         with open_campaign(variant.configuration.database, variant.name) as campaign:
-            # A database may hold more, from an earlier plan.
+            # A database may contain more cells from an earlier plan.
             return campaign.vs().reindex(seed=list(plan.seed_numbers), content=sorted(plan.contents))
     except UnknownCampaignError:
         return None
 
 
 def compare_variants(variants: Sequence[Variant]) -> dict[str, tuple[Change, ...]]:
-    """Compare every computed variant with what it is an alternative to, by its name."""
+    """Compare every computed variant with its reference variant, by its name."""
     found = {variant.name: _variant_velocities(variant) for variant in variants}
     compared = {}
     for variant in variants:
@@ -49,8 +49,8 @@ def compare_variants(variants: Sequence[Variant]) -> dict[str, tuple[Change, ...
 def sensitivity_table(variants: Sequence[Variant], changes: Mapping[str, Sequence[Change]]) -> str:
     """Table with a row for each variant and a column for each content of the reference.
 
-    An entry has mean and standard deviation in m/s; below them the change of the mean, and the ratio of standard
-    deviations with its 95 % interval, in bold where the interval excludes 1.
+    An entry has mean and standard deviation in m/s. Below them are the change of the mean, and the ratio of standard
+    deviations with its 95 % interval, in bold if the interval excludes 1.
     """
     contents = [change.content for change in changes.get(REFERENCE, ())]
     rows = []

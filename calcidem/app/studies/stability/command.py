@@ -1,6 +1,6 @@
-"""The command `calcidem stability`: maps of extreme scenes, scenes drawn at random, limits, long runs, detection.
+"""Command `calcidem stability`: maps of extreme scenes, random scenes, limits, long runs, detection.
 
-Verdicts, limits, long runs and detections as Markdown tables, and a figure of the verdicts.
+The results are Markdown tables and a figure of the verdicts.
 """
 
 import json
@@ -37,13 +37,13 @@ _COLOURS = {
 }
 _PANELS_ACROSS = 2
 _CONTRASTS = (1.0, 1e2, 1e4, 1e6)
-_FILLINGS = (0.0, 0.3, 1.0)  # part of the contacts' capacity for cement
-_PROGRESS = 64  # drawn scenes between two words
+_FILLINGS = (0.0, 0.3, 1.0)  # parts of the contacts' capacity for cement
+_PROGRESS = 64  # drawn scenes between two messages
 
 
 @dataclass(frozen=True, slots=True)
 class _Maps:
-    """What the maps gave.
+    """Results of the maps.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class _Maps:
 
 
 def _tables(found: _Maps) -> str:
-    """Give all tables of the maps."""
+    """Return all tables of the maps."""
     parts = (
         _verdict_table("quantity", found.walks),
         _small_packing_table(found.packings),
@@ -109,14 +109,14 @@ def _tables(found: _Maps) -> str:
 
 
 def _verdict_table(title: str, found: Mapping[str, Iterable[Judgement]]) -> str:
-    """Give the number of scenes of each verdict in every row."""
+    """Return the number of scenes of each verdict in every row."""
     counts = {name: Counter(judgement.verdict for judgement in row) for name, row in found.items()}
     rows = [(name, *(f"{count[verdict]}" for verdict in StabilityVerdict)) for name, count in counts.items()]
     return markdown_table((title, *StabilityVerdict), rows)
 
 
 def random_scene_tables(found: Mapping[str, Sequence[Judgement]]) -> str:
-    """Give the verdicts of each box or kind, the errors, and every scene that was wrong."""
+    """Return the verdicts of each box or kind, the errors, and every scene that was wrong."""
     known = {
         box: [abs(judgement.error) for judgement in row if judgement.error is not None] for box, row in found.items()
     }
@@ -130,7 +130,7 @@ def random_scene_tables(found: Mapping[str, Sequence[Judgement]]) -> str:
 
 
 def _small_packing_table(found: Sequence[Judgement]) -> str:
-    """Give the verdict of each small packing in each regime."""
+    """Return the verdict of each small packing in each regime."""
     rows: dict[tuple[float, float, float], dict[str, str]] = {}
     for judgement in found:
         scene = judgement.scene
@@ -144,10 +144,10 @@ def _small_packing_table(found: Sequence[Judgement]) -> str:
 
 
 def _describe_judgement(judgement: Judgement) -> str:
-    """Give the velocity and its error, or the verdict and the start of its reason."""
+    """Return the velocity and its error, or the verdict and the start of its reason."""
     if judgement.verdict == StabilityVerdict.STABLE and judgement.vs is not None:
         return f"{judgement.vs:.3g} m/s" + (f" ({judgement.error:+.1e})" if judgement.error is not None else "")
-    # Of "amplitude = 1: unbalanced forces ..., more than ..." the cause is wanted, of others the first clause.
+    # "amplitude = 1: unbalanced forces ..., more than ..." has its cause second, other reasons have it first.
     clauses = judgement.reason.split(": ")
     return f"{judgement.verdict}: {clauses[1 if ' = ' in clauses[0] else 0].split(',')[0]}"
 
@@ -180,9 +180,9 @@ def stability(
     out: Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[str, dict[str, Any]]:
-    """Map what is stable, refused and detected: tables, and the same for programs.
+    """Map stable, refused and detected scenes: tables, and the same results for programs.
 
-    ``out`` takes ``stability.png``, ``.md`` and ``.json``.
+    ``out`` receives ``stability.png``, ``.md`` and ``.json``.
     """
     found = _Maps(
         walks=walks(progress),
@@ -208,7 +208,7 @@ def random_scenes(
     *,
     progress: Callable[[str], None] = lambda _: None,
 ) -> dict[str, list[Judgement]]:
-    """Judge ``count`` scenes drawn at random from each of the `BOXES`, and as many of one's own of all kinds.
+    """Judge ``count`` scenes drawn at random from each of the `BOXES`, and as many own scenes of all kinds.
 
     ``draw`` is the seed of the draw. The verdicts are by box or kind, for `random_scene_tables`.
     """

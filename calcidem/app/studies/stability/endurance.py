@@ -1,4 +1,4 @@
-"""Long runs: energy without damping, rest, and runs that were stopped, stored and continued."""
+"""Long runs: energy without damping, rest, and continuation from a stored state."""
 
 import pickle
 from collections.abc import Callable
@@ -14,27 +14,27 @@ from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.state import advance, choose_features, start
 
 _LONG = 100_000  # steps
-_LOOKS = 20  # at the energy during them
-_MOTION = 1.0e-2  # of the disks in a time of the stability limit, over the mean overlap: no contact opens or slips
+_LOOKS = 20  # energy checks in a run
+_MOTION = 1.0e-2  # motion of the disks per stability limit over the mean overlap: no contact opens or slips
 _PRESSED_LATTICE = Extreme(confinement=1e6)
 
 
 @dataclass(frozen=True, slots=True)
 class Endurance:
-    """What long runs of one regime gave.
+    """Results of long runs of one regime.
 
     Attributes
     ----------
     regime
         See `state.start`.
     steps
-        Of each run.
+        Steps of each run.
     drift
         Largest change of the energy without damping over its first value.
     residual_motion
-        Largest displacement of a disk of a balanced scene that was left alone, over the mean overlap.
+        Largest displacement of a disk of an undisturbed balanced scene, over the mean overlap.
     restarted
-        Whether a run that was stored half-way and read back ended with the same bits.
+        Whether a run continued from a stored state half-way ended with the same bits.
     """
 
     regime: Regime
@@ -45,7 +45,7 @@ class Endurance:
 
 
 def endurance() -> tuple[Endurance, ...]:
-    """Long runs in all regimes of a lattice with a third of its cement."""
+    """Long runs of a lattice with a third of its cement, in all regimes."""
     return tuple(
         Endurance(
             regime, _LONG, _energy_drift(regime, _LONG), _residual_motion(regime, _LONG), _restart_keeps_bits(regime)
@@ -55,7 +55,7 @@ def endurance() -> tuple[Endurance, ...]:
 
 
 def _moving_state(regime: Regime) -> State:
-    """The pressed lattice without damping and with random velocities, so small that no contact opens or slips."""
+    """Pressed lattice without damping, with random velocities so small that no contact opens or slips."""
     scene, packing = scene_at_rest(replace(_PRESSED_LATTICE, regime=regime), 0.0)
     features = replace(choose_features(scene, regime, account=True), servo=False)
     limit = float(start(scene, features=features).critical_time_step[0])
@@ -79,7 +79,7 @@ def _energy_drift(regime: Regime, steps: int) -> float:
 
 
 def _linear_invariant(state: State) -> Callable[[State], float]:
-    """Energy that a leapfrog keeps to rounding in the linear regime, as a function of its state, J/m."""
+    """Energy conserved by the leapfrog to rounding in the linear regime, as a function of the state, J/m."""
     inertia, matrix, step = inertia_of(state), acceleration_matrix(duplicate(state)), float(state.time_step[0])
 
     def energy(now: State) -> float:
@@ -93,14 +93,14 @@ def _linear_invariant(state: State) -> Callable[[State], float]:
 
 
 def _residual_motion(regime: Regime, steps: int) -> float:
-    """Largest displacement in a balanced scene that is left alone, over the mean overlap."""
+    """Largest displacement in an undisturbed balanced scene, over the mean overlap."""
     scene, packing = scene_at_rest(replace(_PRESSED_LATTICE, regime=regime), 0.3)
     state = start(scene, features=replace(choose_features(scene, regime), servo=False))
     return float(np.abs(advance(state, steps).motion.displacement[:, :2]).max()) / packing.report.mean_overlap
 
 
 def _restart_keeps_bits(regime: Regime, steps: int = 1000) -> bool:
-    """Whether a run that was stored half-way and read back ends with the same bits as one that was not."""
+    """Whether a run continued from a stored state half-way ends with the same bits as an uninterrupted one."""
     state = _moving_state(regime)
     half = advance(state, steps // 2)
     again = advance(pickle.loads(pickle.dumps(half)), steps - steps // 2)  # noqa: S301 - what was just written

@@ -1,6 +1,6 @@
-"""Predicted time-step limit against the true one, and how soon a run above it is ended.
+"""Predicted and true time-step limit, and time until a run above it is ended.
 
-The true limit is from the eigenvalues of what the kernel really does.
+The true limit follows from the eigenvalues of the kernel's actual step.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ _FACTORS = (0.99, 1.01, 1.05, 1.2, 2.0)  # step over the true limit
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Critical time steps of a scene, s: by the per-particle bound, and from the largest eigenvalue."""
+    """Critical time steps of a scene, s: from the per-particle bound, and from the largest eigenvalue."""
 
     predicted: float
     true: float
@@ -37,15 +37,15 @@ class Detection:
     Attributes
     ----------
     factor
-        Step over the true limit, that of the eigenvalues.
+        Step over the true limit from the eigenvalues.
     regime
         See `state.start`.
     steps
-        After which a guard ended it; None if none did.
+        Steps after which a guard ended it; None if none did.
     problem
-        What the guard said.
+        Message of the guard.
     looks
-        Steps between two looks of the guards.
+        Steps between two checks by the guards.
     """
 
     factor: float
@@ -56,9 +56,9 @@ class Detection:
 
 
 def limits(scene: Extreme) -> Limits:
-    """Critical steps of a scene in the linear regime, with local damping's reduction by ``sqrt(1 + alpha)`` in both.
+    """Critical steps of a scene in the linear regime, both reduced by ``sqrt(1 + alpha)`` for local damping.
 
-    The scene's damping is taken for all disks, so that the true limit is ``2 / (omega_max sqrt(1 + alpha))``.
+    All disks have the scene's damping, so the true limit is ``2 / (omega_max sqrt(1 + alpha))``.
     """
     damped, _ = scene_at_rest(replace(scene, regime="linear", step_fraction=0.8), scene.damping)
     predicted = float(start(damped, features=choose_features(damped, "linear")).critical_time_step[0])
@@ -70,7 +70,7 @@ def limits(scene: Extreme) -> Limits:
 def fastest_mode(state: State) -> float:
     """Largest angular frequency of a scene in the linear regime, rad/s."""
     root = np.sqrt(inertia_of(state))
-    # Rotations are scaled so that the matrix is symmetric up to rounding.
+    # Rotations are scaled to make the matrix symmetric up to rounding.
     symmetric = root[:, None] * acceleration_matrix(state) / root
     return float(np.sqrt(np.linalg.eigvalsh(0.5 * (symmetric + symmetric.T))[-1]))
 
@@ -82,9 +82,9 @@ def inertia_of(state: State) -> Floats:
 
 
 def acceleration_matrix(state: State) -> Floats:
-    """``M^-1 K`` of a scene in the linear regime, (3 N, 3 N) 1/s2; the state is used up.
+    """``M^-1 K`` of a scene in the linear regime, (3 N, 3 N) 1/s2; the state is changed.
 
-    Its columns are what one step of the kernel does to the velocities when one coordinate is displaced.
+    Its columns follow from the change of velocities in one kernel step after displacing one coordinate.
     """
     count, step = state.scene.count, float(state.time_step[0])
     matrix = np.zeros((3 * count, 3 * count))
@@ -103,7 +103,7 @@ def detections() -> tuple[Detection, ...]:
 
 
 def _force_step(factor: float, regime: Regime) -> Detection:
-    """Transmit a pulse through the plain lattice with a step that no configuration allows."""
+    """Transmit a pulse through the plain lattice with a step that configurations do not allow."""
     scene = Extreme(regime=regime, damping=0.0)
     experiment = experiment_of_scene(scene)
     experiment = replace(experiment, wave=replace(experiment.wave, boundary_damping=0.0))

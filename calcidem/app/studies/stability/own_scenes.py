@@ -1,6 +1,6 @@
-"""Small scenes of one's own, drawn at random: impacts, disks that just touch, gravity, bonds across gaps.
+"""Small user-defined scenes, drawn at random: impacts, disks that just touch, gravity, bonds across gaps.
 
-Each is judged by what must hold whatever happens: the energy balance, and what its kind has in closed form.
+Each is judged by the energy balance and the closed-form results of its kind.
 """
 
 from collections.abc import Callable
@@ -20,13 +20,13 @@ from calcidem.dem.sample.compaction import box_walls
 from calcidem.dem.sample.packing import LID
 
 OWN_TOLERANCE = 0.02
-"""Relative error above which a run is wrong: at the limit the energy of a leapfrog swings by some percent."""
+"""Relative error above which a run is wrong: at the limit the energy of a leapfrog varies by some percent."""
 _GREATEST = 1.0e-3  # radius of the largest disks, m
-_LOOK = 25  # steps between two looks at the energy
-_STEPS = 1500  # of a run; those that wait for something go on for up to `_TIMES_LONGER` times as long
+_LOOK = 25  # steps between two checks of the energy
+_STEPS = 1500  # steps of a run; runs that wait for an event last up to `_TIMES_LONGER` times as long
 _TIMES_LONGER = 40
-_FASTEST_THROWN = 10.0  # m/s: by Hertz's law, disks ten times as fast sink into a wall by more than their radius
-_AT_REST = 1e-4  # unbalanced-force ratio at which a lid must bear its target
+_FASTEST_THROWN = 10.0  # m/s: by Hertz's law, disks ten times as fast penetrate a wall by more than their radius
+_AT_REST = 1e-4  # unbalanced-force ratio at which a lid must carry its target
 _OWN_RANGES = {
     "step_fraction": (0.5, 1.05),
     "factor": (-1.0, 0.5),
@@ -36,36 +36,36 @@ _OWN_RANGES = {
     "friction": (0.0, 1.0),
     "push": (-1.0, 4.0),
 }
-"""Lower and upper end of every quantity of `OwnScene`; powers of ten but for the step fraction and friction."""
+"""Range of every quantity of `OwnScene`; powers of ten except for the step fraction and friction."""
 _PLAIN = {"step_fraction", "friction"}
 
 
 @dataclass(frozen=True, slots=True)
 class OwnScene:
-    """A scene such as a user of `calcidem.dem` may write.
+    """Scene as a user of `calcidem.dem` may write it.
 
     Attributes
     ----------
     kind
         One of `_OWN_KINDS`.
     step_fraction
-        Asked of `start`; above 1 it has to be refused.
+        Argument of `start`; values above 1 must be refused.
     factor
         Step over the limit at the start, if the step is ``fixed``.
     speed
-        Of disks, m/s.
+        Speed of disks, m/s.
     gap
-        Between disks, in radii; 1e-16 is rounding.
+        Gap between disks, in radii; 1e-16 is rounding.
     size_ratio
         Largest over smallest radius.
     friction
-        Between disks.
+        Friction between disks.
     push
         Gravity over 9.81 m/s^2, at most 1000, and the lid's force in N/m.
     fixed
-        Whether the step is given, which keeps it.
+        Whether the step is given and therefore constant.
     seed
-        Of everything else.
+        Seed of everything else.
     """
 
     kind: str
@@ -81,7 +81,7 @@ class OwnScene:
 
 
 def draw_own_scenes(count: int, seed: int) -> tuple[OwnScene, ...]:
-    """Latin hypercube over all quantities, with kinds taking turns; a third of the scenes keep a given step."""
+    """Latin hypercube over all quantities with alternating kinds; a third of the scenes have a fixed step."""
     kinds = tuple(_OWN_KINDS)
     scenes = []
     for number, values in enumerate(draw_quantities(_OWN_RANGES, _OWN_RANGES.keys() - _PLAIN, count, seed)):
@@ -91,7 +91,7 @@ def draw_own_scenes(count: int, seed: int) -> tuple[OwnScene, ...]:
 
 
 def error_of_run(own: OwnScene) -> float:
-    """Run a scene and return its relative error: of the energy balance, or of what its kind has in closed form.
+    """Run a scene and return its relative error, of the energy balance or of a closed-form result of its kind.
 
     `ValueError` if the scene is refused; `UnstableRunError` if the run is ended.
     """
@@ -99,7 +99,7 @@ def error_of_run(own: OwnScene) -> float:
 
 
 def _begin(own: OwnScene, scene: Scene, velocity: Floats | None = None, spin: Floats | None = None) -> State:
-    """Start a scene as the user asks, with an energy account."""
+    """Start a scene with its settings and an energy account."""
     features = choose_features(scene, "finite", account=True)
     state = start(scene, features=features, step_fraction=own.step_fraction, velocity=velocity, spin=spin)
     if own.fixed:
@@ -109,7 +109,7 @@ def _begin(own: OwnScene, scene: Scene, velocity: Floats | None = None, spin: Fl
 
 
 def _watch_energies(state: State, ended: Callable[[State], bool] | None = None) -> tuple[State, float]:
-    """Advance a state; return what it became, and its largest energy error over the largest energy."""
+    """Advance a state; return the final state, and the largest energy error over the largest energy."""
     steps = _STEPS if ended is None else _STEPS * _TIMES_LONGER
     begin, turned, worst = energies(state).imbalance, 0.0, 0.0
     for _ in range(steps // _LOOK):
@@ -123,7 +123,7 @@ def _watch_energies(state: State, ended: Callable[[State], bool] | None = None) 
 
 
 def _impact(own: OwnScene) -> float:
-    """Two disks head-on in any direction: each has the velocity of an elastic impact afterwards."""
+    """Central impact of two disks in any direction; afterwards each has the velocity of an elastic impact."""
     angle = np.random.default_rng(own.seed).uniform(0.0, 2.0 * np.pi)
     along = np.array([np.cos(angle), np.sin(angle)])
     radius = _GREATEST * np.array([1.0, 1.0 / own.size_ratio])
@@ -147,7 +147,7 @@ def _impact(own: OwnScene) -> float:
 
 
 def _collisions(own: OwnScene) -> float:
-    """Disks thrown about in a box: all stay in it, with their energy."""
+    """Disks flying in a box; all stay in it and conserve energy."""
     draw = np.random.default_rng(own.seed)
     column, row = np.meshgrid(np.arange(4), np.arange(3))
     apart = _GREATEST * (2.0 + own.gap)
@@ -163,7 +163,7 @@ def _collisions(own: OwnScene) -> float:
 
 
 def _column(own: OwnScene) -> float:
-    """Disks above one another fall on the floor and on each other: they keep their order and their energy."""
+    """Column of disks falling on the floor and on each other; they keep their order and energy."""
     draw = np.random.default_rng(own.seed)
     radius = _GREATEST * own.size_ratio ** -draw.random(int(draw.integers(1, 6)))
     height = np.cumsum(2.0 * radius + own.gap * _GREATEST) - radius
@@ -176,7 +176,7 @@ def _column(own: OwnScene) -> float:
 
 
 def _lid(own: OwnScene) -> float:
-    """Disks of a hexagonal lattice that just touch are pressed by a servo: at rest, lid and floor bear its force."""
+    """Hexagonal lattice of just touching disks pressed by a servo; at rest, lid and floor carry its force."""
     damping = np.random.default_rng(own.seed).uniform(0.3, 0.9)
     apart = _GREATEST * (2.0 + min(own.gap, 1e-2))
     column, row = np.meshgrid(np.arange(3), np.arange(3))
@@ -188,22 +188,22 @@ def _lid(own: OwnScene) -> float:
     def at_rest(now: State) -> bool:
         return wall_reactions(now)[LID, 0] > 0.0 and unbalanced_ratio(now) < _AT_REST
 
-    # Of the energy little can be asked: a servo's speed jumps from step to step, and so does damping.
+    # The energy is not checked closely, since servo speed and damping jump from step to step.
     state = _watch_energies(_begin(own, scene), at_rest)[0]
     return float(np.abs(wall_reactions(state)[LID - 1 :, 0] / own.push - 1.0).max()) if at_rest(state) else np.inf
 
 
 def _gap_bonds(own: OwnScene) -> float:
-    """A chain cemented across gaps up to two radii: its energy, and a step limit that is not above the true one."""
+    """Chain cemented across gaps of up to two radii: its energy, and a step limit not above the true one."""
     draw = np.random.default_rng(own.seed)
     radius = _GREATEST * own.size_ratio ** -draw.random(int(draw.integers(2, 8)))
     wide = radius[1:] + radius[:-1] + draw.uniform(0.0, 2.0, len(radius) - 1) * np.minimum(radius[1:], radius[:-1])
-    # Turns of 40 degrees at most: a chain of seven does not come back to its beginning.
+    # Turns of at most 40 degrees: a chain of seven does not close on itself.
     angle = np.cumsum(np.radians(draw.uniform(-40.0, 40.0, len(wide))))
     x, y = (np.append(0.0, np.cumsum(wide * way(angle))) for way in (np.cos, np.sin))
     count = np.arange(len(wide))
     ratio, modulus = 10.0 ** draw.uniform(-1.0, 1.0), 10.0 ** draw.uniform(9.0, 12.0)
-    # The loss of a bond that breaks is known to the first order in the step only, so none does.
+    # The loss by a breaking bond is known only to first order in the step, so no bond breaks.
     cement = Cement(modulus, ratio, tensile_strength=np.inf, cohesion=np.inf)
     bonds = Bonds(np.column_stack([count, count + 1]), cement, installation="zero")
     scene = Scene(x, y, radius, Sand(friction=own.friction), bonds=bonds)
@@ -221,4 +221,4 @@ _OWN_KINDS: dict[str, Callable[[OwnScene], float]] = {
     "just touching": _lid,
     "bonds across gaps": _gap_bonds,
 }
-"""What gives the error of a scene of each kind."""
+"""Function for the error of each kind of scene."""

@@ -1,8 +1,8 @@
-"""Small extreme scenes: a lattice of disks in a box with everything that may go wrong as a number, and small packings.
+"""Small extreme scenes: a lattice of disks in a box with a parameter for each possible fault, and small packings.
 
-The packings are at the edge of rigidity: hardly pressed (nearly unjammed), or with hardly enough contacts. A packing of
-disks with friction is isostatic at three contacts a disk, one without friction at four; friction while packing decides
-which of the two is come near.
+The packings are close to losing rigidity: under little stress (nearly unjammed), or with barely enough contacts. A
+packing of disks is isostatic at three contacts per disk with friction, at four without. Friction during packing selects
+which limit is approached.
 """
 
 from collections.abc import Container, Mapping
@@ -24,25 +24,25 @@ from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
-_RADIUS = 1.25e-3  # m, of the largest disks
+_RADIUS = 1.25e-3  # radius of the largest disks, m
 _DISKS_ACROSS, _DISKS_UP = 6, 10
-_SMALLEST_RATIO = 2.5  # a disk smaller than this part of its neighbours fits into the pore between four of them
-_SMALL_DISKS = 0.2  # of the pores that hold one
+_SMALLEST_RATIO = 2.5  # radius ratio above which the small disk fits into the pore between four neighbours
+_SMALL_DISKS = 0.2  # share of pores with a small disk
 REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
 BOXES = ("extreme", "plausible")
-"""What scenes are drawn from, see `SceneQuantity`."""
+"""Ranges for drawing scenes, see `SceneQuantity`."""
 _PICK = PickRule(largest_error=1.0)
-"""The boxes are short against the wave: it is judged whether the reading depends on the step, not what it is of."""
+"""The boxes are short compared with the wavelength; only the dependence of the reading on the step is judged."""
 _FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
 
-STRESSES = (1.0e2, 5.0e3, 5.0e5)  # on a small packing, Pa
-FRICTIONS = (0.0, 0.2, 1.0)  # while packing
-CONTENTS = (0.0, 2.0)  # of small packings, percent
+STRESSES = (1.0e2, 5.0e3, 5.0e5)  # stresses on small packings, Pa
+FRICTIONS = (0.0, 0.2, 1.0)  # coefficients during packing
+CONTENTS = (0.0, 2.0)  # contents of small packings, percent
 _BOX_WIDTH, _BOX_HEIGHT = 0.025, 0.04  # m
-_UNBALANCED_FORCE_RATIO = 1.0e-7  # so few contacts take long to come to rest
-_STROKE = 0.1  # of the pulse over the mean overlap
+_UNBALANCED_FORCE_RATIO = 1.0e-7  # packings with so few contacts come to rest slowly
+_STROKE = 0.1  # stroke of the pulse over the mean overlap
 _SLOW_PULSE = 0.1  # frequency of the pulse over the cut-off of the pressed contacts
-_CEMENTED_FREQUENCY = 2.0e4  # Hz: bonds carry the wave, whatever presses the contacts
+_CEMENTED_FREQUENCY = 2.0e4  # Hz: bonds carry the wave at any stress
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Extreme:
     Attributes
     ----------
     step_fraction
-        Step over its predicted limit; above 1 it has to be refused.
+        Step over its predicted limit; values above 1 must be refused.
     contrast
         Stiffness of bonds over that of the pressed contacts.
     damping
@@ -60,23 +60,23 @@ class Extreme:
     amplitude
         v0 of the pulse, m/s.
     frequency
-        Over the cut-off of a chain of such contacts.
+        Frequency over the cut-off of a chain of such contacts.
     size_ratio
         Largest over smallest radius; below 2.5 all disks are equal.
     content
-        Part of the contacts' capacity for cement that is used; 1 bonds everything.
+        Used part of the contacts' capacity for cement; 1 bonds all contacts.
     confinement
-        Stress that presses the disks, Pa.
+        Confining stress, Pa.
     missing
-        Part of the disks taken away: towards the loss of rigidity, with grains that touch nothing. Below 0 none is.
+        Share of removed disks: towards the loss of rigidity, with rattlers. None below 0.
     strength
         Strength of bonds over the stress of the pulse in them.
     floating
-        Tiny disks in the pore in the middle: they touch each other, if they are several, and nothing else.
+        Number of tiny disks in the central pore, which touch only each other.
     regime
         See `state.start`.
     seed
-        Of the disorder and of the cement.
+        Seed of disorder and cement.
     """
 
     step_fraction: float = 0.8
@@ -96,19 +96,19 @@ class Extreme:
 
 @dataclass(frozen=True, slots=True)
 class SceneQuantity:
-    """What the maps know of a number of `Extreme`.
+    """Properties of a field of `Extreme` for the maps.
 
     Attributes
     ----------
     label
-        On the axis of a map.
+        Label of the axis of a map.
     walk
-        Values of a map; all other numbers stay as in ``base``.
+        Values of a map; all other numbers are those of ``base``.
     extreme, plausible
-        Lower and upper end of what is drawn at random, over everything and over scenes that mostly have a velocity, so
-        that there is something to be wrong about; none is not drawn.
+        Range of random draws, over all scenes and over scenes that mostly have a velocity to check; without a range
+        the field is not drawn.
     powers
-        Whether these are powers of ten.
+        True if the ranges are powers of ten.
     """
 
     label: str
@@ -167,20 +167,20 @@ QUANTITIES = {
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """One sample of a small packing.
+    """Sample of a small packing.
 
     Attributes
     ----------
     stress
-        On the lid, Pa.
+        Stress on the lid, Pa.
     friction
-        Between the disks while packing.
+        Friction between the disks during packing.
     content
         Percent.
     regime
         See `state.start`.
     seed
-        Of packing and cement.
+        Seed of packing and cement.
     """
 
     stress: float
@@ -191,7 +191,7 @@ class Packed:
 
 
 def draw_scenes(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, ...]:
-    """Latin hypercube over all quantities that one of the `BOXES` draws, with regimes taking turns."""
+    """Latin hypercube over all quantities of one of the `BOXES`, with alternating regimes."""
     ends = {name: getattr(quantity, box) for name, quantity in QUANTITIES.items()}
     ranges = {name: both for name, both in ends.items() if both is not None}
     powers = {name for name, quantity in QUANTITIES.items() if quantity.powers}
@@ -204,7 +204,7 @@ def draw_scenes(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, .
 def draw_quantities(
     ranges: Mapping[str, tuple[float, float]], powers: Container[str], count: int, seed: int
 ) -> list[dict[str, Any]]:
-    """Latin hypercube over the ranges of quantities, which are powers of ten for some: the values of each scene."""
+    """Latin hypercube over ranges, for some quantities in powers of ten; returns the values of each scene."""
     sample = qmc.scale(qmc.LatinHypercube(len(ranges), rng=seed).random(count), *np.array(list(ranges.values())).T)
     return [
         {name: float(10.0**value if name in powers else value) for name, value in zip(ranges, row, strict=True)}
@@ -213,7 +213,7 @@ def draw_quantities(
 
 
 def experiment_of_scene(extreme: Extreme) -> Experiment:
-    """Experiment for `measurement.measure`, whose single content is `content_of` it.
+    """Experiment for `measurement.measure`, with the single content `content_of`.
 
     `ValueError` if the scene is refused.
     """
@@ -254,12 +254,12 @@ def experiment_of_scene(extreme: Extreme) -> Experiment:
 
 
 def content_of(extreme: Extreme, experiment: Experiment) -> float:
-    """Content that is the scene's part of what its contacts can hold, percent."""
+    """Content for the scene's part of the capacity of its contacts, percent."""
     return extreme.content * experiment.ordering(extreme.seed).maximum_content
 
 
 def scene_at_rest(extreme: Extreme, damping: float) -> tuple[Scene, Packing]:
-    """The cemented scene without a pulse, with one damping factor for all disks, and its packing."""
+    """Cemented scene without a pulse, with one damping factor for all disks, and its packing."""
     experiment = experiment_of_scene(extreme)
     packing = experiment.packing
     bonded = experiment.ordering(extreme.seed).at(content_of(extreme, experiment)).bonded
@@ -268,13 +268,13 @@ def scene_at_rest(extreme: Extreme, damping: float) -> tuple[Scene, Packing]:
 
 
 def _lattice(extreme: Extreme, sand: Sand) -> Packing:
-    """Square lattice of disks in equilibrium under the confining stress; small disks and gaps sown in at random."""
+    """Square lattice of disks in equilibrium under the confining stress, with random small disks and gaps."""
     generator = np.random.default_rng(extreme.seed)
     # Hertz: the force is stress times diameter.
     coefficient = float(sand.hertz_coefficient(np.array(_RADIUS), np.array(_RADIUS)))
     overlap = float((extreme.confinement * 2.0 * _RADIUS / coefficient) ** (2.0 / 3.0))
     spacing = 2.0 * _RADIUS - overlap
-    # A wall is twice as stiff as a disk is in R~, so that the same force presses it less.
+    # A wall contact has twice the R~ of two disks, so the same force gives a smaller overlap.
     to_wall = _RADIUS - overlap / 2.0 ** (1.0 / 3.0)
     column, row = np.meshgrid(np.arange(_DISKS_ACROSS), np.arange(_DISKS_UP))
     kept = generator.random(column.size) >= extreme.missing
@@ -282,13 +282,13 @@ def _lattice(extreme: Extreme, sand: Sand) -> Packing:
     radius = np.full(len(x), _RADIUS)
     small = _RADIUS / extreme.size_ratio
     if extreme.size_ratio > _SMALLEST_RATIO:
-        # They sit in the pores and touch one disk so slightly that the balance does not change.
+        # They lie in the pores and touch one disk so lightly that the balance does not change.
         hosts = np.flatnonzero(generator.random(len(x)) < _SMALL_DISKS)
         apart = (_RADIUS + small - 1e-3 * min(overlap, small)) * np.sqrt(0.5)
         x, y = np.append(x, x[hosts] + apart), np.append(y, y[hosts] + apart)
         radius = np.append(radius, np.full(len(hosts), small))
     inside = (x < spacing * (_DISKS_ACROSS - 1) + 1.1 * to_wall) & (y < spacing * (_DISKS_UP - 1) + 1.1 * to_wall)
-    # Floating ones lie in a row in the pore in the middle, and overlap by rounding alone: they touch without pushing.
+    # Floating disks form a row in the central pore and overlap only by rounding: they touch without force.
     count, own = extreme.floating, _FLOATER * _RADIUS
     along = 2.0 * own * (1.0 - 1e-12) * (np.arange(count) - 0.5 * (count - 1))
     middle = to_wall + spacing * np.array([_DISKS_ACROSS // 2 - 0.5, _DISKS_UP // 2 - 0.5])
@@ -330,7 +330,7 @@ def small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
 
 
 def experiment_of_packing(packing: Packing, scene: Packed) -> Experiment:
-    """Experiment with a pulse that is small against the overlaps and slow against the cut-off of the contacts."""
+    """Experiment with a pulse much smaller than the overlaps and far below the cut-off frequency of the contacts."""
     sand = Sand()
     radius = float(np.mean(packing.radius))
     cut_off = cutoff_frequency(_pressed_stiffness(packing, radius, sand), sand.density * np.pi * radius**2)
@@ -348,6 +348,6 @@ def experiment_of_packing(packing: Packing, scene: Packed) -> Experiment:
 
 
 def _pressed_stiffness(packing: Packing, radius: float, sand: Sand) -> float:
-    """Normal stiffness, N/m, of a contact of mean overlap between disks of a radius (m), Hertz."""
+    """Hertz normal stiffness, N/m, at the mean overlap, between disks of a radius, m."""
     coefficient = float(sand.hertz_coefficient(np.array(radius), np.array(radius)))
     return float(1.5 * coefficient * np.sqrt(packing.report.mean_overlap))

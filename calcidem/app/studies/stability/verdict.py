@@ -1,4 +1,4 @@
-"""Runs extreme scenes and says what became of them: one by one, along one quantity at a time, and in small packings."""
+"""Runs and judges extreme scenes: singly, along one quantity at a time, and in small packings."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -25,14 +25,14 @@ from calcidem.dem.engine.step_control import UnstableRunError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, Outcome, measure
 
-_TOLERANCE = 0.05  # relative error of Vs beyond which a number is wrong, unless the cell itself states more
-_FINER = 4  # times smaller step, and denser samples, of the run that decides
+_TOLERANCE = 0.05  # relative error of Vs above which a velocity is wrong, unless the cell states a larger error
+_FINER = 4  # factor of the smaller step and denser samples in the deciding run
 _ALIKE = 0.1
-"""Distance of two signals (`signal_distance`) up to which a pick that only one of them gives is a close call."""
+"""Distance of two signals (`signal_distance`) below which a pick in only one of them is a borderline case."""
 
 
 class StabilityVerdict(StrEnum):
-    """What became of a scene."""
+    """Verdict on a scene."""
 
     STABLE = "stable"
     REFUSED = "refused beforehand"
@@ -42,20 +42,20 @@ class StabilityVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What became of one scene.
+    """Judgement of one scene.
 
     Attributes
     ----------
     scene
-        Which one.
+        Scene.
     verdict
-        What became of it.
+        Verdict.
     reason
-        Why, in words.
+        Reason in words.
     vs
         Velocity, m/s; None if there is none.
     error
-        Its true relative error, or that of `own_scenes.error_of_run`; None if it is not known.
+        True relative error, or that of `own_scenes.error_of_run`; None if unknown.
     """
 
     scene: Extreme | Packed | OwnScene
@@ -66,7 +66,7 @@ class Judgement:
 
 
 def judge_scene(scene: Extreme) -> Judgement:
-    """Run a scene as a user would, and once more with a far smaller step, for longer, if it gave a velocity."""
+    """Run a scene as a user would; if it gives a velocity, repeat it longer with a much smaller step."""
 
     def make() -> tuple[Experiment, float]:
         experiment = experiment_of_scene(scene)
@@ -76,12 +76,12 @@ def judge_scene(scene: Extreme) -> Judgement:
 
 
 def _judge_packing(scene: Packed, experiment: Experiment) -> Judgement:
-    """Do the same on a real packing; the run that decides is of the finite regime, which leaves nothing out."""
+    """Judge a real packing; the deciding run is in the finite regime, which neglects nothing."""
     return _judge_experiment(scene, lambda: (experiment, scene.content), regime="finite")
 
 
 def judge_own_scene(scene: OwnScene) -> Judgement:
-    """Run a scene of one's own and hold its error against the tolerance."""
+    """Run a user-defined scene and compare its error with the tolerance."""
     try:
         error = error_of_run(scene)
     except ValueError as refusal:
@@ -95,7 +95,7 @@ def judge_own_scene(scene: OwnScene) -> Judgement:
 def _judge_experiment(
     scene: Extreme | Packed, make: Callable[[], tuple[Experiment, float]], regime: Regime | None = None
 ) -> Judgement:
-    """Run what ``make`` gives: an experiment, and a content in percent; ``regime`` of the finer run if another one."""
+    """Run the experiment and content (percent) of ``make``; ``regime`` overrides that of the finer run."""
 
     def measured(experiment: Experiment) -> Measurement:
         return measure(experiment, content, [scene.seed], lanes=1)[0]
@@ -116,7 +116,7 @@ def _judge_experiment(
     )
     try:
         exact = measured(replace(experiment, wave=finer))
-    except ValueError as error:  # a packing that creeps too much for the regime that decides
+    except ValueError as error:  # the packing creeps too much for the deciding regime
         return Judgement(scene, StabilityVerdict.REFUSED, f"without a reference: {error}")
     if exact.vs is None:
         distance = signal_distance(found.record, exact.record)
@@ -124,7 +124,7 @@ def _judge_experiment(
         right = distance < _ALIKE
     else:
         reason, error_of_vs = found.record.retry, found.vs / exact.vs - 1.0
-        # What a regime leaves out is no less than its bound says; 5 % are for what a step does to a reading.
+        # The bound covers the neglect of a regime; 5 % cover the effect of a step on a reading.
         tolerance = 0.0 if experiment.wave.regime == "linear" and isinstance(scene, Packed) else _TOLERANCE
         right = abs(error_of_vs) <= max(tolerance, found.result.error.bound if found.result.error else 0.0)
     verdict = StabilityVerdict.STABLE if right else StabilityVerdict.WRONG
@@ -145,7 +145,7 @@ def walks(progress: Callable[[str], None] = lambda _: None) -> dict[str, tuple[J
 def packing_map(
     stresses: Iterable[float] = STRESSES, progress: Callable[[str], None] = lambda _: None
 ) -> tuple[Judgement, ...]:
-    """Judge samples of small packings from nearly unjammed to well pressed, bare and cemented, in all regimes."""
+    """Judge samples of small packings from nearly unjammed to well compressed, bare and cemented, in all regimes."""
     found = []
     for stress in stresses:
         for friction in FRICTIONS:
