@@ -212,8 +212,8 @@ def test_a_fit_goes_on_with_the_seeds_that_are_read() -> None:
     assert [row.role for row in found.contents] == ["fitted", "left out"]
     assert found.is_fitted
     few, left_out = found.doubts
-    assert few.startswith("at 0.5 % 5 of 20 seeds have a velocity in every trial: mean and scatter")
-    assert left_out.startswith("at 5 % 2 of 20 seeds have a velocity in every trial, so that it was left out")
+    assert few.startswith("at 0.5 % 5 of 20 seeds have a velocity in every trial: the others may have another mean")
+    assert left_out.startswith("at 5 % 2 of 20 seeds have a velocity in every trial, so it was left out")
 
 
 def test_a_fit_without_readable_seeds_ends_with_its_start() -> None:
@@ -223,7 +223,7 @@ def test_a_fit_without_readable_seeds_ends_with_its_start() -> None:
     assert not found.is_fitted
     assert found.values == pytest.approx({"a": 2.0})
     assert np.isnan(found.deviations["a"])
-    assert found.doubts[0] == "0 numbers can be read for 1 parameters: give more seeds, or free fewer parameters"
+    assert found.doubts[0] == "0 readable numbers for 1 parameters: give more seeds, or free fewer parameters"
     assert "at 0.5 % 0 of 20 seeds" in found.doubts[1]
 
 
@@ -238,7 +238,7 @@ def test_a_parameter_without_effect_is_doubted_and_the_others_are_fitted() -> No
     assert found.values == pytest.approx({"a": 3.0, "b": 1.5}, rel=0.05)
     assert np.isfinite(found.deviations["a"])
     assert np.isnan(found.deviations["b"])
-    assert "b changes no Vs at these contents: leave it out" in found.doubts
+    assert "b does not change Vs at these contents: remove it" in found.doubts
 
 
 def test_steps_that_no_seed_survives_are_a_doubt() -> None:
@@ -278,7 +278,7 @@ def test_trials_that_a_stop_cut_off_are_measured_again(
     assert asked == [*tried, tried[1]]
     for other in (b"content,vs\n1,3\n", b"a note", b"\xff\n"):
         file.write_bytes(other)
-        with pytest.raises(ConfigurationError, match="line 1: is no trial of a calibration"):
+        with pytest.raises(ConfigurationError, match="line 1: is not a trial of a calibration"):
             trials()
         assert file.read_bytes() == other
 
@@ -292,11 +292,13 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
         with pytest.raises(ConfigurationError, match=match):
             calibrate(configuration, small_packing, plan)
 
-    refuse("sand.colour", match=r"sand\.colour: is no number of the configuration; choose among cement\.bond_modulus")
-    refuse("sand.shear_modulus=1e11:2e11", match="every value makes another packing")
-    refuse("wave.damping=0.5:0.1", match="two rising positive numbers")
-    refuse("wave.damping=0.1", match="two rising positive numbers")
-    refuse("pattern.p_share=0.1:many", match="two rising positive numbers")
+    refuse(
+        "sand.colour", match=r"sand\.colour: is not a number in the configuration; choose among cement\.bond_modulus"
+    )
+    refuse("sand.shear_modulus=1e11:2e11", match="every value changes the packing")
+    refuse("wave.damping=0.5:0.1", match="two increasing positive numbers")
+    refuse("wave.damping=0.1", match="two increasing positive numbers")
+    refuse("pattern.p_share=0.1:many", match="two increasing positive numbers")
     refuse("wave.transmitter_half_width=0.001:0.9", match="does not fit into the sample")
     refuse(STIFFNESS, MODULUS, match="parameters = 2: give at most 1")
     refuse(STIFFNESS, STIFFNESS, match="named twice")

@@ -107,8 +107,8 @@ def changed(line: int, text: str) -> Callable[[list[str]], list[str]]:
     ("change", "message"),
     [
         (changed(1, "x,y,diameter"), "no column radius"),
-        (changed(5, "0.01,zero,0.001"), "line 5: '0.01,zero,0.001' is no disk"),
-        (changed(5, "0.01"), "line 5: '0.01' is no disk"),
+        (changed(5, "0.01,zero,0.001"), "line 5: '0.01,zero,0.001' is not a disk"),
+        (changed(5, "0.01"), "line 5: '0.01' is not a disk"),
         (changed(5, "0.01,nan,0.001"), "line 5: .* finite numbers"),
         (changed(5, "0.01,0.01,-0.001"), "line 5: .* positive radius"),
         (changed(5, "-0.01,0.01,0.001"), "line 5: .* beyond the left wall"),

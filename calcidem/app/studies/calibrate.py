@@ -379,10 +379,10 @@ def _fit_to_targets(
     inverse = np.linalg.pinv(slopes / errors[:, None]) / errors
     covariance = inverse @ (fit.covariance(point) + np.diag(missed)) @ inverse.T
     deviation = np.where(moves, np.sqrt(np.diag(covariance)), np.nan)
-    doubts += [f"{names[i]} changes no Vs at these contents: leave it out" for i in np.flatnonzero(~moves)]
+    doubts += [f"{names[i]} does not change Vs at these contents: remove it" for i in np.flatnonzero(~moves)]
     at_limit = np.isclose(point[:, None], limits, atol=1e-6).any(axis=1)
     chi_square, freedom = float(np.sum((fit.deviation(point) / errors) ** 2)), fit.wanted - len(names)
-    doubts += [f"{names[i]} ended at a limit of its range: widen it, or leave it out" for i in np.flatnonzero(at_limit)]
+    doubts += [f"{names[i]} ended at a limit of its range: widen it, or remove it" for i in np.flatnonzero(at_limit)]
     if chi_square > _TOO_MUCH * max(1, freedom):
         doubts.append(
             "the targets are not met within their errors: free other parameters; the deviations are too small"
@@ -451,9 +451,9 @@ def _doubts_of_content(row: FittedContent) -> Iterator[str]:
     """Objections to a content of the fit."""
     read = f"at {row.content:g} % {row.seeds} of {row.planned} seeds have a velocity in every trial"
     if row.seeds < _FEWEST_SEEDS:
-        yield f"{read}, so that it was left out: begin with values whose waves are read, or change wave.frequency"
+        yield f"{read}, so it was left out: start from values with readable waves, or change wave.frequency"
     elif row.seeds < _FEW_SEEDS * row.planned:
-        yield f"{read}: mean and scatter of the others may be different"
+        yield f"{read}: the others may have another mean and scatter"
 
 
 def _values_at(names: Sequence[str], point: Floats) -> dict[str, float]:
@@ -476,7 +476,7 @@ def _descend(
             fit.begin([point, *beside])
             if fit.wanted < len(names):
                 cure = "give more seeds, or free fewer parameters"
-                return point, slopes, [f"{fit.wanted} numbers can be read for {len(names)} parameters: {cure}"]
+                return point, slopes, [f"{fit.wanted} readable numbers for {len(names)} parameters: {cure}"]
         try:
             fit.try_points([point, *beside])
         except _UnreadTrialError as error:
@@ -494,7 +494,7 @@ def _descend(
         if converged:
             break
     tell(_told(names, point, fit.deviation(point), fit.errors(point)))
-    doubts = [] if converged else [f"it has not converged in {_MOST_ROUNDS} rounds: begin from its result"]
+    doubts = [] if converged else [f"it has not converged in {_MOST_ROUNDS} rounds: restart from its result"]
     if nearer is None and unread:
         doubts.append(f"it ended before it converged: {unread}")
     return point, slopes, doubts

@@ -102,11 +102,11 @@ def _alternatives_of(experiment: Experiment, content: float) -> list[Alternative
     wave = experiment.wave
     stop, double, wall = experiment.early_stop, wave.precision == "float64", wave.transmitter == "wall"
     other = "float32" if double else "float64"
-    settles = "the reading looks no further than its horizon, so more steps change no bit of it"
+    settles = "the reading uses no data beyond its horizon, so further steps do not change it"
     early = Alternative(
         "steps after the pick", False, settles, replace(experiment, early_stop=not stop), f"early_stop {not stop}"
     )
-    asked = f"the configuration asks for {wave.precision}"
+    asked = f"the configuration sets {wave.precision}"
     precision = Alternative(
         "double precision", double, asked, with_wave(experiment, precision=other), f"precision {other}"
     )
@@ -116,9 +116,13 @@ def _alternatives_of(experiment: Experiment, content: float) -> list[Alternative
     if wave.damping == 0.0:
         damping = Alternative("local damping", needed=False, why="alpha of the sample is 0", opposite=None)
     else:  # it slows the front of a wave, see docs/accuracy.md
-        why = f"alpha of the sample is {wave.damping:g}: without it Vs is another one"
+        why = f"alpha of the sample is {wave.damping:g}: without it Vs differs"
         damping = Alternative("local damping", True, why, with_wave(experiment, damping=0.0), UNDAMPED)
-    why = "the configuration asks for a wall that rubs" if wall else "disks that are driven neither slip nor spin"
+    why = (
+        "the configuration sets a wall with friction"
+        if wall
+        else "disks with prescribed motion neither slip nor rotate"
+    )
     transmitter = with_wave(experiment, transmitter="driven" if wall else "wall")
     driven = Alternative("driven disks", not wall, why, transmitter)
     return [*_displacements(experiment), _whole_domain(experiment), early, precision, bonds, damping, driven]
@@ -128,17 +132,17 @@ def _displacements(experiment: Experiment) -> list[Alternative]:
     """Alternatives of displacements and contact laws."""
     regime, slip, turns = experiment.wave.regime, "slip, opening and Hertz stiffening", "new normals and overlaps"
     if regime != "linear":
-        why = f'the configuration asks for regime = "{regime}"'
+        why = f'the configuration sets regime = "{regime}"'
         return [
             Alternative(slip, needed=True, why=why, opposite=None),
             Alternative(turns, needed=regime == "finite", why=why, opposite=None),
         ]
-    tiny = "the pulse moves the grains by a small part of their overlaps"
+    tiny = "the pulse moves the grains by much less than their overlaps"
     small, finite = (with_wave(experiment, regime=other) for other in ("small", "finite"))
     search = with_wave(finite, keep=("search",))
     return [
         Alternative(slip, False, f"{tiny}, so contacts keep their stiffness", small, "regime small"),
-        Alternative(turns, False, f"{tiny}, and far less of the radii", finite, "regime finite"),
+        Alternative(turns, False, f"{tiny} and radii", finite, "regime finite"),
         Alternative("contact search", False, f"{tiny}, so no new contacts form", search),
     ]
 
@@ -150,7 +154,7 @@ def _whole_domain(experiment: Experiment) -> Alternative:
     if share == 0.0:
         why = "the layers at floor and lid are thin or damp by less than 1, or the sample settles as a whole"
         return Alternative("disks out of reach", needed=True, why=why, opposite=None)
-    why = f"{share:.0%} of the disks lie deep in the damping layers or touch nothing: no signal gets there"
+    why = f"{share:.0%} of the disks lie deep in the damping layers or have no contacts: no signal reaches them"
     return Alternative("disks out of reach", False, why, with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
 
 

@@ -85,7 +85,7 @@ class KeptTrials:
             except (ValueError, KeyError, TypeError):
                 fits = False
             if not fits:
-                problem = f"line {number}: is no trial of a calibration; remove the file, or give --out another name"
+                problem = f"line {number}: is not a trial of a calibration; remove the file, or give --out another name"
                 raise ConfigurationError(str(file), [Problem(problem)])
             self._known[json.dumps(key)] = vs
         if cut_off:

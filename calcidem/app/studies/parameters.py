@@ -54,7 +54,7 @@ def check_ranges(configuration: Configuration, ranges: Sequence[ParameterRange],
     """
     problems = [problem for chosen in ranges for problem in _range_problems(configuration, chosen)]
     names = [chosen.name for chosen in ranges]
-    problems += [Problem(f"{name}: is named twice; leave one out") for name in set(names) if names.count(name) > 1]
+    problems += [Problem(f"{name}: is named twice; remove one") for name in set(names) if names.count(name) > 1]
     if not names:
         problems.append(Problem("parameters = 0: name at least one, such as cement.bond_modulus"))
     if problems:
@@ -66,11 +66,13 @@ def _range_problems(configuration: Configuration, chosen: ParameterRange) -> Ite
     name = chosen.name
     if name not in _variable_keys():
         yield Problem(
-            f"{name}: is no number of the configuration; choose among {', '.join(sorted(_variable_keys()))}", (name,)
+            f"{name}: is not a number in the configuration; choose among {', '.join(sorted(_variable_keys()))}", (name,)
         )
         return
     if not 0.0 <= chosen.low < chosen.high:
-        yield Problem(f"{name} = {chosen.low:g}:{chosen.high:g}: give two rising positive numbers, low:high", (name,))
+        yield Problem(
+            f"{name} = {chosen.low:g}:{chosen.high:g}: give two increasing positive numbers, low:high", (name,)
+        )
         return
     for value in (chosen.low, chosen.high):
         if 0.0 < value < math.inf:
@@ -81,7 +83,7 @@ def _range_problems(configuration: Configuration, chosen: ParameterRange) -> Ite
                 continue
             yield from (problem for problem in cross_check(changed) if name in problem.fields)
             if changed.packing_hash != configuration.packing_hash:
-                yield Problem(f"{name}: every value makes another packing; vary what the wave stage alone has", (name,))
+                yield Problem(f"{name}: every value changes the packing; vary a key of the wave stage", (name,))
                 return
 
 
@@ -117,7 +119,7 @@ def start_value(configuration: Configuration, packing: Packing, chosen: Paramete
         value = _area_of_clusters(configuration, packing)
     if not isinstance(value, float) or value <= 0.0:
         if not 0.0 < chosen.low < chosen.high < math.inf:
-            raise ValueError(f"{chosen.name} = {value}: is no positive number to begin with; give its range low:high")
+            raise ValueError(f"{chosen.name} = {value}: is not a positive start value; give a range low:high")
         value = math.sqrt(chosen.low * chosen.high)
     return float(np.clip(value, chosen.low, chosen.high))
 

@@ -67,7 +67,7 @@ def draw_posterior(
 ) -> Posterior:
     """Draw parameters by importance sampling with a linear model of the trials of a calibration.
 
-    `ValueError` if there are no more trials than parameters, or the trials lie in a hyperplane.
+    `ValueError` unless there are more trials than parameters and they do not lie in a hyperplane.
 
     Parameters
     ----------

@@ -205,7 +205,7 @@ def _assemble_pairs(
     first, second = np.divmod(listed, scene.count)
     apart = reference[second] - reference[first]
     distance = length(apart[:, 0], apart[:, 1])
-    require(bool(np.all(distance > 0.0)), "x, y", "two disks with one centre", "give every disk a place of its own")
+    require(bool(np.all(distance > 0.0)), "x, y", "two disks with one centre", "give every disk its own position")
     overlap = radius[first] + radius[second] - distance
     arms = radius[np.column_stack([first, second])] - 0.5 * overlap[:, None]
     hertz = scene.sand.hertz_coefficient(radius[first], radius[second])

@@ -176,8 +176,7 @@ def advance(state: State, steps: int) -> State:
     """State after ``steps`` more steps; the given state is unchanged.
 
     The step decreases when stiffer contacts or faster disks require it, unless `start` fixed it. `UnstableRunError` if
-    a fixed step exceeds the present limit, a disk moves by more than a tenth of a radius in a step or by NaN, or energy
-    is created.
+    a fixed step exceeds its limit, a disk moves by NaN or over a tenth of a radius in a step, or energy is created.
     """
     end = state.steps + steps
     current = duplicate(state)

@@ -226,7 +226,7 @@ def relax(
             unrest = min(ratios, default=math.inf) / rule.unbalanced_force_ratio
             state, limit = _advance_to_look(state, manner, unrest, limit)
         except UnstableRunError as error:
-            cure = "lower stress, raise damping, or move the disks apart if they are your own"
+            cure = "lower stress, raise damping, or move your own disks apart"
             raise PackingError(f"while the disks came to rest, {str(error).rsplit(': ', 1)[0]}: {cure}") from error
         cost.steps += manner.steps
         ratio = unbalanced_ratio(state)
@@ -268,7 +268,7 @@ def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats 
         shortened += 1
         if shortened > _MOST_SHORTENED:
             raise PackingError(
-                f"disks are thrown out of the box at a step of {step.min():.3g} s, {_SHORTER**_MOST_SHORTENED:.0e} of "
+                f"disks leave the box at a step of {step.min():.3g} s, {_SHORTER**_MOST_SHORTENED:.0e} of "
                 "its bound: the stress is too high for this modulus; lower packing.stress or raise sand.shear_modulus"
             )
         step = _SHORTER * step
@@ -309,7 +309,7 @@ def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str
     """Remedy for a packing with these unbalanced-force ratios; more steps only if the ratio still decreases."""
     half, stress = len(ratios) // 2, _lid_stress(state, rule)
     if abs(stress / rule.stress - 1.0) >= _STRESS_TOLERANCE:
-        return f"the lid bears {stress:.3g} of {rule.stress:.3g} Pa; raise most_steps or lower stress"
+        return f"the lid carries {stress:.3g} of {rule.stress:.3g} Pa; raise most_steps or lower stress"
     if half and min(ratios[half:]) > _NEARER * min(ratios[:half]):
         return "raise damping or unbalanced_force_ratio; more steps will not help, since the ratio no longer falls"
     return "raise most_steps, damping or unbalanced_force_ratio"

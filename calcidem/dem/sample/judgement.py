@@ -103,15 +103,13 @@ def judge_disks(packing: Packing, sand: Sand) -> tuple[Fault, ...]:
     found = []
     if deepest > DEEP_OVERLAP:
         cause = f"stress of {stress:.3g} Pa on a wall, too high for sand.shear_modulus = {sand.shear_modulus:g}"
-        limit = f"at most {LARGEST_OVERLAP:.0%} is Hertz's law good for"
+        limit = f"Hertz's law holds up to {LARGEST_OVERLAP:.0%}"
         text = f"stress: the largest overlap is {deepest:.1%} of a radius, {limit} ({cause}); "
         found.append(Fault("stress", text + _softer(deepest, lid, sand), refused=deepest > LARGEST_OVERLAP))
     found += judge_porosity(report.porosity, packing.radius)
     contacts = report.coordination_number_without_rattlers
     if contacts >= _PLANAR or contacts < _ISOSTATIC:
-        bound = (
-            "fewer than 6 is the most that disks can have" if contacts >= _PLANAR else "3 are needed to resist shear"
-        )
+        bound = "disks always have fewer than 6" if contacts >= _PLANAR else "3 are needed to resist shear"
         text = f"porosity: each disk has {contacts:.2f} contacts without rattlers; {bound}; "
         cure = "lower the stress" if contacts >= _PLANAR else "lower packing.porosity or packing.friction_preparation"
         found.append(Fault("porosity", text + cure, refused=contacts >= _PLANAR))
@@ -128,9 +126,7 @@ def judge_porosity(porosity: float, radius: Floats) -> tuple[Fault, ...]:
         )
         return (Fault("porosity", text, refused=True),)
     if porosity > _LOOSEST:
-        text = (
-            f"porosity: {porosity:.3f} is above {_LOOSEST:g}; so loose they hardly carry load; lower packing.porosity"
-        )
+        text = f"porosity: {porosity:.3f} is above {_LOOSEST:g}; loose disks hardly carry load; lower packing.porosity"
         return (Fault("porosity", text, refused=False),)
     return ()
 

@@ -114,7 +114,9 @@ def _numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[fl
             x, y, radius = (float(row[place]) for place in places)
         except (ValueError, IndexError) as error:
             shown = f"{line[:_LONGEST_SHOWN]}{'...' if len(line) > _LONGEST_SHOWN else ''}"
-            raise PackingFileError(f"{file}, line {number}: '{shown}' is no disk; give three numbers in m") from error
+            raise PackingFileError(
+                f"{file}, line {number}: '{shown}' is not a disk; give three numbers in m"
+            ) from error
         if not (abs(x) <= FARTHEST and abs(y) <= FARTHEST and 1.0 / FARTHEST <= radius <= FARTHEST):
             raise PackingFileError(
                 f"{file}, line {number}: x = {x:g}, y = {y:g}, radius = {radius:g}; give finite numbers and a positive "

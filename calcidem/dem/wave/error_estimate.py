@@ -92,12 +92,12 @@ def error_bound(parts: ErrorParts) -> float:
 _CURES = {
     "step": "make step_fraction smaller",
     "sampling": "make samples_per_period larger",
-    "slip": "contacts slip that the linear regime holds; choose regime = 'finite', or a lower amplitude",
+    "slip": "contacts slip, unlike in the linear regime; choose regime = 'finite', or a lower amplitude",
     "precision": "choose precision = 'float64'",
     "noise": "noise moves the peak; lower amplitude or the frequency",
     "chatter": "make step_fraction or damping smaller",
     "unbalanced": "raise amplitude, or make the packing's unbalanced_force_ratio smaller",
-    "breaking": "bonds break, and which of them is chance; lower amplitude",
+    "breaking": "bonds break at random; lower amplitude",
 }
 
 

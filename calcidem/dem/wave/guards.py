@@ -61,7 +61,7 @@ def _find_unlisted_neighbours(state: State, motion: Floats) -> Iterator[tuple[in
         return
     for lane in np.flatnonzero(motion > 0.5 * state.skin).tolist():
         moved = np.abs(state.motion.displacement[:, :2, lane]).max(axis=1)
-        yield lane, f"{_name_disk(state, moved)} moved {moved.max():.3g} m, out of reach of its list of neighbours"
+        yield lane, f"{_name_disk(state, moved)} moved {moved.max():.3g} m, beyond the reach of its list of neighbours"
 
 
 def broken_bonds(state: State) -> Integers:
