@@ -63,6 +63,7 @@ def test_one_process_computes_off_linux(workshop: "Workshop", platform: str) -> 
     assert f"MPI ranks need Linux, and this is {platform}" in told.output
 
 
+@pytest.mark.full
 def test_ranks_are_refused_off_linux(workshop: "Workshop", platform: str) -> None:
     """With --ranks, and as a rank of mpirun, one sentence names the platform and the cure."""
     workshop.configure()

@@ -110,6 +110,7 @@ def test_a_record_does_not_depend_on_how_a_run_is_cut_into_calls() -> None:
     assert one[-1, 0] != 0.0
 
 
+@pytest.mark.full
 def test_a_run_without_a_recording_writes_none() -> None:
     """A state that could record advances without one and touches no memory beyond its own."""
     state = start(disk_between(0.5), features=RECORDING)

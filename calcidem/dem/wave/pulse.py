@@ -92,7 +92,7 @@ def excitation_frequency(content: float) -> float:
     if not contents[0] <= content <= contents[-1]:
         raise ValueError(
             f"content = {content} %: Table 2 has frequencies from {contents[0]:g} to {contents[-1]:g} %; "
-            "specify the frequency for this content"
+            "give the frequency for this content"
         )
     return interpolate(content, contents, frequencies)
 
