@@ -149,7 +149,7 @@ def test_ranges_that_cannot_be_varied_are_named(tmp_path: Path) -> None:
         (("[ranges]", "[[variant]]"), 8, "choice"),
         (('"sand.wave_stiffness_factor"', '"packing.stress"'), 8, "packing.stress: is not a number"),
         (("[8.0, 20.0]", "[8.0]"), 8, "ranges"),
-        (("[8.0, 20.0]", "[20.0, 8.0]"), 8, "two rising"),
+        (("[8.0, 20.0]", "[20.0, 8.0]"), 8, "two increasing"),
         (("seeds = 8", "seeds = 8"), 12, "power of two"),
     ):
         with pytest.raises(ConfigurationError, match=named):
