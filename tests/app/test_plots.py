@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -14,7 +15,7 @@ from PIL import Image
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.app.campaign.plots import CampaignPlots
+from calcidem.app.campaign.plots import CampaignPlots, _with_step_of
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.dem.wave.domain import domain_of, listening_disks
 from calcidem.dem.wave.film import film_wave
@@ -84,6 +85,15 @@ def test_a_film_is_the_stored_wave(campaign: Campaign) -> None:
     last = np.minimum(np.arange(1, 8) * -(-count // 7), count) - 1
     np.testing.assert_allclose(heard, section.received[last], rtol=1e-5, atol=section.resolution)
     np.testing.assert_allclose(film.times, section.time[last] + 0.5 * film.record.time_step)
+
+
+def test_a_movie_has_the_step_of_its_cell(campaign: Campaign) -> None:
+    """As configured, or halved as often as the stored step says."""
+    cell, (experiment, _) = campaign.store.cell(**CELL), campaign.cemented(**CELL)
+    assert cell.time_step is not None
+    steps = [cell.time_step, 0.5 * cell.time_step, 0.25 * cell.time_step]
+    found = [_with_step_of(experiment, replace(cell, time_step=step)).wave.step_fraction for step in steps]
+    assert found == [part * experiment.wave.step_fraction for part in (1.0, 0.5, 0.25)]
 
 
 def test_a_movie_has_the_frames_asked_for(campaign: Campaign, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from calcidem.app.studies.stability.scenes import (
 from calcidem.app.studies.stability.verdict import StabilityVerdict, _judge_packing, judge_own_scene, judge_scene
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.state import advance, start
-from calcidem.dem.wave.measurement import Outcome, measure
+from calcidem.dem.wave.measurement import Interpretation, Outcome, interpret_record, measure
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import read_section
 from calcidem.dem.wave.scene import wave_scene
@@ -200,6 +200,9 @@ def test_chatter_counts_what_half_of_the_step_changes() -> None:
     assert found.result.error.parts.chatter == pytest.approx(change)
     assert found.result.error.expected > 0.7 * change > 0.0
     assert found.result.error.bound > 3.2 * change
+    ended = interpret_record(strong, found.record, Interpretation(Outcome.UNSTABLE, "a guard ended the full step"))
+    assert ended.vs is None
+    assert "make step_fraction or damping smaller" in ended.reason
     usual = measure(replace(strong, wave=replace(strong.wave, damping=0.35)), content, [1], lanes=1)[0]
     assert usual.record.time_step == pytest.approx(scene.step_fraction * usual.record.stability_limit)
 

@@ -1,5 +1,6 @@
 """The figures of a campaign for Python: ``campaign.plot``."""
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,6 +24,7 @@ from calcidem.app.campaign.patterns import stored_section
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.film import film_wave
 from calcidem.storage.files import write_atomically
+from calcidem.storage.records import CellResult
 
 _FIGURES = {figure.name: figure for figure in CAMPAIGN_FIGURES}
 
@@ -44,6 +46,15 @@ def _with_caption(method: _Method) -> _Method:
     """Add what is to be seen to the documentation of a method that draws a figure of the report."""
     method.__doc__ = f"{method.__doc__}\n\n{_FIGURES[method.__name__].caption}\n\n{_ARGUMENTS}"
     return method
+
+
+def _with_step_of(experiment: Experiment, cell: CellResult) -> Experiment:
+    """Return the experiment with the step of a cell: halved if a guard ended its run or its contacts chatter."""
+    if cell.time_step is None or cell.stability_limit is None:
+        return experiment
+    wave = experiment.wave
+    halvings = round(math.log2(wave.step_fraction * cell.stability_limit / cell.time_step))
+    return replace(experiment, wave=replace(wave, step_fraction=wave.step_fraction * 0.5**halvings))
 
 
 class CampaignPlots:
@@ -186,10 +197,8 @@ class CampaignPlots:
         cell = self.analysis.store.cell(seed=seed, content=content)
         experiment, bonded = self._cemented(seed=seed, content=content)
         wave = experiment.wave
-        if cell.retry:  # then its wave was computed with half the step
-            experiment = replace(experiment, wave=replace(wave, step_fraction=0.5 * wave.step_fraction))
         film = film_wave(
-            experiment,
+            _with_step_of(experiment, cell),
             bonded,
             cell.frequency or experiment.frequency(content),
             frames=frames,

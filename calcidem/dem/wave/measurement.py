@@ -1,7 +1,7 @@
 """From a seed and a content to a shear-wave velocity: cement the packing, transmit the wave, pick its arrival."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from time import perf_counter
 
@@ -9,7 +9,7 @@ from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.error_estimate import NumericalError, chatters, cure_of, estimate_error
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import send_waves, stiffness_contrast
+from calcidem.dem.wave.propagation import send_waves, stiffness_contrast, with_half_step
 from calcidem.dem.wave.reading import Reading, ShearArrival, is_settled, read_section
 from calcidem.dem.wave.recorder import WaveRecord
 
@@ -128,11 +128,13 @@ def measure(
     results = [interpret_record(experiment, record) for record in records]
     damping = experiment.wave.damping
     unruly = [i for i, record in enumerate(records) if chatters(damping, stiffness_contrast(experiment, record))]
-    if unruly:
-        finer = replace(experiment, wave=replace(experiment.wave, step_fraction=0.5 * experiment.wave.step_fraction))
-        again = send_waves(
-            finer, [bonded[sample] for sample in unruly], frequency, stop_when=stop_when, lanes=lanes, check=check
-        )
+    for sample in (i for i in unruly if records[i].retry):
+        # Its step is half already, and a guard ended the full step: nothing to compare with.
+        failed = Interpretation(Outcome.UNSTABLE, records[sample].retry)
+        results[sample] = interpret_record(experiment, records[sample], failed)
+    if unruly := [i for i in unruly if not records[i].retry]:
+        finer = with_half_step(experiment)
+        again = send_waves(finer, [bonded[i] for i in unruly], frequency, stop_when=stop_when, lanes=lanes, check=check)
         for sample, record in zip(unruly, again, strict=True):
             records[sample], results[sample] = record, interpret_record(finer, record, results[sample])
     seconds = (perf_counter() - seconds_compiling() - began) / len(seeds)

@@ -66,16 +66,22 @@ def send_waves(
     One record for each sample. If a guard finds a problem, the sample is recomputed with half the step, and its record
     notes this. If that fails, too, the problem stays in the record.
     """
-    wave = experiment.wave
-    refuse_loud_pulse(experiment.packing, wave, frequency)
+    refuse_loud_pulse(experiment.packing, experiment.wave, frequency)
     records = prepare_recorder(experiment, bonded, frequency, lanes, check).run(stop_when, check)
     failed = [sample for sample, record in enumerate(records) if record.problem]
     if failed:
-        finer = replace(experiment, wave=replace(wave, step_fraction=0.5 * wave.step_fraction))
-        again = prepare_recorder(finer, [bonded[sample] for sample in failed], frequency, lanes, check)
+        again = prepare_recorder(
+            with_half_step(experiment), [bonded[sample] for sample in failed], frequency, lanes, check
+        )
         for sample, record in zip(failed, again.run(stop_when, check), strict=True):
             records[sample] = replace(record, retry=records[sample].problem)
     return records
+
+
+def with_half_step(experiment: Experiment) -> Experiment:
+    """Return the experiment with half the time step."""
+    wave = experiment.wave
+    return replace(experiment, wave=replace(wave, step_fraction=0.5 * wave.step_fraction))
 
 
 def prepare_recorder(
