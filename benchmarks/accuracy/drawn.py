@@ -1,10 +1,11 @@
 """Numerical errors of scenes drawn at random against a quarter of the step in double precision.
 
-    python benchmarks/accuracy/drawn.py [--first 3000] [--scenes 100] [--stiff]
+    python benchmarks/accuracy/drawn.py [--first 3000] [--scenes 100] [--stiff | --stiffest]
 
 Boxes of 120 to 550 disks, any regime, precision and transmitter; stiffness, cement, damping, amplitude and frequency over
-decades. With `--stiff`: finite displacement, damping of 0.3 to 0.7 and bonds up to 1e5 times as stiff as the contacts. *Silent* is a
-velocity off by more than 5 % and by more than twice its standard error.
+decades. With `--stiff`: finite displacement, damping of 0.3 to 0.7 and bonds up to 1e5 times as stiff as the contacts.
+With `--stiffest`: damping of 0.6 to 0.7, bonds 1e5 to 1e8 times as stiff, and nearly all contacts cemented. *Silent* is
+a velocity off by more than 5 % and by more than twice its standard error.
 """
 
 import argparse
@@ -52,11 +53,12 @@ def packed(index: int) -> tuple[PackingRule, Sand, Packing]:
     return rule, sand, make_packing(rule, sand, generator)
 
 
-def drawn_scene(seed: int, *, stiff: bool) -> tuple[Experiment, float]:
+def drawn_scene(seed: int, *, stiff: bool = False, stiffest: bool = False) -> tuple[Experiment, float]:
     """A scene and its content, percent; its path has .8 to 4 wavelengths of a wave at the static speed."""
     generator = np.random.default_rng([5, seed])
     rule, sand, packing = packed(int(generator.integers(_PACKINGS)))
-    damping = generator.uniform(0.3, 0.7) if stiff else generator.uniform(0.02, 0.7)
+    damping = generator.uniform(0.6 if stiffest else 0.3 if stiff else 0.02, 0.7)
+    stiff = stiff or stiffest
     wave = WaveRule(
         amplitude=between(generator, 1e-5, 2e-3),
         transmitter=("wall", "driven")[generator.integers(2)],
@@ -87,6 +89,9 @@ def drawn_scene(seed: int, *, stiff: bool) -> tuple[Experiment, float]:
         stiffness_factor=between(generator, 3e-4, 0.1) if stiff else between(generator, 1e-2, 1.5),
     )
     content = between(generator, 1.5, 2.5) if stiff else between(generator, 0.5, 2.5)
+    if stiffest:
+        experiment = replace(experiment, stiffness_factor=between(generator, 1e-4, 1e-3))
+        content = between(generator, 4.0, 10.0)
     speed = static_speed(experiment, experiment.ordering(0).at(content).bonded).speed * generator.uniform(0.8, 1.3)
     frequency = generator.uniform(0.8, 2.0 if damping >= _STRONG else 4.0) * speed / rule.width
     table = ((0.0, 20.0), (frequency, frequency))
@@ -107,12 +112,13 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=3000)
     parser.add_argument("--scenes", type=int, default=100)
     parser.add_argument("--stiff", action="store_true")
+    parser.add_argument("--stiffest", action="store_true")
     chosen = parser.parse_args()
     found: list[tuple[float, float, float]] = []
     impossible = 0
     for seed in range(chosen.first, chosen.first + chosen.scenes):
         try:
-            experiment, content = drawn_scene(seed, stiff=chosen.stiff)
+            experiment, content = drawn_scene(seed, stiff=chosen.stiff, stiffest=chosen.stiffest)
             coarse = measure(experiment, content, range(_SEEDS))
         except (CementCapacityError, FieldError, ValueError):  # what the program refuses before a wave is sent
             impossible += 1

@@ -151,7 +151,7 @@ def estimate_error(
     its own bound.
     """
     frequency, travel_time = record.section.frequency, arrival.travel_time
-    shift = _shift_by_change(record.section, arrival)
+    shift = shift_by_change(record.section, arrival)
     parts = _error_parts(experiment, record, arrival, shift)
     weight = 1.0
     if chatter is not None:
@@ -176,7 +176,7 @@ def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
     return Nonlinearity(*np.max(np.array(looks, dtype=float), axis=0).tolist()) if looks else Nonlinearity()
 
 
-def _shift_by_change(section: Section, arrival: ShearArrival) -> float:
+def shift_by_change(section: Section, arrival: ShearArrival) -> float:
     """Relative shift of the travel time per relative change of the signal.
 
     It is ``2 pi f w^2 / travel time``, see `estimate_error`. w^2 is the amplitude over the curvature of three smoothed
@@ -192,7 +192,7 @@ def _shift_by_change(section: Section, arrival: ShearArrival) -> float:
 
 
 def _error_parts(experiment: Experiment, record: WaveRecord, arrival: ShearArrival, shift: float) -> ErrorParts:
-    """Bounds of the parts of the error of a velocity; ``shift`` is that of `_shift_by_change`."""
+    """Bounds of the parts of the error of a velocity; ``shift`` is that of `shift_by_change`."""
     frequency, travel_time = record.section.frequency, arrival.travel_time
     coarse = 3.0 * (2.0 * np.pi * frequency) * record.time_step
     # Changes of shape shift a peak by a part of the period, which matters more on a short path.

@@ -1,13 +1,15 @@
 """From a seed and a content to a shear-wave velocity: cement the packing, transmit the wave, pick its arrival."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from time import perf_counter
 
+import numpy as np
+
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
-from calcidem.dem.wave.error_estimate import NumericalError, chatters, cure_of, estimate_error
+from calcidem.dem.wave.error_estimate import NumericalError, chatters, cure_of, estimate_error, shift_by_change
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves, stiffness_contrast, with_half_step
 from calcidem.dem.wave.reading import Reading, ShearArrival, is_settled, read_section
@@ -130,13 +132,14 @@ def measure(
     unruly = [i for i, record in enumerate(records) if chatters(damping, stiffness_contrast(experiment, record))]
     for sample in (i for i in unruly if records[i].retry):
         # Its step is half already, and a guard ended the full step: nothing to compare with.
-        failed = Interpretation(Outcome.UNSTABLE, records[sample].retry)
-        results[sample] = interpret_record(experiment, records[sample], failed)
+        ended = replace(records[sample], problem=records[sample].retry)
+        results[sample] = interpret_record(experiment, records[sample], ended)
     if unruly := [i for i in unruly if not records[i].retry]:
         finer = with_half_step(experiment)
         again = send_waves(finer, [bonded[i] for i in unruly], frequency, stop_when=stop_when, lanes=lanes, check=check)
         for sample, record in zip(unruly, again, strict=True):
-            records[sample], results[sample] = record, interpret_record(finer, record, results[sample])
+            results[sample] = interpret_record(finer, record, records[sample])
+            records[sample] = record
     seconds = (perf_counter() - seconds_compiling() - began) / len(seeds)
     return tuple(
         Measurement(seed, content, result, frequency, cement, record, seconds)
@@ -159,19 +162,18 @@ def measure_all(
     return tuple(found)
 
 
-def interpret_record(
-    experiment: Experiment, record: WaveRecord, coarser: Interpretation | None = None
-) -> Interpretation:
+def interpret_record(experiment: Experiment, record: WaveRecord, coarser: WaveRecord | None = None) -> Interpretation:
     """Interpret a record; unreliable results have a reason instead of a velocity.
 
-    ``coarser`` is the result of the same sample with twice the step; the difference of both counts as an error.
+    ``coarser`` is the record of the same sample with twice the step; the difference of both counts as an error.
     """
     if record.problem:
         return Interpretation(Outcome.UNSTABLE, record.problem)
     reading = read_section(record.section, experiment.pick)
     if reading.arrival is None or reading.verdict is not None:
         return Interpretation(Outcome.NO_ARRIVAL, str(reading.verdict), reading=reading)
-    error = estimate_error(experiment, record, reading.arrival, _change_of_time(reading.arrival, coarser))
+    change = None if coarser is None else _change_by_halving(experiment, record, reading.arrival, coarser)
+    error = estimate_error(experiment, record, reading.arrival, change)
     vs: float | None = getattr(reading, experiment.pick.method)
     if vs is None:
         reason = f'the {experiment.pick.method.replace("_", " ")} cannot be read; pick.method = "peak" can'
@@ -182,10 +184,19 @@ def interpret_record(
     return Interpretation(Outcome.DONE, "", vs, reading, error)
 
 
-def _change_of_time(arrival: ShearArrival, coarser: Interpretation | None) -> float | None:
-    """Relative change of a travel time by halving the step; 1 if that of the full step is unknown."""
-    if coarser is None:
-        return None
-    if coarser.reading is None or coarser.reading.arrival is None:
+def _change_by_halving(experiment: Experiment, record: WaveRecord, arrival: ShearArrival, coarser: WaveRecord) -> float:
+    """Relative change of a travel time by halving the step; 1 if that of the full step is unknown.
+
+    Two steps may take the same wrong peak. So the change is at least the shift of a peak by the change of the signal
+    near it, within half a period.
+    """
+    before = None if coarser.problem else read_section(coarser.section, experiment.pick).arrival
+    if before is None:
         return 1.0
-    return abs(coarser.reading.arrival.travel_time / arrival.travel_time - 1.0)
+    fine, coarse = record.section, coarser.section
+    reach = int(0.5 * fine.period)
+    near = np.arange(max(0, arrival.index - reach), min(len(arrival.clean), arrival.index + reach + 1))
+    signal = np.interp(fine.times[near], coarse.times[: len(before.clean)], before.clean[:, -1])
+    change = signal - arrival.clean[near, -1]
+    largest = float(np.abs(change).max() / arrival.clean[arrival.index, -1])
+    return max(abs(before.travel_time / arrival.travel_time - 1.0), shift_by_change(fine, arrival) * largest)
