@@ -141,7 +141,7 @@ def estimate_error(
 ) -> NumericalError:
     """Relative numerical error of a measured velocity.
 
-    ``chatter`` is its measured relative change with half of the step, if any.
+    ``chatter`` is its measured relative change by halving the step, if any.
 
     The expected error is an order of magnitude. A change of the signal at the pulse's frequency, by the part e of its
     amplitude, tilts it by ``2 pi f e``. It moves a peak ``H (1 - t^2 / (2 w^2))`` by ``2 pi f e w^2``. The change is
@@ -155,7 +155,8 @@ def estimate_error(
     parts = _error_parts(experiment, record, arrival, shift)
     weight = 1.0
     if chatter is not None:
-        parts, weight = parts._replace(chatter=chatter), _EACH_OF_TWO / _USUAL
+        parts = parts._replace(chatter=_WORST_OF_HUNDRED * _EACH_OF_TWO * chatter)
+        weight = 1.0 / (_WORST_OF_HUNDRED * _USUAL)
     share = _largest_nonlinearity(record, frequency * travel_time).share
     change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * arrival.roughness
     others = parts.precision + parts.noise + weight * parts.chatter + parts.unbalanced + parts.breaking
