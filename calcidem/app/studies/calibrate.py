@@ -388,6 +388,11 @@ def _fit_to_targets(
             "the targets are not met within their errors: free other parameters; the deviations are too small"
         )
     intervals, bands = _open_questions(fit, point, limits)
+    doubts += [
+        f"the 95 % interval of {name} does not hold its value: use more seeds"
+        for name, value, (low, high) in zip(names, np.exp(point), intervals, strict=False)
+        if not low <= value <= high
+    ]
     banded = tuple(
         replace(row, mean_band=bands.get((row.content, "vs")), sd_band=bands.get((row.content, "sd")))
         for row in contents
