@@ -23,7 +23,7 @@ def seconds_compiling() -> float:
 
 
 class _FunctionListener(event.Listener):
-    """Hears of each function as it begins to be compiled; of those that are taken from the cache it does not."""
+    """Counts functions as they are compiled; those loaded from the cache do not count."""
 
     def __init__(self, tell: Callable[[str, int], object]) -> None:
         self._tell, self._done = tell, 0
@@ -38,7 +38,7 @@ class _FunctionListener(event.Listener):
 
 @contextmanager
 def watch_compiling(tell: Callable[[str, int], object]) -> Iterator[None]:
-    """Tell the name of each function that begins to be compiled meanwhile, and how many are finished."""
+    """Within this context, tell the name of each function whose compilation begins, and the number of finished ones."""
     with event.install_listener("numba:compile", _FunctionListener(tell)):
         yield
 
@@ -50,12 +50,12 @@ SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).pa
 def compile_function(**options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - options of numba, of many types
     """Return numba's ``njit``, without the counting of references to arrays.
 
-    The kernel allocates nothing and keeps nothing, so the counts are of no use. Numba drops them itself, but not
-    around a branch that depends on data; there, counting for each pair costs several times what the physics does.
+    The kernel does not allocate or keep arrays, so the counts are not needed. Numba removes them itself, except around
+    branches that depend on data. There, counting for each pair would cost several times as much as the physics.
 
-    With ``cache`` the files on disk bear the identity of the sources in their names. Numba itself looks at the file of
-    the outermost function only, so an edited contact law would run with yesterday's machine code; and it fails where
-    classes that it finds in files of another calcidem have gone.
+    With ``cache`` the names of the files on disk contain the identity of the sources. Numba alone compares only the
+    file of the outermost function: an edited contact law would run with old machine code. It also fails if cached
+    files of another calcidem contain classes that no longer exist.
     """
 
     def decorate(function: Function) -> Function:
@@ -67,12 +67,12 @@ def compile_function(**options: Any) -> Callable[[Function], Function]:  # noqa:
     return decorate
 
 
-# Only compiled code calls these, so they need no entry for Python; making those took a third of the compile time.
+# Only compiled code calls these. Entries for Python are omitted, since making them took a third of the compile time.
 inline = compile_function(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def target_processor() -> tuple[str, tuple[str, ...]]:
-    """LLVM's names of the processor that kernels are compiled for and of its features, numba's settings included."""
+    """LLVM's names of the processor and features for which kernels are compiled, with numba's settings."""
     name, features = (getattr(config, setting) for setting in ("CPU_NAME", "CPU_FEATURES"))
     if features is None:
         features = codegen.get_host_cpu_features()  # type: ignore[no-untyped-call]

@@ -1,8 +1,8 @@
-"""What a pair knows of itself and of its two disks, and what it does to them: of many samples, or of one sample.
+"""How a pair reads its constants and its two disks, and adds forces to them, for many samples or for one.
 
-Of many samples a vector holds one pair in all of them, so constants are shared and a disk is a row of lanes. Of one
-sample it holds `ABREAST` pairs, a *bundle* (see `layout.Pairs`): constants are vectors, disks are records here and
-there, and forces are added to the disks one pair after the other, in the order of the list: sums have the same bits.
+For many samples a vector holds one pair of each sample. Constants are shared, and a disk is a row of lanes. For one
+sample a vector holds `ABREAST` pairs, a *bundle* (see `layout.Pairs`). Then constants are vectors, and disks are
+scattered records. Forces are added pair by pair in the order of the list, so sums have the same bits.
 """
 
 from calcidem.dem.kernels.compiling import inline
@@ -32,7 +32,7 @@ def radii(features: Features, pair: int, grains: Grains, pairs: Pairs) -> tuple[
 
 @inline
 def components(features: Features, pair: int, table: Vector, field: Vector) -> tuple[Vector, Vector, Vector]:
-    """X, y and rotation, in a field, of the first or the second disk of a pair, as ``table`` lists them."""
+    """X, y and rotation of the first or second disk of a pair, listed in ``table``, in a field."""
     if features.bundled:
         return gather_records(field, table, (pair,))
     disk, lanes = scalar(table, (pair,)), features.lanes
@@ -73,7 +73,7 @@ def push_apart(
 
 @inline
 def _store_records(front: Front, begin: int, columns: tuple[Vector, Vector, Vector]) -> None:
-    """Write the forces of the pairs of a bundle on their first or second disks down as records."""
+    """Write the forces of a bundle's pairs on their first or second disks as records."""
     a, b, c, d = columns_to_records(columns[0], columns[1], columns[2])
     place = RECORD * begin
     store_run(front.parts, place, a)

@@ -1,4 +1,4 @@
-"""What a scene needs of the kernel: compile-time switches."""
+"""Compile-time switches of the kernel."""
 
 from dataclasses import dataclass, fields
 
@@ -11,18 +11,18 @@ ABREAST = 8
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Switches that are constants while the kernel is compiled, so a scene pays only for what is on.
+    """Switches that are constants during compilation, so a scene pays only for what it needs.
 
     Attributes
     ----------
     lanes
         Samples advanced side by side, one of `LANE_COUNTS`.
     finite
-        Normals and overlaps follow the displacements; otherwise they keep to the reference geometry.
+        Normals and overlaps follow the displacements; otherwise they are those of the reference geometry.
     linear
         Small displacement with constant stiffness: Hertz contacts are replaced by their tangent at the
-        reference overlap and neither slip nor open, bonds do not break. Forces are those added to the
-        reference state. No contact has a memory.
+        reference overlap. Contacts neither slip nor open, and bonds do not break. Forces are changes from the
+        reference state. No contact has a history.
     rotation
         Disks turn.
     bonds
@@ -40,22 +40,21 @@ class Features:
     servo
         Some walls are moved to hold a force.
     search
-        The pair list is watched and renewed.
+        The pair list is checked and renewed.
     recording
-        A wall is driven, signals are written.
+        A wall is driven, and signals are recorded.
     driven
         Some disks move with the drive of the recording.
     loads
         Constant external forces act on some disks.
     account
-        Works and losses are summed up for an energy balance.
+        Work and losses are summed for an energy balance.
     bundles
-        Pairs of one sample are computed eight at once where the order of an account does not forbid it: not a bit
-        changes. It is worth its preparation from some hundred disks on.
+        Eight pairs of one sample are computed at once, unless the order of an account forbids it; bits are the same.
+        This pays from some hundred disks on.
     midpoint
-        The shear stiffness of a step is that of its middle instead of its end, which makes contacts that stick while
-        they are loaded of second order in the step. Impacts need it; contacts that a wave finds loaded, or that come to
-        rest, do without.
+        The shear stiffness of a step is that of its middle instead of its end. Then contacts that stick during loading
+        are of second order in the step. Impacts need it; loaded contacts that a wave meets do not.
     """
 
     lanes: int = 1

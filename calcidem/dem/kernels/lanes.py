@@ -2,15 +2,14 @@
 
 All cells of a batch share one packing, so the kernel advances them side by side: lane ``l`` of every
 value belongs to cell ``l``. A kernel written with the functions of this module reads like scalar
-physics. With the JIT off a lane vector is a NumPy array of length ``width``; compiled, it is an LLVM
-vector ``<width x double>``, so the machine code is vector code by construction and does not hang on
-what the auto-vectoriser believes about aliasing.
+physics. Without the JIT a lane vector is a NumPy array of length ``width``. Compiled, it is an LLVM
+vector ``<width x double>``, so the machine code is vector code without an auto-vectoriser.
 
-Augmented assignment (``+=``) is left out on purpose: NumPy would change the array under every name
-it has, a vector register would not, and the two meanings must be the same.
+Augmented assignment (``+=``) is not defined on purpose: NumPy would change the array under all its
+names, a vector register would not, and both must mean the same.
 
-Every operation is a plain one of IEEE 754, in the order it is written: a lane's bits depend neither on what the other
-lanes hold nor on how many there are, nor on the processor.
+Every operation is one of IEEE 754, in the written order. The bits of a lane do not depend on the values or the number
+of other lanes, or on the processor.
 """
 
 # ruff: noqa: ARG005 - numba wants two levels: the outer function sees types, the inner one is compiled
@@ -62,7 +61,7 @@ def scalar(array: Vector, index: tuple[Vector, ...]) -> Vector:
 
 
 def fill_lanes(value: Vector, width: int) -> Vector:
-    """Lane vector with ``value`` in every lane; a lane vector stays what it is."""
+    """Lane vector with ``value`` in every lane; a lane vector is returned unchanged."""
     return np.full(width, value)
 
 
@@ -103,11 +102,11 @@ def with_sign(value: Vector, sign: Vector) -> Vector:
 
 
 def without_dust(value: Vector) -> Vector:
-    """Zero in place of single-precision numbers below 1e-30; double precision is left as it is.
+    """Replace single-precision numbers below 1e-30 by zero; double precision is not changed.
 
-    Ahead of a wave front amplitudes fall off without end, and each operation on a denormal number costs a hundred
-    ordinary ones. Doubles leave that range within some steps. Processors have modes that flush such numbers to zero,
-    but not all at the same point.
+    Amplitudes decay without limit ahead of a wave front, and an operation on a denormal number costs as much as a
+    hundred others. Doubles leave that range within a few steps. Processors can flush such numbers to zero, but not
+    all at the same threshold.
     """
     return np.where(np.abs(value) < _DUST, np.float32(0.0), value) if value.dtype == np.float32 else value
 

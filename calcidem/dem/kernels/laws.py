@@ -1,6 +1,6 @@
 """Contact laws, on lane vectors.
 
-Signs: a normal force is positive in compression; the shear force is the one on the second disk along
+Signs: a normal force is positive in compression. The shear force acts on the second disk along
 ``t = (-n_y, n_x)``, where ``n`` points from the first disk (or the wall) to the second.
 
 Sources: Hertz's normal force is in Johnson, Contact Mechanics (1985), ch. 4, doi:10.1017/CBO9781139171731; the shear

@@ -1,7 +1,7 @@
-"""Arrays a kernel works on, grouped by what they describe, and the names of their columns.
+"""Arrays of the kernel, grouped by meaning, and the names of their columns.
 
-Everything is per metre of thickness and in SI units. ``N`` grains, ``M`` pairs, ``W`` walls, ``V`` wall pairs and ``L``
-lanes. The lane is always the last axis. Arrays without a lane axis are what all samples of a batch share: geometry,
+All is per metre of thickness and in SI units. ``N`` grains, ``M`` pairs, ``W`` walls, ``V`` wall pairs and ``L``
+lanes. The lane is always the last axis. Arrays without a lane axis are common to all samples of a batch: geometry,
 material, neighbours.
 """
 
@@ -70,7 +70,7 @@ class Grains(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What moves, lane by lane. Components are x, y and rotation.
+    """Motion of the disks, lane by lane. Components are x, y and rotation.
 
     Attributes
     ----------
@@ -87,11 +87,11 @@ class Motion(NamedTuple):
 class Pairs(NamedTuple):
     """Pairs of disks that touch or may touch, sorted by (first, second) with first < second.
 
-    Of one sample the kernel may get *bundles* instead, eight pairs for a vector (`engine.bundles`): (B, 8) in the place
-    of (M,), (B, K, 8) of (M, K), bit l for the pair in place l, in ``start`` the first bundle at the first disk of each
-    block, and for a disk the row where its record begins. Records are four numbers a disk (`records`). Displacements,
-    velocities, origins and sums of forces are then records, (4 N, 1), as are three constants of `Grains`: inverse mass
-    with inverse inertia, damping and load.
+    For one sample the kernel may use *bundles* of eight pairs (`engine.bundles`). Shapes are then (B, 8) instead of
+    (M,) and (B, K, 8) instead of (M, K). Bit l belongs to the pair in place l. ``start`` has the first bundle of each
+    block of disks, and a disk is given by the row where its record begins. A record has four numbers (`records`).
+    Displacements, velocities, origins and sums of forces are records, (4 N, 1), as are three constants of `Grains`:
+    inverse mass with inverse inertia, damping and load.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class Pairs(NamedTuple):
         (M, 4) tensile strength and cohesion times the area of the bond (N/m), tangent of the friction angle, tension at
         the rim times that area over bending moment (1/m).
     cemented
-        (M,) bit l: the pair of lane l follows the cement's laws.
+        (M,) bit l: the pair of lane l is cemented.
     intact
         (M,) bit l: its bond is not broken.
     shear
@@ -201,7 +201,7 @@ class Walls(NamedTuple):
 
 
 class Front(NamedTuple):
-    """Scratch of the steps in flight: ``T`` consecutive steps run through the disks one behind the other.
+    """Work arrays of ``T`` consecutive steps that pass through the disks one behind the other.
 
     Attributes
     ----------

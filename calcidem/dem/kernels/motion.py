@@ -33,7 +33,7 @@ def drive_disks(features: Features, grains: range, level: int, step: int, dt: Ve
         if grains.start <= disk < grains.stop:
             speed = load(recording.drive, (step,), features.lanes)
             if features.account:
-                # Forces do work from half step to half step; `integrate` will see the later velocity only.
+                # Forces do work from half step to half step, but `integrate` gets only the later velocity.
                 force = of_disk(features, system.front.force, _slot(disk, level, system.front), Y)
                 gained = speed - of_disk(features, velocity, disk, Y)
                 add_energy(features, WALL_WORK, 0.5 * dt * force * gained, system.watch)
@@ -77,7 +77,7 @@ def _kick(
         if inverse > 0.0:
             add_energy(features, DAMPING_LOSS, (force - driving) * path, watch)
         else:
-            # Whoever holds a disk that moves opposes every force on it.
+            # The support of a held, moving disk balances every force on it.
             add_energy(features, WALL_WORK, -force * path, watch)
         add_energy(features, LOAD_WORK, scalar(grains.load, (grain, component)) * path, watch)
     return moved

@@ -65,13 +65,13 @@ class _Geometry(NamedTuple):
     normal_x, normal_y
         Unit vector from the first to the second disk.
     overlap
-        m; in the linear regime by how much the disks have moved apart.
+        m; in the linear regime the distance by which the disks have moved apart.
     first_arm, second_arm
         From the centres to the contact, m.
     curvature
         Inverse of the distance of the centres, 1/m; zero where normals do not turn.
     inverse_root
-        Inverse of `layout.Pairs.root`, m^-0.5, where that is in use.
+        Inverse of `layout.Pairs.root`, m^-0.5, if that is used.
     """
 
     normal_x: Vector
@@ -89,7 +89,7 @@ class _Increment(NamedTuple):
     Attributes
     ----------
     approach
-        By how much the distance shrank, m.
+        Decrease of the distance, m.
     slide
         Along the tangent at the contact, m.
     twist
@@ -108,7 +108,7 @@ def add_pair_forces(features: Features, begin: int, end: int, level: int, dt: Ve
         for pair in range(begin, end):
             _add_linear_forces(features, pair, level, system)
     elif begin < end:
-        # Roots and quotients make a pair wait for long; the next one's are begun before this one's forces are taken.
+        # Roots and quotients have a long latency. Those of the next pair begin before the forces of this one.
         geometry = _pair_geometry(features, begin, system)
         for pair in range(begin, end):
             following = _pair_geometry(features, min(pair + 1, end - 1), system)
@@ -149,9 +149,9 @@ def _add_general_forces(
 def _pair_geometry(features: Features, pair: int, system: System) -> _Geometry:
     """Return the contact of two disks at their present positions.
 
-    The overlap is the reference overlap less the *change* of the distance, which keeps single precision
-    accurate: overlaps are a ten-thousandth of a radius, and their changes far less. The contact lies in
-    the middle of the overlap, so the arms add up to the distance and angular momentum is conserved.
+    The overlap is the reference overlap minus the *change* of the distance. This keeps single precision accurate:
+    overlaps are a ten-thousandth of a radius, and their changes far less. The contact lies in the middle of the
+    overlap, so the arms add up to the distance, and angular momentum is conserved.
     """
     table = system.pairs.geometry
     overlap = constant(features, table, (pair, OVERLAP))
@@ -160,11 +160,11 @@ def _pair_geometry(features: Features, pair: int, system: System) -> _Geometry:
         distance_before = constant(features, table, (pair, DISTANCE))
         before_x, before_y = constant(features, table, (pair, APART_X)), constant(features, table, (pair, APART_Y))
         x, y = apart_x + before_x, apart_y + before_y
-        # By how much the distance grew, free of cancellation: ``longer (distance + before) = x^2 - before^2``.
+        # Increase of the distance without cancellation: ``longer (distance + before) = x^2 - before^2``.
         grown = (x + before_x) * apart_x + (y + before_y) * apart_y
         distance = square_root(x * x + y * y)
         both = distance + distance_before
-        # One division, the slowest operation, makes three inverses.
+        # One division, the slowest operation, gives three inverses.
         root = load(system.pairs.root, (pair,), features.width)
         distance_root = distance * root
         share = 1.0 / (both * distance_root)
@@ -187,7 +187,7 @@ def _pair_geometry(features: Features, pair: int, system: System) -> _Geometry:
 
 @inline
 def _relative_translation(features: Features, pair: int, pairs: Pairs, field: Vector) -> tuple[Vector, Vector]:
-    """Components of the second disk's translation less the first's."""
+    """Components of the translation of the second disk minus that of the first."""
     first = components(features, pair, pairs.first, field)
     second = components(features, pair, pairs.second, field)
     return second[X] - first[X], second[Y] - first[Y]
@@ -197,7 +197,7 @@ def _relative_translation(features: Features, pair: int, pairs: Pairs, field: Ve
 def _slide_and_twist(
     features: Features, pair: int, pairs: Pairs, geometry: _Geometry, field: Vector
 ) -> tuple[Vector, Vector]:
-    """Tangential displacement (or velocity) at the contact and relative rotation, second less first."""
+    """Tangential displacement (or velocity) at the contact and relative rotation, second minus first."""
     first = components(features, pair, pairs.first, field)
     second = components(features, pair, pairs.second, field)
     slide = geometry.normal_x * (second[Y] - first[Y]) - geometry.normal_y * (second[X] - first[X])
@@ -213,7 +213,7 @@ def _linear_law(
 ) -> tuple[Vector, Vector, Vector]:
     """Return tension, shear force and moment that constant stiffnesses add to the reference state.
 
-    Unlike those of the other laws they are the ones on the first disk, which saves three changes of sign.
+    Unlike in the other laws they act on the first disk, which saves three changes of sign.
     """
     lanes = features.width
     slide, twist = _slide_and_twist(features, pair, pairs, geometry, motion.displacement)
@@ -238,7 +238,7 @@ def _linear_law(
 def _general_law(
     features: Features, pair: int, dt: Vector, geometry: _Geometry, system: System
 ) -> tuple[Vector, Vector, Vector]:
-    """Return normal force, shear force and moment from overlap, histories and the increments of the last step."""
+    """Return normal force, shear force and moment from the overlap, the histories and the increments of a step."""
     pairs, motion, watch = system.pairs, system.motion, system.watch
     speed, spin = _slide_and_twist(features, pair, pairs, geometry, motion.velocity)
     slide = speed * dt
@@ -249,7 +249,7 @@ def _general_law(
     moved = _Increment(approach, slide, spin * dt)
     normal, shear, moment = _bond_forces(features, pair, moved, geometry.overlap, pairs, watch)
     if features.linear_group or scalar(pairs.intact, (pair,)) != (1 << features.width) - 1:
-        # Where all lanes are cemented, and the cement has no part with friction, there is nothing to add.
+        # Nothing to add where all lanes are cemented and the cement has no frictional part.
         friction = _frictional_law(features, pair, geometry, slide, pairs, watch)
         normal, shear = normal + friction[0], shear + friction[1]
     return normal, shear, moment
@@ -261,7 +261,7 @@ def _frictional_law(
 ) -> tuple[Vector, Vector]:
     """Return normal and shear force of the part with friction: the sand's contact, or the cement's linear group.
 
-    Without a linear group an intact bond takes the place of the sand's contact; a broken one gives it back.
+    Without a linear group an intact bond replaces the sand's contact; after it breaks the contact is there again.
     """
     lanes, overlap = features.width, geometry.overlap
     normal, root = hertz_normal(overlap, constant(features, pairs.hertz, (pair,)))
@@ -293,7 +293,7 @@ def _frictional_law(
         intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
         normal = select(intact, 0.0, normal)
         shear = select(intact, 0.0, shear)
-        # While it is cemented a pair keeps its root, as it does where all lanes are and none of this is computed.
+        # A cemented pair keeps its root, as where all lanes are cemented and this is not computed.
         kept_root = select(intact, load(pairs.root, (pair,), lanes), kept_root)
     store(pairs.shear, (pair,), shear)
     if features.account:
@@ -310,8 +310,8 @@ def _frictional_law(
 def middle_root(features: Features, root: Vector, previous: Vector) -> Vector:
     """Root of the overlap that gives a step its shear stiffness, to second order in the step.
 
-    The shear stiffness goes with the root, so the mean of those at both ends stands for the step. While a contact
-    unloads, shear rescaling mode 1 scales the increments of earlier steps, and that at the end is exact.
+    The shear stiffness is proportional to the root, so the mean of both ends is used for the step. While a contact
+    unloads, shear rescaling mode 1 scales the increments of earlier steps, so the root at the end is exact.
     """
     if features.rescaling:
         previous = smaller(root, previous)
@@ -322,11 +322,11 @@ def middle_root(features: Features, root: Vector, previous: Vector) -> Vector:
 def add_shear_loss(
     features: Features, old: Vector, new: Vector, before: Vector, after: Vector, slide: Vector, watch: Watch
 ) -> None:
-    """Add to the account what the shear spring of a contact loses in one step.
+    """Add the loss of a contact's shear spring in one step to the account.
 
-    It is the work done on the spring, ``-(F_old + F_new) / 2 du_s``, less the change of ``F_s^2 / (2 k_s)``: sliding
-    friction, and what vanishes because ``k_s`` changes with the normal force. Negative where energy is created, as in
-    shear rescaling mode 0.
+    It is the work done on the spring, ``-(F_old + F_new) / 2 du_s``, minus the change of ``F_s^2 / (2 k_s)``. It
+    contains sliding friction, and the energy lost because ``k_s`` changes with the normal force. It is negative where
+    energy is created, as in shear rescaling mode 0.
     """
     stored = new * new / select(after > 0.0, 2.0 * after, 1.0)
     held = old * old / select(before > 0.0, 2.0 * before, 1.0)
@@ -335,9 +335,9 @@ def add_shear_loss(
 
 @inline
 def _relative_approach(features: Features, pair: int, geometry: _Geometry, dt: Vector, system: System) -> Vector:
-    """Return by how much the distance of two disks shrank during the last step, m.
+    """Return the decrease of the distance of two disks during the last step, m.
 
-    The normal belongs to the end of the step. ``across^2 / (2 distance)`` corrects for its turning: without it a bonded
+    The normal is that at the end of the step. ``across^2 / (2 distance)`` corrects for its rotation. Otherwise a bonded
     pair that only rotates would stretch its bond a little in every step.
     """
     apart_x, apart_y = _relative_translation(features, pair, system.pairs, system.motion.velocity)
@@ -352,7 +352,7 @@ def _relative_approach(features: Features, pair: int, geometry: _Geometry, dt: V
 def _bond_forces(
     features: Features, pair: int, moved: _Increment, overlap: Vector, pairs: Pairs, watch: Watch
 ) -> tuple[Vector, Vector, Vector]:
-    """Return the forces of the parallel bond after one more increment; break it where it is too weak.
+    """Return the forces of the parallel bond after one more increment; break it where its strength is exceeded.
 
     Forces and moment grow with the relative motion of the two disks, see `material.Cement.bond_stiffness`.
     """
@@ -395,7 +395,7 @@ def _add_breakage_loss(
     pairs: Pairs,
     watch: Watch,
 ) -> None:
-    """Add the energy of a breaking bond to the account, less that of the sand's contact which takes over."""
+    """Add the energy of a breaking bond to the account, minus that of the sand's contact that replaces it."""
     lost = bond[0] * bond[0] / constant(features, pairs.bond, (pair, NORMAL))
     lost = lost + bond[1] * bond[1] / constant(features, pairs.bond, (pair, SHEAR))
     lost = 0.5 * (lost + bond[2] * bond[2] / constant(features, pairs.bond, (pair, MOMENT)))

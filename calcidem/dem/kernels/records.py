@@ -1,9 +1,9 @@
-"""Records: the x, y and rotation of a disk of one sample and a number to fill up, side by side in memory.
+"""Records: x, y and rotation of a disk of one sample and a fourth number, adjacent in memory.
 
-A kernel for one sample computes eight pairs at once, or moves eight disks. A record is loaded whole; vectors of eight
-x, eight y and eight rotations are then made of eight records by changing places in registers, and back.
+A kernel for one sample computes eight pairs or moves eight disks at once. A record is loaded as a whole. Eight records
+are then transposed in registers to vectors of eight x, eight y and eight rotations, and back.
 
-As in `lanes` the Python bodies are the meaning and the intrinsics below them the machine code.
+As in `lanes` the Python bodies define the meaning; the intrinsics below them are the machine code.
 """
 
 # ruff: noqa: ANN401 - values of the compiler (contexts, builders, LLVM values) have no static types
@@ -50,7 +50,7 @@ def records_to_columns(a: Vector, b: Vector, c: Vector, d: Vector) -> tuple[Vect
 
 
 def columns_to_records(x: Vector, y: Vector, rotation: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-    """Four vectors of eight records; what fills them up is the rotation once more."""
+    """Four vectors of eight records; the fourth number is the rotation again."""
     a, b, c, d = np.column_stack([x, y, rotation, rotation]).reshape(RECORD, -1)
     return a, b, c, d
 

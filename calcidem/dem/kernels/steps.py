@@ -1,18 +1,18 @@
 """The one loop of calcidem: advance all lanes by some steps.
 
 Pairs are stored once, sorted by their first disk. A step visits the disks block by block: the pairs of a block, its
-contacts with walls, then the update of its disks. Every pair with a lower first disk has been visited before, and no
+contacts with walls, then the motion of its disks. Every pair with a lower first disk has been visited before, and no
 later one touches a disk of this block, so forces, damping and leapfrog share one pass.
 
-That order leaves room behind a step. Once it has left a block, and the next block in which the pairs of that one may
-end, the following step can start there. So several steps run through the disks one behind the other, and what a block
-needs stays in the cache from the first of them to the last, instead of coming from memory for each:
+So the following step can start at a block once this step has left it and the next block, where its pairs may end.
+Several steps pass through the disks one behind the other. The data of a block stay in the cache for all of them,
+instead of being loaded from memory for each:
 
     block         0    1    2    3
     step n        1    2    4    6        (numbers: order of the visits)
     step n + 1         3    5    7 ...    (step n + 1 is a block behind: it visits block 0 third)
 
-Every force is summed up in the same order as if the steps were done one after the other: not a bit depends on it.
+Every force is summed in the same order as if the steps were done one after the other, so the bits are the same.
 
 Leapfrog (explicit central differences, as in Cundall & Strack 1979, doi:10.1680/geot.1979.29.1.47):
 ``v(n + 1/2) = v(n - 1/2) + dt a(x(n), v(n - 1/2))``, ``x(n + 1) = x(n) + dt v(n + 1/2)``. Shear forces and bonds grow
@@ -87,7 +87,7 @@ def _take_steps(features: Features, steps: int, time_step: Floats, system: Syste
 
 @inline
 def _steps_in_flight(features: Features, steps: int, step: int, front: Front, recording: Recording) -> int:
-    """Steps that may run together: not more than fit, and not beyond the next sample."""
+    """Number of steps that may run together: at most ``levels``, and not beyond the next sample."""
     together = min(front.levels, steps - step)
     if features.recording:
         together = min(together, recording.stride - (recording.offset + step) % recording.stride)
@@ -98,9 +98,9 @@ def _steps_in_flight(features: Features, steps: int, step: int, front: Front, re
 def _step_together(
     features: Features, together: int, step: int, time_steps: tuple[Vector, Vector], system: System
 ) -> Vector:
-    """Lead ``together`` steps, from ``step`` on, through all blocks; return zero if no disk went far.
+    """Advance ``together`` steps, from ``step`` on, through all blocks; return zero if no disk went far.
 
-    Far is out of the reach of the pair list. ``time_steps`` are as wide as samples and as pairs.
+    Far is beyond the reach of the pair list. ``time_steps`` have the widths of samples and of pairs.
     """
     dt, pair_dt = time_steps
     pair_start, wall_start = system.pairs.start, system.wall_pairs.start

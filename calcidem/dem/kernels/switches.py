@@ -1,8 +1,8 @@
-"""Lets a compiled function take `Features` as an argument whose values are known to the compiler.
+"""Makes the values of an argument `Features` known to the compiler.
 
-The values are part of the argument's *type*, and stand for ``features.slip`` before types are inferred: what is off is
-dropped before anything in it is compiled. Each combination is compiled and cached once, and with the JIT off the same
-code reads the plain dataclass.
+The values are part of the argument's *type*. They replace ``features.slip`` before types are inferred, so a branch that
+is off is dropped before it is compiled. Each combination is compiled and cached once. Without the JIT the same code
+reads the plain dataclass.
 """
 
 # ruff: noqa: ANN401 - values of the compiler (contexts, builders, LLVM values) have no static types
@@ -27,7 +27,7 @@ class _FeaturesType(types.Type):
 
     @property
     def key(self) -> tuple[tuple[str, int | bool], ...]:
-        """What makes two combinations the same."""
+        """Identity of a combination."""
         return self.values
 
 
@@ -40,19 +40,19 @@ def _type_of_features(features: Features, context: Any) -> _FeaturesType:
 
 @register_model(_FeaturesType)
 class _FeaturesModel(models.OpaqueModel):
-    """Nothing is passed at run time."""
+    """No data are passed at run time."""
 
 
 @unbox(_FeaturesType)
 def _unbox_features(kind: _FeaturesType, features: Any, context: Any) -> Any:
-    """Pass no data: the type says it all."""
+    """Pass no data: the type has all values."""
     del kind, features
     return NativeValue(context.context.get_dummy_value())
 
 
 @register_rewrite("before-inference")
 class _KnownFeatures(Rewrite):
-    """Puts the value of a switch in the place of ``features.name``."""
+    """Replaces ``features.name`` by the value of the switch."""
 
     def __init__(self, state: Any) -> None:
         self._kinds = state.args

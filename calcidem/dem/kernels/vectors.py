@@ -1,7 +1,7 @@
-"""Machine code of lane vectors: their numba types, arithmetic and instructions. `lanes` is what kernels use of it.
+"""Machine code of lane vectors: numba types, arithmetic and instructions. Kernels use them through `lanes`.
 
-Every operation is the plain one of IEEE 754, rounded once: no contraction (multiply-add), no re-association, no
-estimates, no flushing of denormal numbers, nothing that asks which processor it is. All processors give the same bits.
+Every operation is one of IEEE 754, rounded once: no contraction (multiply-add), no re-association, no estimates, no
+flushing of denormal numbers, nothing that depends on the processor. All processors give the same bits.
 """
 
 # ruff: noqa: ANN401 - values of the compiler (contexts, builders, LLVM values) have no static types
@@ -32,11 +32,11 @@ class LaneType(types.Type):
 
     @property
     def key(self) -> tuple[Any, int]:
-        """What makes two lane types the same."""
+        """Identity of a lane type."""
         return self.dtype, self.width
 
     def can_convert_from(self, typingctx: Any, other: Any) -> Any:
-        """Let a number be spread over all lanes where a lane vector is expected."""
+        """Allow a number where a lane vector is expected; it is spread over all lanes."""
         del typingctx
         return Conversion.safe if isinstance(other, types.Number) else None
 
@@ -50,7 +50,7 @@ class _MaskType(types.Type):
 
     @property
     def key(self) -> int:
-        """What makes two mask types the same."""
+        """Identity of a mask type."""
         return self.width
 
 
@@ -164,9 +164,9 @@ for _function, _instruction in ((operator.and_, "and_"), (operator.or_, "or_"), 
 
 
 def compile_as(function: Any, instruction: Any) -> None:
-    """Have compiled code run an intrinsic where it calls a function of Python.
+    """Make compiled code use an intrinsic for a Python function.
 
-    An overload would do so too, but compiles a function of its own for every combination of types: most of a kernel's.
+    An overload would do so, too, but compiles a function for every combination of types: most of those of a kernel.
     """
     template = make_intrinsic_template(function, instruction.__wrapped__, function.__name__, prefer_literal=True)
     infer_global(function, types.Function(template))
@@ -183,7 +183,7 @@ def _row_pointer(
 ) -> Any:
     """Pointer to row ``index``, an LLVM vector, of a C-contiguous array whose last axis is the lane.
 
-    The length of that axis is known to the compiler, so the address takes a shift where strides would take products.
+    The length of that axis is known to the compiler, so the address needs a shift instead of products with strides.
     """
     view = make_array(array_type)(context, builder, array)
     shape = cgutils.unpack_tuple(builder, view.shape)

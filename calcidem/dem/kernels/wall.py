@@ -135,7 +135,7 @@ def _add_reaction(
 
 @inline
 def start_walls(features: Features, together: int, step: int, dt: Vector, system: System) -> None:
-    """Lay out where the walls are in each of the next steps, which begin with ``step``, and clear their sums.
+    """Write the positions of the walls in each of the next steps, from ``step`` on, and clear their sums.
 
     Walls that depend on the forces of a step (servo) or whose work is counted allow one step at a time only.
     """
@@ -152,7 +152,7 @@ def start_walls(features: Features, together: int, step: int, dt: Vector, system
 
 @inline
 def finish_walls(features: Features, together: int, step: int, dt: Vector, system: System) -> None:
-    """Move the walls to the end of the last of the steps done together, ``step``; keep the forces it met."""
+    """Move the walls to the end of the last of the steps done together, ``step``; keep its forces."""
     lanes = features.lanes
     walls, front = system.walls, system.front
     for wall in range(walls.normal.shape[0]):
@@ -165,7 +165,7 @@ def finish_walls(features: Features, together: int, step: int, dt: Vector, syste
 
 @inline
 def _move_wall(features: Features, wall: int, level: int, step: int, dt: Vector, system: System) -> None:
-    """Give a wall its velocity of this step and move it; the drive and the servo act here."""
+    """Set the velocity of a wall in this step and move it; drive and servo act here."""
     lanes = features.lanes
     front, recording = system.front, system.recording
     before_normal = load(front.wall_motion, (level, wall, NORMAL_SPEED), lanes)
@@ -191,7 +191,7 @@ def _move_wall(features: Features, wall: int, level: int, step: int, dt: Vector,
 
 @inline
 def wall_is_far(features: Features, wall: int, walls: Walls, watch: Watch) -> Vector:
-    """Return the lanes in which a wall left the reach of the pair list."""
+    """Return the lanes in which a wall is beyond the reach of the pair list."""
     lanes = features.lanes
     moved = load(walls.motion, (wall, NORMAL_PATH), lanes) - load(watch.wall_origin, (wall,), lanes)
     return magnitude(moved) > watch.reach
