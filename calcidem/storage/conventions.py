@@ -1,7 +1,7 @@
 """Form of quantities and provenance in datasets and NetCDF files: CF attributes, flags and gaps."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.records import STATUS_CODES, Quantity
+from calcidem.storage.records import NOT_PLANNED, QUANTITY_BY_NAME, STATUS_CODES, Quantity
 from calcidem.storage.sql.store import Store
 from calcidem.version import __version__
 
@@ -22,17 +22,20 @@ LAYOUT = 1
 INDEX_NAMES = ("seed", "content")
 """Dimensions of what each cell has."""
 
-
 _NO_NUMBER = -1  # stands for None among whole numbers, all of whose real values are 0 or more
 
 
 def fill_value(quantity: Quantity) -> Any:  # noqa: ANN401 - text or number
     """The value of missing entries in a file."""
+    if quantity.name == "status":
+        return STATUS_CODES[NOT_PLANNED]
     return {"text": "", "whole": _NO_NUMBER, "real": np.nan}[quantity.kind]
 
 
 def as_column(quantity: Quantity, values: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
-    """Values of a quantity, None or NaN where missing, as a file has them."""
+    """Values of a quantity, None or NaN where missing, as a file has them: statuses are the flags of CF."""
+    if quantity.name == "status":
+        return np.array([STATUS_CODES[status] for status in values], dtype=np.int8)
     if quantity.kind == "text":
         return np.array([text or "" for text in values], dtype=object)
     numbers = np.array(values, dtype=np.float64)
@@ -43,6 +46,9 @@ def as_column(quantity: Quantity, values: Sequence[Any] | NDArray[Any]) -> NDArr
 
 def as_values(quantity: Quantity, column: NDArray[Any]) -> NDArray[np.object_]:
     """Inverse of `as_column`: Python's own int, float or str, None where missing."""
+    if quantity.name == "status":
+        names: NDArray[np.object_] = np.array(list(STATUS_CODES), dtype=object)
+        return np.take(names, column)
     plain = column.astype(object)
     missing = {"text": plain == "", "whole": column == _NO_NUMBER, "real": column != column}[quantity.kind]  # noqa: PLR0124 - NaN
     if quantity.is_optional:
@@ -50,9 +56,24 @@ def as_values(quantity: Quantity, column: NDArray[Any]) -> NDArray[np.object_]:
     return plain
 
 
-def status_codes(statuses: Sequence[str] | NDArray[Any]) -> NDArray[np.int8]:
-    """Statuses as the flags of CF."""
-    return np.array([STATUS_CODES[status] for status in statuses], dtype=np.int8)
+def as_matrices(
+    columns: Mapping[str, NDArray[Any]], names: Sequence[str], seeds: NDArray[Any], contents: NDArray[Any]
+) -> dict[str, NDArray[Any]]:
+    """Arrange columns of `Store.table`, seed and content among them, over ascending seeds and contents.
+
+    Each matrix is (seeds, contents). Numbers are float64 with NaN where missing, texts "" where missing; ``status`` is
+    int8 (`STATUS_CODES`).
+    """
+    place = np.searchsorted(seeds, columns["seed"]), np.searchsorted(contents, columns["content"])
+    matrices: dict[str, NDArray[Any]] = {}
+    for name in names:
+        quantity = QUANTITY_BY_NAME[name]
+        is_text = quantity.kind == "text"
+        values = as_column(quantity, columns[name]) if is_text else columns[name]
+        gap = fill_value(quantity) if is_text else np.nan
+        matrices[name] = np.full((seeds.size, contents.size), gap, dtype=values.dtype)
+        matrices[name][place] = values
+    return matrices
 
 
 def quantity_attributes(quantity: Quantity) -> dict[str, Any]:

@@ -21,13 +21,12 @@ _CURE = "Give another file name for the result; nothing was written."
 
 @contextmanager
 def write_atomically(path: str | os.PathLike[str], *, replaces_netcdf: bool = False) -> Iterator[Path]:
-    """Give a temporary file that takes the place of `path` once the block has ended without error and it is on disk.
+    """Give a temporary file that replaces `path` once the block has ended without error and the file is on disk.
 
-    It is in the folder of `path`, since a file can be renamed in one step only within a file system; its name is one
-    that no other process, on this machine or another, writes at the same time. After an error what was at `path` is as
-    it was. ``replaces_netcdf`` is for who writes a NetCDF file, and has looked at what is in the one that is there.
-    `FileNotFoundError` if the folder doesn't exist, `OutputRefusedError` if a database, or a NetCDF file, has that
-    name.
+    It is in the folder of `path`: only within a file system is a file renamed in one step. No other process uses its
+    name. After an error `path` is as it was. Set ``replaces_netcdf`` if you have checked that the NetCDF file at `path`
+    may be replaced. `FileNotFoundError` if the folder doesn't exist; `OutputRefusedError` if `path` is a database, or a
+    NetCDF file.
     """
     target = Path(path).absolute()
     refuse_to_replace(target, replaces_netcdf=replaces_netcdf)
@@ -48,7 +47,7 @@ def write_text_atomically(path: str | os.PathLike[str], text: str) -> None:
 
 
 def refuse_to_replace(path: str | os.PathLike[str], *, replaces_netcdf: bool = False) -> None:
-    """Raise what `write_atomically` does before it gives a file: for callers that compute long before they write."""
+    """Raise the errors of `write_atomically` early, for callers that compute for long before they write."""
     target = Path(path).absolute()
     if not target.parent.is_dir():
         raise FileNotFoundError(f"The folder {target.parent} does not exist; create it, or give another file name.")
@@ -83,10 +82,9 @@ def _flush_to_disk(path: Path) -> None:
 
 
 def spreadsheet_value(value: object) -> object:
-    """Give a value for a CSV file; text that a spreadsheet would take for a formula gets an apostrophe before it.
+    """Put an apostrophe before text of a CSV file that a spreadsheet would evaluate (OWASP, CSV Injection).
 
-    Spreadsheets show such text without the apostrophe and do not evaluate it (OWASP, CSV Injection). Numbers stay as
-    they are.
+    Spreadsheets do not show the apostrophe. Numbers stay as they are.
     """
     if not isinstance(value, str) or not value.startswith(_BEGIN_A_FORMULA):
         return value

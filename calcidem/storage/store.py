@@ -11,7 +11,6 @@ from typing import Self
 
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import (
-    CellKey,
     CellStatus,
     canonical_content,
     checked_seed,
@@ -27,19 +26,6 @@ STALE_AFTER = timedelta(minutes=5)
 class Selection:
     """The cells of a query; None means no restriction.
 
-    Attributes
-    ----------
-    seeds : tuple of int, optional
-        Given as one or a collection, as are the others.
-    contents : tuple of float, optional
-        Percent; compared as `canonical_content`.
-    statuses : tuple of CellStatus, optional
-        May include `CellStatus.PENDING` for planned cells without an outcome.
-    where : str, optional
-        Filter expression (`calcidem.storage.sql.where.parse_where`).
-    since : datetime, optional
-        Only cells of which an attempt was recorded at this moment or later.
-
     Raises
     ------
     QueryError
@@ -47,10 +33,15 @@ class Selection:
     """
 
     seeds: tuple[int, ...] | None
+    """Given as one or a collection, as are the others."""
     contents: tuple[float, ...] | None
+    """Percent; compared as `canonical_content`."""
     statuses: tuple[CellStatus, ...] | None
+    """May include `CellStatus.PENDING` for planned cells without an outcome."""
     where: str | None
+    """Filter expression (`calcidem.storage.sql.where.parse_where`)."""
     since: datetime | None
+    """Only cells of which an attempt was recorded at this moment or later."""
 
     def __init__(
         self,
@@ -81,61 +72,27 @@ ALL_CELLS = Selection()
 
 @dataclass(frozen=True, slots=True)
 class StoreMark:
-    """Numbers of a whole database, one of which changes with any change of a cell.
-
-    Attributes
-    ----------
-    cells, attempts, results : int
-        How many are planned, were made, and are stored.
-    recorded : datetime or None
-        When the latest attempt was recorded (UTC).
-    """
+    """Numbers of a whole database, one of which changes with any change of a cell."""
 
     cells: int
     attempts: int
     results: int
+    """How many are planned, were made, and are stored."""
     recorded: datetime | None
-
-
-@dataclass(frozen=True, slots=True)
-class LeaseGrant:
-    """The right to write a campaign.
-
-    Attributes
-    ----------
-    token : str
-        Identity of this master.
-    taken_over_from : str or None
-        ``host, process N, last heartbeat at T`` of a dead master whose lease this one took over; to be
-        reported.
-    lost : str or None
-        A sentence on stored cells of the dead master that are missing; to be reported.
-    """
-
-    token: str
-    taken_over_from: str | None
-    lost: str | None = None
+    """When the latest attempt was recorded (UTC)."""
 
 
 @dataclass(frozen=True, slots=True)
 class LeaseHolder:
-    """The process that holds the lease of a campaign, or held it when it died.
-
-    Attributes
-    ----------
-    host : str
-    pid : int
-        Its number there.
-    acquired : datetime
-        When it became the master (UTC).
-    heartbeat : datetime
-        Time of its last heartbeat (UTC).
-    """
+    """The process that holds the lease of a campaign, or held it when it died."""
 
     host: str
     pid: int
+    """Its number there."""
     acquired: datetime
+    """When it became the master (UTC)."""
     heartbeat: datetime
+    """Time of its last heartbeat (UTC)."""
 
     def may_live(self) -> bool:
         """Whether it may be alive, as far as this machine shows: on another one its heartbeat decides."""
@@ -152,22 +109,6 @@ class LeaseHolder:
         return True
 
 
-@dataclass(frozen=True, slots=True)
-class Integrity:
-    """Damage of a campaign.
-
-    Attributes
-    ----------
-    cells : dict of CellKey to str
-        Damaged cells, and the damaged parts of each.
-    others : tuple of str
-        Sentences on all other damage: packings, runs, attempts, the file as such.
-    """
-
-    cells: dict[CellKey, str]
-    others: tuple[str, ...]
-
-
 class Closable(ABC):
     """What a `with` statement closes at its end."""
 
@@ -176,11 +117,9 @@ class Closable(ABC):
         """Release what is held; closing it again does nothing."""
 
     def __enter__(self) -> Self:
-        """Use it in a `with` statement."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close it."""
         self.close()

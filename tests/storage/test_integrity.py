@@ -91,9 +91,9 @@ def test_a_changed_cell_is_damaged_and_others_are_not(database: Path, records: "
         damaged = campaign.cell(seed=1, content=5.0)
         assert (damaged.status, damaged.vs, damaged.section) == (CellStatus.DAMAGED, None, None)
         assert campaign.cell(seed=2, content=5.0) == records.with_arrays(2)
-        found = campaign.store.integrity()
-        assert set(found.cells) == {BAD}
-        assert ("An attempt at a cell is not what was stored." in found.others) == (statement == UNREADABLE_ATTEMPT)
+        damaged, others = campaign.store.integrity()
+        assert set(damaged) == {BAD}
+        assert ("An attempt at a cell is not what was stored." in others) == (statement == UNREADABLE_ATTEMPT)
         with pytest.raises(DamagedStoreError, match=r"seed 1 and content 5\.0 .*--retry damaged"):
             campaign.section(seed=1, content=5.0)
         if statement in BRIEF + NUMBERS:
@@ -114,7 +114,7 @@ def test_a_changed_cell_is_damaged_and_others_are_not(database: Path, records: "
         assert BAD in store.pending()
         store.record_results([records.with_arrays(1)])
         assert list(store.results(with_arrays=True)) == [records.with_arrays(seed) for seed in (1, 2)]
-        assert not store.integrity().cells
+        assert not store.integrity()[0]
 
 
 @pytest.mark.parametrize("statement", [BRIEF[0], UNREADABLE_ATTEMPT, ARRAYS[0]])
@@ -143,8 +143,8 @@ def test_provenance_and_configuration_are_checked(database: Path) -> None:
     with open_campaign(database) as campaign:
         (_, run), *_ = campaign.runs()
         assert (run.host, run.exit_state) == ("", "damaged: what was stored of this run was changed")
-        assert any("Run 1" in line for line in campaign.store.integrity().others)
-        assert campaign.store.integrity().cells == {}
+        assert any("Run 1" in line for line in campaign.store.integrity()[1])
+        assert campaign.store.integrity()[0] == {}
     execute(database, "UPDATE campaign SET config = replace(config, '0.2', '0.3')")
     with pytest.raises(DamagedStoreError, match="configuration"):
         open_campaign(database)
@@ -158,7 +158,7 @@ def test_a_damaged_packing_gives_way_to_the_same_one(database: Path, records: "R
         store.use_campaign()
         with pytest.raises(DamagedStoreError):
             store.packing()
-        assert any("Packing 0" in line for line in store.integrity().others)
+        assert any("Packing 0" in line for line in store.integrity()[1])
         with pytest.raises((CampaignMismatchError, DamagedStoreError)):
             store.save_packing(records.packing(content_hash="another"), replace_state=True)
         store.save_packing(records.packing(content_hash="it"), replace_state=True)

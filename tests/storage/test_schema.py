@@ -62,13 +62,13 @@ def test_a_quantity_that_is_added_is_missing_in_older_cells(tmp_path: Path, reco
         assert (found.vs, found.broken_bonds) == (1151.0, None)
         assert found.features is not None
         assert found.features.path_connectivity is None
-        assert not campaign.store.integrity().cells
+        assert not campaign.store.integrity()[0]
         assert list(campaign.select(where="broken_bonds > 0")) == []
     assert path.read_bytes() == before
     with open_store(path) as store:
         store.use_campaign()
         store.record_results([records.with_arrays(2, 5.0)])
-        assert not store.integrity().cells
+        assert not store.integrity()[0]
         assert [found.broken_bonds for found in store.results()] == [None, 3]
         with store._engine.connect() as connection:
             assert connection.scalar(text("SELECT count(broken_bonds) FROM cells")) == 1

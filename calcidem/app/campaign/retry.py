@@ -37,7 +37,8 @@ def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) 
         settled = [outcome for outcome in outcomes if outcome is not CellStatus.DAMAGED]
         pending = list(store.retry(settled, planned)) if settled else []
         if CellStatus.DAMAGED in outcomes:
-            damaged = [key for key in store.integrity().cells if key in set(planned)]
+            found_damaged, _ = store.integrity()
+            damaged = [key for key in found_damaged if key in set(planned)]
             store.retry_damaged(damaged)
             pending += damaged
     return tuple(pending)

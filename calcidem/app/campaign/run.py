@@ -28,7 +28,6 @@ from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreE
 from calcidem.storage.records import CellKey, PackedResult, WorkerRecord
 from calcidem.storage.sql.engine import parse_address
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import LeaseGrant
 from calcidem.sweep.batch import Batch, Cell, plan_batches
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome
@@ -206,14 +205,11 @@ class CampaignRun:
         store = open_store(configuration.database)
         try:
             store.begin_campaign(record_of(configuration))
-            grant = _acquire_lease(store, tell, check)
+            for sentence in _acquire_lease(store, tell, check):
+                tell(sentence)
         except BaseException:
             store.close()
             raise
-        if grant.taken_over_from is not None:
-            tell(f"Taken over from {grant.taken_over_from}, which ended without releasing the campaign.")
-        if grant.lost is not None:
-            tell(f"{grant.lost} This run computes them again.")
         return store
 
     def _begin(self, workers: Sequence[WorkerRecord], tell: Tell) -> None:
@@ -255,7 +251,6 @@ class CampaignRun:
         return self._batches(cells)
 
     def __enter__(self) -> Self:
-        """Use it in a `with` statement."""
         return self
 
     def __exit__(self, *exception: object) -> None:
@@ -266,8 +261,8 @@ class CampaignRun:
                 self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC))
 
 
-def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> LeaseGrant:
-    """Become the only master, after one on another machine has been silent until its lease ended.
+def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> tuple[str, ...]:
+    """As `Store.acquire_lease`, after a master on another machine has been silent until its lease ended.
 
     `LeaseHeldError` if another one lives: on this machine, or it is heard of meanwhile.
     """

@@ -132,13 +132,13 @@ class StoreSink:
             reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
             keys = [CellKey(*cell) for cell in outcome.batch.cells]
             found = [CellResult(key, status, reason, seconds=seconds).packed() for key in keys]
-        place = outcome.place
+        origin = {"rank": outcome.place.rank, "host": outcome.place.host}
         return [
             replace(
                 result,
-                rank=place.rank,
-                host=place.host,
-                attempt=self._counts.get(result.key, AttemptCount()).attempts + 1,
+                columns=result.columns
+                | origin
+                | {"attempt": self._counts.get(result.key, AttemptCount()).attempts + 1},
             )
             for result in found
         ]

@@ -88,24 +88,24 @@ def _open_any(path: str, campaign_name: str | None) -> Iterator["Campaign"]:
 
 def _verify_integrity(database: str, opened: "Campaign", layout: Format) -> None:
     """Name all that is no longer what was stored; exit code 1 if there is any."""
-    found = opened.store.integrity()
+    damaged, others = opened.store.integrity()
     cells = len(opened.store.statuses())
     if layout is not Format.TABLE:
-        rows = [{"seed": key.seed, "content": key.content, "damage": text} for key, text in found.cells.items()]
-        tell_rows([*rows, *({"seed": None, "content": None, "damage": text} for text in found.others)], layout)
-        raise typer.Exit(EXIT_ERROR if rows or found.others else 0)
-    for key, damage in found.cells.items():
+        rows = [{"seed": key.seed, "content": key.content, "damage": text} for key, text in damaged.items()]
+        tell_rows([*rows, *({"seed": None, "content": None, "damage": text} for text in others)], layout)
+        raise typer.Exit(EXIT_ERROR if rows or others else 0)
+    for key, damage in damaged.items():
         typer.echo(printable(f"seed {key.seed}, {key.content:g} %: {damage}"))
-    for sentence in found.others:
+    for sentence in others:
         typer.echo(printable(sentence))
-    typer.echo(f"{pluralize(cells, 'cell')}: {len(found.cells)} damaged, {len(found.others)} other damages.")
-    if found.cells:
+    typer.echo(f"{pluralize(cells, 'cell')}: {len(damaged)} damaged, {len(others)} other damages.")
+    if damaged:
         typer.echo("'calcidem run CONFIG --retry damaged' computes the damaged cells again.")
-    if found.others:
+    if others:
         typer.echo(
             f"'calcidem export {database} OUT.nc' saves undamaged cells; 'calcidem import' makes a database of them."
         )
-    if found.cells or found.others:
+    if damaged or others:
         raise typer.Exit(EXIT_ERROR)
 
 

@@ -1,9 +1,8 @@
 """Export of a campaign to one NetCDF-4 file.
 
-The annotations of the records define the variables. Columns are appended block by block to keep memory small. Arrays of
-different lengths lie one after the other along a dimension, and a count for each of them tells how many elements are
-whose (the contiguous ragged arrays of the CF conventions, section 9.3.3). An array whose rows differ in length from
-cell to cell lies there row after row.
+The annotations of the records define the variables. Columns are appended block by block to save memory. Arrays of
+different lengths lie one behind the other along a dimension, with a count of the elements of each (contiguous ragged
+arrays, CF conventions, section 9.3.3). If the rows of an array differ in length too, it lies there row after row.
 """
 
 import json
@@ -23,17 +22,16 @@ from calcidem.storage.conventions import (
     INDEX_NAMES,
     Group,
     as_column,
+    as_matrices,
     campaign_attributes,
     fill_value,
     quantity_attributes,
-    status_codes,
 )
 from calcidem.storage.errors import DamagedStoreError, DiskError, OutputRefusedError, UnknownCampaignError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.netcdf.trial import refuse_unreadable
 from calcidem.storage.records import (
     ARRAY_RECORDS,
-    NOT_PLANNED,
     QUANTITY_BY_NAME,
     STATUS_CODES,
     AttemptRecord,
@@ -63,16 +61,14 @@ _ARRAYS_COPIED_AT_ONCE = 1000
 
 
 def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collection[str] = ()) -> Path:
-    """Write everything the store has about its campaign into one compressed NetCDF-4 file, and give its path.
+    """Write the store's whole campaign into one compressed NetCDF-4 file, as `write_atomically` does; give its path.
 
-    Plain ``xarray.open_dataset`` finds in it the Dataset of `calcidem.storage.dataset.campaign_dataset`; the groups
-    ``packings`` and ``attempts`` and those of `ARRAY_RECORDS` hold the rest. Groups of arrays may be left out: with
-    them a cell takes about 50 kB, without them 1 kB. An existing file is replaced in one step when the new one is
-    complete and on disk; until then, and after any error, it stays as it was.
+    The root group is the Dataset of `calcidem.storage.dataset.campaign_dataset`, the groups ``packings`` and
+    ``attempts`` and those of `ARRAY_RECORDS` hold the rest. A cell takes about 50 kB; ``without`` names groups of
+    arrays to leave out, without all of them it takes 1 kB.
 
-    `ValueError` if a group to leave out is none of these, `UnknownCampaignError` if no cell is planned,
-    `OutputRefusedError` if a database has that name, or a NetCDF file that is not this campaign's, `DiskError` if the
-    file can't be written.
+    `ValueError` for another group; `UnknownCampaignError` if no cell is planned; `OutputRefusedError` if the file is a
+    database, or the NetCDF file of another campaign; `DiskError` if it can't be written.
     """
     unknown = sorted(set(without) - set(ARRAY_RECORDS))
     if unknown:
@@ -141,29 +137,23 @@ def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:
     for first in range(0, seeds.size, rows):
         block = seeds[first : first + rows]
         selection = Selection(block.tolist(), contents.tolist())
-        columns = store.table(tuple(QUANTITY_BY_NAME), selection)
-        place = np.searchsorted(block, columns["seed"]), np.searchsorted(contents, columns["content"])
-        matrices: dict[str, NDArray[Any]] = {}
-        for name in [name for name in QUANTITY_BY_NAME if name not in INDEX_NAMES]:
-            is_status = name == "status"
-            values = status_codes(columns[name]) if is_status else as_column(QUANTITY_BY_NAME[name], columns[name])
-            gap = STATUS_CODES[NOT_PLANNED] if is_status else fill_value(QUANTITY_BY_NAME[name])
-            matrices[name] = np.full((block.size, contents.size), gap, dtype=values.dtype)
-            matrices[name][place] = values
+        names = [name for name in QUANTITY_BY_NAME if name not in INDEX_NAMES]
+        matrices = as_matrices(store.table(tuple(QUANTITY_BY_NAME), selection), names, block, contents)
         for found in chunks(store.arrays(selection) if wanted else (), _ARRAYS_COPIED_AT_ONCE):
             whole = []
             for key, arrays in found:
                 cell = int(np.searchsorted(block, key.seed)), int(np.searchsorted(contents, key.content))
                 if isinstance(arrays, str):  # the numbers beside damaged arrays are missing, too
                     for name in matrices.keys() - {"status"}:
-                        matrices[name][cell] = fill_value(QUANTITY_BY_NAME[name])
+                        matrices[name][cell] = "" if QUANTITY_BY_NAME[name].kind == "text" else np.nan
                     matrices["status"][cell] = STATUS_CODES[CellStatus.DAMAGED]
                     matrices["reason"][cell] = arrays
                 elif matrices["status"][cell] != STATUS_CODES[CellStatus.DAMAGED]:
                     whole.append((key, arrays))
             _append_arrays(file, whole, wanted)
         for name, matrix in matrices.items():
-            file[name][first : first + block.size] = matrix
+            is_whole = QUANTITY_BY_NAME[name].kind == "whole"  # without a value in some cells it was a real one
+            file[name][first : first + block.size] = as_column(QUANTITY_BY_NAME[name], matrix) if is_whole else matrix
 
 
 def _create_variables(file: Group, seeds: NDArray[Any], contents: NDArray[Any], rows: int) -> None:
@@ -178,7 +168,7 @@ def _create_variables(file: Group, seeds: NDArray[Any], contents: NDArray[Any], 
         if quantity.name in INDEX_NAMES:
             continue
         is_text = quantity.kind == "text" and quantity.name != "status"  # of variable length, which is not compressed
-        kind = str if is_text else np.int8 if quantity.name == "status" else as_column(quantity, ()).dtype.type
+        kind = str if is_text else as_column(quantity, ()).dtype.type
         fill = False if quantity.name == "status" else fill_value(quantity)  # each cell has a status
         options = {} if is_text else _COMPRESSED | {"chunksizes": (rows, contents.size), "fill_value": fill}
         variable = file.createVariable(quantity.name, kind, INDEX_NAMES, **options)

@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.conventions import LAYOUT, Group, as_values
+from calcidem.storage.conventions import INDEX_NAMES, LAYOUT, Group, as_values
 from calcidem.storage.errors import (
     DamagedStoreError,
     ForeignDatabaseError,
@@ -43,10 +44,7 @@ _RECORDS_READ_AT_ONCE = 500
 """Records whose arrays are in memory at a time."""
 
 _SEEDS_IN_MEMORY = 500
-_VALUE_NAMES = tuple(
-    name for name, q in QUANTITY_BY_NAME.items() if q.formula is None and name not in {"seed", "content", "status"}
-)
-_STATUS_NAMES = {code: name for name, code in STATUS_CODES.items()}
+_VALUE_NAMES = tuple(name for name, q in QUANTITY_BY_NAME.items() if q.formula is None and name not in INDEX_NAMES)
 _WITHOUT_OUTCOME = tuple(STATUS_CODES[name] for name in (CellStatus.PENDING, CellStatus.DAMAGED, NOT_PLANNED))
 _CURE_OF_CHANGE = "The file was changed after it was exported: export it again. Nothing was written."
 
@@ -58,14 +56,13 @@ def import_netcdf(
 ) -> CampaignRecord:
     """Rebuild the campaign of an exported file: plan, runs, packings, attempts, outcomes and their arrays.
 
-    Importing into a store that has the campaign already adds what is missing and leaves done cells as they are; runs
-    are added each time. All of it is one transaction: after any error the store is as it was. ``identify`` checks the
-    state of a packing and adds the content hash, which is beyond the store. `StoreUnavailableError` if the file can't
-    be read as NetCDF; `ForeignDatabaseError` if calcidem didn't write it; `OlderSchemaError`, `NewerSchemaError` if an
-    earlier or a later calcidem did, in another layout; `DamagedStoreError` if its configuration is not the one that its
-    hash was made of, or cells have a packing that it lacks, or reading it does not come to an end;
-    `CampaignMismatchError` if the store has a campaign of that name with another hash, or that campaign with another
-    packing; `LeaseHeldError` while a run writes the store's database.
+    If the store has the campaign already, what is missing is added and done cells are kept; runs are added each time.
+    All of it is one transaction. ``identify`` checks the state of a packing and adds its content hash.
+
+    `StoreUnavailableError` if the file is not NetCDF; `ForeignDatabaseError` if calcidem did not write it;
+    `OlderSchemaError`, `NewerSchemaError` if it has another layout; `DamagedStoreError` if it was changed, lacks a
+    packing, or can't be read to its end; `CampaignMismatchError` if the store has another campaign of that name, or
+    another packing; `LeaseHeldError` while a run writes the database.
     """
     with _open(Path(path)) as file, store.together():
         campaign = CampaignRecord(
@@ -147,7 +144,7 @@ def _refuse_other_packings(
 
 def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     """Outcomes of the file, a block of seeds in memory at a time."""
-    arrays = {name: _CellArrays(file, name) for name in ARRAY_RECORDS}
+    arrays = {name: _Records(file, name, "cell", kind) for name, kind in ARRAY_RECORDS.items()}
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
     for start in range(0, len(seeds), _SEEDS_IN_MEMORY):
         rows = slice(start, start + _SEEDS_IN_MEMORY)
@@ -159,9 +156,9 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
         }
         for i, j in np.argwhere(~np.isin(status[rows], _WITHOUT_OUTCOME)).tolist():
             key = CellKey(seeds[start + i], contents[j])
-            values: dict[str, Any] = dict.fromkeys(_VALUE_NAMES) | {"status": _STATUS_NAMES[int(status[start + i, j])]}
+            values: dict[str, Any] = dict.fromkeys(_VALUE_NAMES)
             values |= {name: column[i, j] for name, column in columns.items()}
-            yield CellResult.from_values(key, values | {name: found.get(key) for name, found in arrays.items()})
+            yield CellResult.from_values(key, values | {name: found.of_cell(key) for name, found in arrays.items()})
 
 
 def _read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptRecord]:
@@ -180,21 +177,6 @@ def _read_packings(file: Group) -> Iterator[PackingRecord]:
     for row, stress in enumerate(records.columns.get("wall_stress", ())):
         values = records.values(row)
         yield PackingRecord(wall_stress=json.loads(stress), **(values | {"state": values["state"].tobytes()}))
-
-
-class _CellArrays:
-    """Random access to the arrays of one group of a file by cell."""
-
-    def __init__(self, file: Group, name: str) -> None:
-        """Look up the cells of a group of `ARRAY_RECORDS`; a file without that group has no such arrays."""
-        self._records = _Records(file, name, "cell", ARRAY_RECORDS[name])
-        self._kind: type[Any] = ARRAY_RECORDS[name]
-        self._row = {key: row for row, key in enumerate(self._records.keys())}
-
-    def get(self, key: CellKey) -> Any:  # noqa: ANN401 - an object of the group's class
-        """Return the record of a cell, None if it has none."""
-        row = self._row.get(key)
-        return None if row is None else self._kind(**self._records.values(row))
 
 
 class _Records:
@@ -218,6 +200,15 @@ class _Records:
             self._ends = {e: np.concatenate(([0], np.cumsum(self.columns[f"{e}_count"]))) for e in elements}
             names = {quantity: quantity.name.removesuffix("_id") for quantity in quantities_of(kind)}
             self._values = {q.name: as_values(q, self.columns[column]) for q, column in names.items()}
+
+    @cached_property
+    def _row(self) -> dict[CellKey, int]:
+        return {key: row for row, key in enumerate(self.keys())}
+
+    def of_cell(self, key: CellKey) -> Any:  # noqa: ANN401 - an object of the group's class
+        """Return the record of a cell, None if it has none."""
+        row = self._row.get(key)
+        return None if row is None else self._kind(**self.values(row))
 
     def keys(self) -> list[CellKey]:
         """Return the cells that the records are of."""

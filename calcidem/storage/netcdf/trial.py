@@ -1,8 +1,7 @@
-"""NetCDF files from elsewhere are read by a process that can be ended before they are read by this one.
+"""A NetCDF file from elsewhere is first read by a process that can be ended: some damaged ones are read for ever.
 
-The library loops for ever on some damaged files. This module is the program of that process, too. Its arguments are the
-file, the seconds that it may take to open it or to read a block, and how much is read: ``all`` or ``names``. It ends
-with 0 if the file can be read, or refused, within that time.
+This module is also the program of that process. Its arguments are the file, the seconds for opening it and for each
+block, and how much is read: ``all`` or ``names``. It ends with 0 if the file was read, or refused, within that time.
 """
 
 import faulthandler
@@ -28,11 +27,10 @@ _ERRORS_OF_READING = (OSError, RuntimeError, AttributeError, LookupError, TypeEr
 
 
 def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False) -> None:
-    """Refuse a file that makes the library for NetCDF loop or crash; what the library itself refuses is not judged.
+    """Refuse a file on which the NetCDF library loops or crashes; what the library itself refuses is not judged.
 
-    With ``names_only`` the file is only to be opened, and nothing but its attributes to be read.
-    `StoreUnavailableError` if it is no file, such as a pipe, which would be waited for; `DamagedStoreError` if opening
-    or reading it does not come to an end.
+    With ``names_only`` the file is only opened. `StoreUnavailableError` if it is no file, such as a pipe, which would
+    be waited for; `DamagedStoreError` if opening or reading it does not end.
     """
     file = Path(path).absolute()
     if not file.is_file():

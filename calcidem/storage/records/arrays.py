@@ -30,7 +30,6 @@ class ComparedByValue:
     __hash__ = None  # type: ignore[assignment]  # compared by value and holding arrays: not hashable
 
     def __eq__(self, other: object) -> bool:
-        """Compare field by field; values of different shape or type of array are different."""
         if type(self) is not type(other):
             return NotImplemented
         names = [field.name for field in dataclasses.fields(self)]  # type: ignore[arg-type]  # see the class

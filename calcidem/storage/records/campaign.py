@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from hashlib import sha256
 from typing import Annotated, Any
 
@@ -18,60 +19,41 @@ from calcidem.storage.records.cell import canonical_content, checked_seed
 from calcidem.storage.records.quantity import Along, Bound, Quantity, check_bounds
 from calcidem.storage.records.run import as_utc
 
+_packing = partial(Quantity, origin="packing", bound=Bound.NOT_NEGATIVE)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackingRecord(ComparedByValue):
-    """A packing with the report on its quality; the annotations say what its numbers are.
-
-    Attributes
-    ----------
-    index : int
-        0 to k - 1 when a campaign has k packings.
-    hash : str
-        Hash of everything the packing was made from. It decides the packing's bits only on machines that compute alike.
-    x, y, radius : (grains,) arrays
-        Centres and radii of the disks [m].
-    coordination_number, coordination_number_without_rattlers : float
-        2 N_contacts / N with and without the grains that carry nothing.
-    wall_stress : mapping of str to float
-        Normal stress on each wall [Pa], by the wall's name.
-    state : bytes
-        Complete state as its maker wrote it, to restore the packing bit for bit; opaque here.
-    content_hash : str or None
-        Identity of the packing itself, down to its bits; its maker knows how to tell. None in what an earlier calcidem
-        stored.
-    """
+    """A packing with the report on its quality; the annotations say what its numbers are."""
 
     index: Annotated[int, Quantity("1", "index of the packing")]
+    """0 to k - 1 when a campaign has k packings."""
     hash: Annotated[str, Quantity("", "hash of what it was made from")]
+    """It decides the packing's bits only on machines that compute alike."""
     x: Annotated[NDArray[np.float64], Along("grain", "m", "horizontal position of the centre")]
     y: Annotated[NDArray[np.float64], Along("grain", "m", "vertical position of the centre")]
     radius: Annotated[NDArray[np.float64], Along("grain", "m", "radius")]
-    width: Annotated[float, Quantity("m", "width of the box", "packing", Bound.POSITIVE)]
-    height: Annotated[float, Quantity("m", "height of the lid", "packing", Bound.POSITIVE)]
-    porosity: Annotated[float, Quantity("1", "area of the voids over area of the box", "packing", Bound.NOT_NEGATIVE)]
-    coordination_number: Annotated[
-        float, Quantity("1", "mean number of contacts of a grain", "packing", Bound.NOT_NEGATIVE)
-    ]
+    """Centres and radii of the disks [m]. Shape (grains,)."""
+    width: Annotated[float, _packing("m", "width of the box", bound=Bound.POSITIVE)]
+    height: Annotated[float, _packing("m", "height of the lid", bound=Bound.POSITIVE)]
+    porosity: Annotated[float, _packing("1", "area of the voids over area of the box")]
+    coordination_number: Annotated[float, _packing("1", "mean number of contacts of a grain")]
     coordination_number_without_rattlers: Annotated[
-        float, Quantity("1", "mean number of contacts of a grain that carries load", "packing", Bound.NOT_NEGATIVE)
+        float, _packing("1", "mean number of contacts of a grain that carries load")
     ]
+    """2 N_contacts / N with and without the grains that carry nothing."""
     wall_stress: Mapping[str, float]
-    mean_relative_overlap: Annotated[
-        float, Quantity("1", "mean overlap over mean diameter", "packing", Bound.NOT_NEGATIVE)
-    ]
-    largest_relative_overlap: Annotated[
-        float, Quantity("1", "largest overlap over mean diameter", "packing", Bound.NOT_NEGATIVE)
-    ]
-    unbalanced_ratio: Annotated[
-        float, Quantity("1", "mean unbalanced force over mean contact force", "packing", Bound.NOT_NEGATIVE)
-    ]
-    seconds: Annotated[float, Quantity("s", "computing time", "packing", Bound.NOT_NEGATIVE)]
+    """Normal stress on each wall [Pa], by the wall's name."""
+    mean_relative_overlap: Annotated[float, _packing("1", "mean overlap over mean diameter")]
+    largest_relative_overlap: Annotated[float, _packing("1", "largest overlap over mean diameter")]
+    unbalanced_ratio: Annotated[float, _packing("1", "mean unbalanced force over mean contact force")]
+    seconds: Annotated[float, _packing("s", "computing time")]
     state: Annotated[bytes, Along("state_byte", "1", "complete state, a NumPy .npz file")] = b""
+    """As its maker wrote it, to restore the packing bit for bit; opaque here."""
     content_hash: Annotated[str | None, Quantity("", "hash of its own bits: disks, walls and forces")] = None
+    """Identity of the packing itself. None in what an earlier calcidem stored."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the fields."""
         normalize_numbers(self)
         check_bounds(self)
         if self.index < 0:
@@ -112,33 +94,22 @@ def refuse_other_packing(
 
 @dataclass(frozen=True, slots=True)
 class CampaignRecord:
-    """What a campaign computes.
-
-    Attributes
-    ----------
-    hash : str
-        Identity of the physics, as its maker computes it.
-    name : str
-        Unique name within the store.
-    config : str
-        The whole physical configuration as canonical JSON text (`calcidem.storage.records.canonical.canonical_json`).
-    contents : tuple of float
-        Planned contents [%], ascending.
-    seeds : tuple of int
-        Planned seeds, ascending.
-    created : datetime
-        With time zone; kept as UTC.
-    """
+    """What a campaign computes."""
 
     hash: str
+    """Identity of the physics, as its maker computes it."""
     name: str
+    """Unique name within the store."""
     config: str
+    """The whole physical configuration as canonical JSON text (`calcidem.storage.records.canonical.canonical_json`)."""
     contents: tuple[float, ...]
+    """Planned contents [%], ascending."""
     seeds: tuple[int, ...]
+    """Planned seeds, ascending."""
     created: datetime
+    """With time zone; kept as UTC."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the fields."""
         for field in ("hash", "name"):
             if not getattr(self, field):
                 raise ValueError(f"CampaignRecord.{field} is empty; give a text.")

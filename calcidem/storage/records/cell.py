@@ -27,7 +27,11 @@ _CONTENT_DECIMALS = 9
 _Real = float | None
 _Whole = int | None
 _POSITIVE, _NOT_NEGATIVE = Bound.POSITIVE, Bound.NOT_NEGATIVE
-_exact = partial(Quantity, is_exact=True)
+_reading = partial(Quantity, origin="reading", is_exact=True)
+_speed = partial(_reading, "m s-1", bound=_POSITIVE)
+_reading_error = partial(_reading, "1", bound=_NOT_NEGATIVE, is_brief=True)
+_wave = partial(Quantity, origin="wave", bound=_POSITIVE, is_exact=True)
+_cement = partial(Quantity, origin="cement", bound=_NOT_NEGATIVE, is_exact=True)
 
 LARGEST_SEED = 2**63 - 1
 """What SQLite, PostgreSQL and NetCDF's int64 hold, exactly."""
@@ -86,21 +90,14 @@ def checked_seed(seed: int) -> int:
 
 @dataclass(frozen=True, slots=True, order=True)
 class CellKey:
-    """Identity of a cell within its campaign.
-
-    Attributes
-    ----------
-    seed : int
-        Number of the random cement pattern, 0 to `LARGEST_SEED`.
-    content : float
-        Calcite content [% of sand mass]; stored as `canonical_content` of what is given.
-    """
+    """Identity of a cell within its campaign."""
 
     seed: Annotated[int, Quantity("1", "seed of the random cement pattern")]
+    """Number of the random cement pattern, 0 to `LARGEST_SEED`."""
     content: Annotated[float, Quantity("percent", "calcite content by mass of sand")]
+    """Calcite content [% of sand mass]; stored as `canonical_content` of what is given."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the fields."""
         object.__setattr__(self, "seed", checked_seed(self.seed))
         object.__setattr__(self, "content", canonical_content(self.content))
 
@@ -114,29 +111,8 @@ class CellResult:
 
     Attributes
     ----------
-    key : CellKey
-        Which cell.
-    status : CellStatus
-        One of `STORED_STATUSES`, or damaged in what a store gives.
-    reason : str
-        Sentence that says why the status is not `done`; empty only for `done`.
-    vs : float or None
-        By the campaign's method; there if and only if `done`.
-    distance, wavelengths_on_path : float or None
-        From the transmitter to the receiver, and this over the wavelength vs / frequency. With fewer than two
-        wavelengths on the path, near field and shear wave arrive together (section 3.1.3).
-    expected_error, error_bound : float or None
-        Numerical error that `vs` is expected to have, and one that it hardly exceeds.
     numerical_error, vs_error, path_departure : float or None
         Derived, see `calcidem.storage.records.error_budget`.
-    retry : str or None
-        Problem for which the sample was computed a second time; None if the first time was good.
-    attempt : int
-        Number of the attempt, counted from 1 over all runs: part of the outcome's identity (see `Store`).
-    features, graph
-        Path features and summary of the contact graph, where there are any.
-    path, section, cement
-        Arrays, where they were stored and the query requested them (`ARRAY_RECORDS`).
 
     Raises
     ------
@@ -146,71 +122,66 @@ class CellResult:
 
     key: CellKey
     status: Annotated[CellStatus, Quantity("", "outcome of the cell", "measurement", is_brief=True)]
+    """One of `STORED_STATUSES`, or damaged in what a store gives."""
     reason: Annotated[str, Quantity("", "why the outcome is what it is", "measurement")] = ""
-    vs: Annotated[
-        _Real, _exact("m s-1", "shear-wave velocity", "reading", _POSITIVE, is_needed=True, is_brief=True)
-    ] = None
-    vs_peak: Annotated[_Real, _exact("m s-1", "shear-wave velocity from peak to peak", "reading", _POSITIVE)] = None
-    vs_first_arrival: Annotated[
-        _Real, _exact("m s-1", "shear-wave velocity by first arrival", "reading", _POSITIVE)
-    ] = None
-    vs_cross_correlation: Annotated[
-        _Real, _exact("m s-1", "shear-wave velocity by cross-correlation", "reading", _POSITIVE)
-    ] = None
-    coherence: Annotated[_Real, _exact("1", "stack of the section along the line of the S wave", "reading")] = None
-    reading_error: Annotated[
-        _Real, _exact("1", "relative standard error of the reading of vs", "reading", _NOT_NEGATIVE, is_brief=True)
-    ] = None
-    path_vs: Annotated[
-        _Real, _exact("m s-1", "shear-wave velocity from station to station", "reading", _POSITIVE, is_brief=True)
-    ] = None
-    path_error: Annotated[
-        _Real, _exact("1", "relative standard error of the reading of path_vs", "reading", _NOT_NEGATIVE, is_brief=True)
-    ] = None
-    frequency: Annotated[
-        _Real, _exact("Hz", "frequency of the transmitted pulse", "wave", _POSITIVE, is_needed=True)
-    ] = None
-    distance: Annotated[_Real, _exact("m", "distance that the shear wave travelled", "wave", _POSITIVE)] = None
-    wavelengths_on_path: Annotated[_Real, _exact("1", "wavelengths on that distance", "reading", _POSITIVE)] = None
-    wavelength_over_d50: Annotated[
-        _Real, _exact("1", "wavelength over median diameter by mass", "reading", _POSITIVE)
-    ] = None
-    time_step: Annotated[_Real, _exact("s", "time step", "wave", _POSITIVE, is_needed=True)] = None
-    stability_limit: Annotated[_Real, _exact("s", "largest stable time step", "wave", _POSITIVE, is_needed=True)] = None
-    steps: Annotated[_Whole, _exact("1", "number of time steps", "wave", _NOT_NEGATIVE, is_needed=True)] = None
+    """A sentence; empty only for `done`."""
+    vs: Annotated[_Real, _speed("shear-wave velocity", is_needed=True, is_brief=True)] = None
+    """By the campaign's method; there if and only if `done`."""
+    vs_peak: Annotated[_Real, _speed("shear-wave velocity from peak to peak")] = None
+    vs_first_arrival: Annotated[_Real, _speed("shear-wave velocity by first arrival")] = None
+    vs_cross_correlation: Annotated[_Real, _speed("shear-wave velocity by cross-correlation")] = None
+    coherence: Annotated[_Real, _reading("1", "stack of the section along the line of the S wave")] = None
+    reading_error: Annotated[_Real, _reading_error("relative standard error of the reading of vs")] = None
+    path_vs: Annotated[_Real, _speed("shear-wave velocity from station to station", is_brief=True)] = None
+    path_error: Annotated[_Real, _reading_error("relative standard error of the reading of path_vs")] = None
+    frequency: Annotated[_Real, _wave("Hz", "frequency of the transmitted pulse", is_needed=True)] = None
+    distance: Annotated[_Real, _wave("m", "distance that the shear wave travelled")] = None
+    """From the transmitter to the receiver."""
+    wavelengths_on_path: Annotated[_Real, _reading("1", "wavelengths on that distance", bound=_POSITIVE)] = None
+    """The distance over the wavelength vs / frequency. With fewer than two, near field and shear wave arrive together
+    (section 3.1.3).
+    """
+    wavelength_over_d50: Annotated[_Real, _reading("1", "wavelength over median diameter by mass", bound=_POSITIVE)] = (
+        None
+    )
+    time_step: Annotated[_Real, _wave("s", "time step", is_needed=True)] = None
+    stability_limit: Annotated[_Real, _wave("s", "largest stable time step", is_needed=True)] = None
+    steps: Annotated[_Whole, _wave("1", "number of time steps", bound=_NOT_NEGATIVE, is_needed=True)] = None
     expected_error: Annotated[
         _Real, Quantity("1", "expected relative numerical error of vs", "error estimate", _NOT_NEGATIVE, is_brief=True)
     ] = None
     error_bound: Annotated[_Real, Quantity("1", "bound of the relative numerical error of vs", "error estimate")] = None
+    """Hardly ever exceeded."""
     static_speed: Annotated[
         _Real, Quantity("m s-1", "velocity of long shear waves by statics", "statics", _POSITIVE)
     ] = None
     content_reached: Annotated[
-        _Real,
-        _exact("percent", "calcite content of the cement placed, overlaps counted in full", "cement", _NOT_NEGATIVE),
+        _Real, _cement("percent", "calcite content of the cement placed, overlaps counted in full")
     ] = None
-    content_of_contacts: Annotated[
-        _Real, _exact("percent", "calcite content of the cemented contacts by Eq. 2", "cement", _NOT_NEGATIVE)
-    ] = None
-    p_contacts: Annotated[_Whole, _exact("1", "number of P contacts", "cement", _NOT_NEGATIVE)] = None
-    c_contacts: Annotated[_Whole, _exact("1", "number of contacts in C clusters", "cement", _NOT_NEGATIVE)] = None
-    clusters: Annotated[_Whole, _exact("1", "number of C clusters", "cement", _NOT_NEGATIVE)] = None
-    bonded_contacts: Annotated[_Whole, _exact("1", "number of bonded contacts", "cement", _NOT_NEGATIVE)] = None
-    broken_bonds: Annotated[_Whole, _exact("1", "number of bonds that the pulse broke", "wave", _NOT_NEGATIVE)] = None
+    content_of_contacts: Annotated[_Real, _cement("percent", "calcite content of the cemented contacts by Eq. 2")] = (
+        None
+    )
+    p_contacts: Annotated[_Whole, _cement("1", "number of P contacts")] = None
+    c_contacts: Annotated[_Whole, _cement("1", "number of contacts in C clusters")] = None
+    clusters: Annotated[_Whole, _cement("1", "number of C clusters")] = None
+    bonded_contacts: Annotated[_Whole, _cement("1", "number of bonded contacts")] = None
+    broken_bonds: Annotated[_Whole, _wave("1", "number of bonds that the pulse broke", bound=_NOT_NEGATIVE)] = None
     retry: Annotated[str | None, Quantity("", "why the sample was computed again with half the step", "wave")] = None
     seconds: Annotated[_Real, Quantity("s", "computing time", "run", _NOT_NEGATIVE)] = None
     rank: Annotated[_Whole, Quantity("1", "MPI rank that computed it", "run", _NOT_NEGATIVE)] = None
     host: Annotated[str | None, Quantity("", "host that computed it", "run")] = None
     attempt: Annotated[int, Quantity("1", "number of the attempt", "run", _POSITIVE)] = 1
+    """Counted from 1 over all runs: part of the outcome's identity (see `Store`)."""
     packing_index: Annotated[int, Quantity("1", "which of the campaign's packings", "campaign", _NOT_NEGATIVE)] = 0
     features: PathFeatures | None = None
     graph: GraphSummary | None = None
+    """Path features and summary of the contact graph, where there are any."""
     path: GrainPath | None = None
     section: RecordedSection | None = None
     cement: CementPattern | None = None
+    """Arrays, where they were stored and the query requested them (`ARRAY_RECORDS`)."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the fields."""
         object.__setattr__(self, "status", CellStatus(self.status))
         object.__setattr__(self, "retry", self.retry or None)
         normalize_numbers(self)
@@ -244,7 +215,7 @@ class CellResult:
             name: pack_arrays({field.name: np.asarray(getattr(record, field.name)) for field in fields(record)})
             for name, record in records.items()
         }
-        return PackedResult(self.key, self.status, self.attempt, self.rank, self.host, self.values(), arrays)
+        return PackedResult(self.key, self.values(), arrays)
 
     @property
     def numerical_error(self) -> float | None:
@@ -317,30 +288,20 @@ class PackedResult:
 
     A worker makes it, so that the bytes that travel are those that are stored: the one process that stores the outcomes
     of all workers has no time to compress them.
-
-    Attributes
-    ----------
-    key : CellKey
-    status : CellStatus
-    attempt : int
-    rank, host : int or None, str or None
-        As in `CellResult`; like there, whoever stores the outcome may replace these three.
-    columns : dict of str to value
-        Quantities by name, except those that name the cell.
-    arrays : dict of str to bytes
-        Compressed arrays by the name of their field.
-    worker : WorkerRecord or None
-        What the process that computed it is, if it says so; its rank is the master's to fill in.
     """
 
     key: CellKey
-    status: CellStatus
-    attempt: int
-    rank: int | None
-    host: str | None
     columns: dict[str, Any]
+    """Quantities by name, except those that name the cell. Attempt, rank and host are replaced by whoever stores it."""
     arrays: dict[str, bytes]
+    """Compressed arrays by the name of their field."""
     worker: WorkerRecord | None = None
+    """What the process that computed it is, if it says so; its rank is the master's to fill in."""
+
+    @property
+    def attempt(self) -> int:
+        """Number of the attempt."""
+        return int(self.columns["attempt"])
 
     def packed(self) -> Self:
         """Return it as it is."""
@@ -372,53 +333,35 @@ EXACT_QUANTITIES = tuple(quantity.name for quantity in QUANTITY_BY_NAME.values()
 
 @dataclass(frozen=True, slots=True)
 class AttemptCount:
-    """How often a cell was tried.
-
-    Attributes
-    ----------
-    attempts : int
-        Attempts so far, over all runs; the next one has the number ``attempts + 1``.
-    losses : int
-        How many of them since the last retry ended with the loss of the worker.
-    """
+    """How often a cell was tried."""
 
     attempts: int = 0
+    """Attempts so far, over all runs; the next one has the number ``attempts + 1``."""
     losses: int = 0
+    """How many of them since the last retry ended with the loss of the worker."""
 
 
 @dataclass(frozen=True, slots=True)
 class AttemptRecord:
-    """One attempt at a cell.
-
-    Attributes
-    ----------
-    key : CellKey
-    number : int
-        Counted from 1.
-    outcome : str
-        A `CellStatus` value, or ``"lost"`` when the worker vanished.
-    reason, rank, host, seconds
-    recorded : datetime
-        When it was stored (UTC).
-    run_id : int or None
-        The run that made it.
-    forgiven : bool
-        Whether a retry came after it: its loss then counts no longer.
-    """
+    """One attempt at a cell."""
 
     key: CellKey
     number: Annotated[int, Quantity("1", "number of the attempt")]
+    """Counted from 1."""
     outcome: Annotated[str, Quantity("", "outcome")]
+    """A `CellStatus` value, or ``"lost"`` when the worker vanished."""
     reason: Annotated[str, Quantity("", "why")]
     rank: Annotated[_Whole, Quantity("1", "MPI rank")]
     host: Annotated[str | None, Quantity("", "host")]
     seconds: Annotated[_Real, Quantity("s", "computing time")]
     recorded: datetime
+    """When it was stored (UTC)."""
     run_id: Annotated[_Whole, Quantity("1", "number of the run")] = None
+    """The run that made it."""
     forgiven: bool = False
+    """Whether a retry came after it: its loss then counts no longer."""
 
     def __post_init__(self) -> None:
-        """Check the fields."""
         if self.number < 1:
             raise ValueError(f"AttemptRecord.number is {self.number}; attempts count from 1.")
         if self.seconds is not None and not 0.0 <= self.seconds < math.inf:

@@ -23,64 +23,42 @@ class Bound(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number or a text that each cell has, or lacks.
-
-    Attributes
-    ----------
-    unit : str
-        UDUNITS string; empty for text.
-    meaning : str
-        Long name in files and tables.
-    origin : str
-        What it comes from, such as ``"reading"``.
-    bound : Bound
-    is_exact : bool
-        Whether it is equal, to the last bit, wherever the same campaign is computed.
-    is_needed : bool
-        Whether a done cell must have it.
-    is_brief : bool
-        Whether it is one of the few that status and velocities need: they have a checksum of their own.
-    name, kind, is_optional
-        Of the field and its type; filled in by `quantities_of`.
-    needs : tuple of str
-        Stored quantities that it is derived from; empty for a stored one.
-    formula : callable or None
-        Gives its value from a square root and the values of these, be they numbers, arrays or columns of a database.
-    """
+    """A number or a text that each cell has, or lacks."""
 
     unit: str
+    """UDUNITS string; empty for text."""
     meaning: str
+    """Long name in files and tables."""
     origin: str = "campaign"
+    """What it comes from, such as ``"reading"``."""
     bound: Bound = Bound.NONE
     is_exact: bool = False
+    """Whether it is equal, to the last bit, wherever the same campaign is computed."""
     is_needed: bool = False
+    """Whether a done cell must have it."""
     is_brief: bool = False
+    """Whether it is one of the few that status and velocities need: they have a checksum of their own."""
     name: str = ""
     kind: Literal["real", "whole", "text"] = "real"
     is_optional: bool = False
+    """Of the field and its type; filled in by `quantities_of`."""
     needs: tuple[str, ...] = ()
+    """Stored quantities that it is derived from; empty for a stored one."""
     formula: Callable[..., Any] | None = None
+    """Gives its value from a square root and the values of these, be they numbers, arrays or columns of a database."""
 
 
 @dataclass(frozen=True, slots=True)
 class Along:
-    """An array with one row for each element of a dimension, whose length differs from cell to cell.
-
-    Attributes
-    ----------
-    dimension : str
-    unit : str
-        UDUNITS string.
-    meaning : str
-        Long name in files.
-    columns : str
-        Dimension of its columns, if their number differs from cell to cell, too; empty if it does not.
-    """
+    """An array with one row for each element of a dimension, whose length differs from cell to cell."""
 
     dimension: str
     unit: str
+    """UDUNITS string."""
     meaning: str
+    """Long name in files."""
     columns: str = ""
+    """Dimension of its columns, if their number differs from cell to cell, too; empty if it does not."""
 
     @property
     def elements(self) -> str:

@@ -12,36 +12,24 @@ _NAMED_HOSTS = 3
 
 @dataclass(frozen=True, slots=True)
 class WorkerRecord:
-    """What bits could depend on in the processes of a run, once for all that are alike.
-
-    Attributes
-    ----------
-    ranks : tuple of int
-        Ranks that are like this.
-    hosts : tuple of str
-        Machines that they are on.
-    architecture : str
-        Family of the processor, such as ``x86_64``.
-    processor : str
-        LLVM's name of the processor that kernels are compiled for, such as ``znver4``.
-    features : tuple of str
-        LLVM's names of its features that kernels may use.
-    blas_core : str or None
-        Processor that OpenBLAS has chosen its kernels for; None for another BLAS.
-    numpy_simd : tuple of str
-        Instruction sets beyond its baseline for which numpy has chosen functions.
-    versions : mapping of str to str
-        Of Python, calcidem, its physics and the libraries that numbers depend on.
-    """
+    """What bits could depend on in the processes of a run, once for all that are alike."""
 
     ranks: tuple[int, ...]
+    """Ranks that are like this."""
     hosts: tuple[str, ...]
+    """Machines that they are on."""
     architecture: str
+    """Family of the processor, such as ``x86_64``."""
     processor: str
+    """LLVM's name of the processor that kernels are compiled for, such as ``znver4``."""
     features: tuple[str, ...]
+    """LLVM's names of its features that kernels may use."""
     blas_core: str | None
+    """Processor that OpenBLAS has chosen its kernels for; None for another BLAS."""
     numpy_simd: tuple[str, ...]
+    """Instruction sets beyond its baseline for which numpy has chosen functions."""
     versions: Mapping[str, str]
+    """Of Python, calcidem, its physics and the libraries that numbers depend on."""
 
     def __post_init__(self) -> None:
         """Take lists, as JSON has them, for tuples."""
@@ -64,51 +52,34 @@ class WorkerRecord:
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """Provenance of one run of the program on a campaign.
-
-    Attributes
-    ----------
-    versions : mapping of str to str
-        Versions of Python, calcidem and the libraries its numbers depend on.
-    host, cpu : str
-        Host of rank 0 and its CPU model.
-    ranks : int
-        Size of the MPI world, 1 without MPI.
-    launch_line : str
-        Command line; a password in it is not kept.
-    started : datetime
-        With time zone; kept as UTC.
-    mpi_library : str or None
-        None without MPI.
-    git_commit : str or None
-        Commit of the source tree, None when installed from a package.
-    git_dirty : bool or None
-        Whether that tree had uncommitted changes.
-    slurm_job_id : str or None
-    ended : datetime or None
-        None while it runs, and for ever if it was killed.
-    exit_state : str or None
-        How it ended, in the words of the program.
-    workers : tuple of WorkerRecord
-        What its processes were, one record for all that are alike; empty if that was not recorded.
-    """
+    """Provenance of one run of the program on a campaign."""
 
     versions: Mapping[str, str]
+    """Versions of Python, calcidem and the libraries its numbers depend on."""
     host: str
     cpu: str
+    """Host of rank 0 and its CPU model."""
     ranks: int
+    """Size of the MPI world, 1 without MPI."""
     launch_line: str
+    """Command line; a password in it is not kept."""
     started: datetime
+    """With time zone; kept as UTC."""
     mpi_library: str | None = None
+    """None without MPI."""
     git_commit: str | None = None
+    """Commit of the source tree, None when installed from a package."""
     git_dirty: bool | None = None
+    """Whether that tree had uncommitted changes."""
     slurm_job_id: str | None = None
     ended: datetime | None = None
+    """None while it runs, and for ever if it was killed."""
     exit_state: str | None = None
+    """How it ended, in the words of the program."""
     workers: tuple[WorkerRecord, ...] = ()
+    """What its processes were, one record for all that are alike; empty if that was not recorded."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the fields."""
         object.__setattr__(self, "launch_line", hide_passwords(self.launch_line))
         object.__setattr__(self, "started", as_utc(self.started))
         if self.ended is not None:

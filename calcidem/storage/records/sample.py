@@ -1,6 +1,7 @@
 """Frozen records of a sample beyond single numbers: section, cement pattern, path, graph."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -13,33 +14,27 @@ P_CONTACT = 1
 C_CONTACT = 2
 """What a cemented contact is in `CementPattern.kind`; 0 stands for sand where all contacts are listed."""
 
+_path = partial(Quantity, "1", origin="path")
+_graph = partial(Quantity, "1", origin="graph", bound=Bound.NOT_NEGATIVE)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedSection(ComparedByValue):
-    """Space-time section of a cell: motion at the stations and at the receiver, sampled at equal intervals.
-
-    The annotations of its fields say what they are, here and in the classes below. More than these:
-
-    Attributes
-    ----------
-    sampling_interval : float
-        A multiple of the cell's time step.
-    pulse_frequency : float
-        Of the pulse ``v0 (1 - cos 2 pi f t)``.
-    places : (X,) float64 array
-    across, along : (T, X) int32 array
-    """
+    """Space-time section of a cell: motion at the stations and at the receiver, sampled at equal intervals."""
 
     sampling_interval: Annotated[float, Quantity("s", "time between two samples")]
+    """A multiple of the cell's time step."""
     start_time: Annotated[float, Quantity("s", "time of the first sample after the pulse began")]
     pulse_frequency: Annotated[float, Quantity("Hz", "frequency of the pulse")]
+    """Of the pulse ``v0 (1 - cos 2 pi f t)``."""
     resolution: Annotated[float, Quantity("m s-1", "velocity of one count, 2^-20 of v0")]
     places: Annotated[NDArray[np.float64], Along("station", "m", "path to each station, and last to the receiver")]
+    """Shape (X,)."""
     across: Annotated[NDArray[np.int32], Along("sample", "1", "velocity across the path, counts", "station")]
     along: Annotated[NDArray[np.int32], Along("sample", "1", "velocity along the path, counts", "station")]
+    """Shape (T, X)."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the fields."""
         normalize_numbers(self)
         for name in ("sampling_interval", "pulse_frequency", "resolution"):
             if getattr(self, name) <= 0.0:
@@ -71,24 +66,16 @@ class RecordedSection(ComparedByValue):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CementPattern(ComparedByValue):
-    """Which contacts of the packing are bonded: enough to rebuild the sample exactly.
-
-    Attributes
-    ----------
-    contacts : (m, 2) int32 array
-        Grain indices of the bonded contacts, in the order in which they were bonded.
-    kind : (m,) uint8 array
-        1 for a P contact, 2 for a contact inside a C cluster.
-    cluster_centres : (k, 2) float64 array
-        Centres of the C clusters [m].
-    """
+    """Which contacts of the packing are bonded: enough to rebuild the sample exactly."""
 
     contacts: Annotated[NDArray[np.int32], Along("contact", "1", "indices of the two grains of a bonded contact")]
+    """In the order in which they were bonded. Shape (m, 2)."""
     kind: Annotated[NDArray[np.uint8], Along("contact", "1", "1 for a P contact, 2 for one in a C cluster")]
+    """Shape (m,)."""
     cluster_centres: Annotated[NDArray[np.float64], Along("cluster", "m", "position of the centre of a C cluster")]
+    """Shape (k, 2)."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the fields."""
         contacts = freeze_array("CementPattern", "contacts", self.contacts, np.int32, (None, 2))
         kind = freeze_array("CementPattern", "kind", self.kind, np.uint8, (len(contacts),))
         centres = freeze_array("CementPattern", "cluster_centres", self.cluster_centres, np.float64, (None, 2))
@@ -101,49 +88,35 @@ class CementPattern(ComparedByValue):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GrainPath(ComparedByValue):
-    """The preferential path of a cell, from the transmitter to the receiver.
-
-    Attributes
-    ----------
-    grains : (n,) int32 array
-    """
+    """The preferential path of a cell, from the transmitter to the receiver."""
 
     grains: Annotated[NDArray[np.int32], Along("grain", "1", "index of a grain along the preferential path")]
+    """Shape (n,)."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the field."""
         object.__setattr__(self, "grains", freeze_array("GrainPath", "grains", self.grains, np.int32, (None,)))
 
 
 @dataclass(frozen=True, slots=True)
 class PathFeatures:
-    """Features of a cell's preferential path from the transmitter to the receiver.
+    """Features of a cell's preferential path from the transmitter to the receiver."""
 
-    Attributes
-    ----------
-    path_contacts, path_hertz_contacts, path_bonded_contacts
-        N, N_h and N_LPB of the paper, from which come LP = N_LPB / N and PLLC = QLLC / N.
-    path_normalized_connectivity
-        C_d,n (Eq. 9); None where it is singular (equal weights).
-    """
-
-    path_contacts: Annotated[int, Quantity("1", "contacts on the preferential path", "path")]
-    path_hertz_contacts: Annotated[int, Quantity("1", "uncemented contacts on it", "path")]
-    path_bonded_contacts: Annotated[int, Quantity("1", "cemented contacts on it", "path")]
-    path_bonded_fraction: Annotated[float, Quantity("1", "share of cemented contacts on it (LP)", "path")]
+    path_contacts: Annotated[int, _path("contacts on the preferential path")]
+    path_hertz_contacts: Annotated[int, _path("uncemented contacts on it")]
+    path_bonded_contacts: Annotated[int, _path("cemented contacts on it")]
+    """N, N_h and N_LPB of the paper, from which come LP = N_LPB / N and PLLC = QLLC / N."""
+    path_bonded_fraction: Annotated[float, _path("share of cemented contacts on it (LP)")]
     path_longest_bonded_run_fraction: Annotated[
-        float, Quantity("1", "longest run of cemented contacts over all contacts on it (PLLC)", "path")
+        float, _path("longest run of cemented contacts over all contacts on it (PLLC)")
     ]
     path_longest_bonded_run: Annotated[
-        float, Quantity("1", "longest run of cemented contacts, mean over all shortest paths (QLLC)", "path")
+        float, _path("longest run of cemented contacts, mean over all shortest paths (QLLC)")
     ]
-    path_connectivity: Annotated[float, Quantity("1", "weighted shortest distance (C_d)", "path")]
-    path_normalized_connectivity: Annotated[
-        float | None, Quantity("1", "normalized connectivity per unit distance (C_d,n)", "path")
-    ]
+    path_connectivity: Annotated[float, _path("weighted shortest distance (C_d)")]
+    path_normalized_connectivity: Annotated[float | None, _path("normalized connectivity per unit distance (C_d,n)")]
+    """C_d,n (Eq. 9); None where it is singular (equal weights)."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the fields."""
         normalize_numbers(self)
         if self.path_hertz_contacts + self.path_bonded_contacts != self.path_contacts:
             raise ValueError(
@@ -156,37 +129,25 @@ class PathFeatures:
 class GraphSummary:
     """What the contact graph of a cell is like as a whole.
 
-    Attributes
-    ----------
-    graph_coordination_number
-        2 contacts / grains, grains without contact included.
-    graph_components, graph_largest_component
-        A group has two or more grains; 0 where there is no cement.
-    graph_gap_contacts
-        0 where cement alone joins transmitter and receiver, None where nothing does.
-
     Raises
     ------
     ValueError
         If a number is negative, or there are more cemented contacts than contacts.
     """
 
-    graph_contacts: Annotated[int, Quantity("1", "contacts between grains", "graph", Bound.NOT_NEGATIVE)]
-    graph_bonded_contacts: Annotated[
-        int, Quantity("1", "cemented contacts between grains", "graph", Bound.NOT_NEGATIVE)
-    ]
-    graph_coordination_number: Annotated[
-        float, Quantity("1", "contacts of a grain, on average", "graph", Bound.NOT_NEGATIVE)
-    ]
-    graph_components: Annotated[int, Quantity("1", "groups of grains joined by cement", "graph", Bound.NOT_NEGATIVE)]
-    graph_largest_component: Annotated[int, Quantity("1", "grains in the largest of them", "graph", Bound.NOT_NEGATIVE)]
+    graph_contacts: Annotated[int, _graph("contacts between grains")]
+    graph_bonded_contacts: Annotated[int, _graph("cemented contacts between grains")]
+    graph_coordination_number: Annotated[float, _graph("contacts of a grain, on average")]
+    """2 contacts / grains, grains without contact included."""
+    graph_components: Annotated[int, _graph("groups of grains joined by cement")]
+    graph_largest_component: Annotated[int, _graph("grains in the largest of them")]
+    """A group has two or more grains; 0 where there is no cement."""
     graph_gap_contacts: Annotated[
-        int | None,
-        Quantity("1", "fewest uncemented contacts on a path from transmitter to receiver", "graph", Bound.NOT_NEGATIVE),
+        int | None, _graph("fewest uncemented contacts on a path from transmitter to receiver")
     ]
+    """0 where cement alone joins transmitter and receiver, None where nothing does."""
 
     def __post_init__(self) -> None:
-        """Check and normalise the fields."""
         normalize_numbers(self)
         check_bounds(self)
         if self.graph_bonded_contacts > self.graph_contacts:

@@ -32,10 +32,10 @@ _WORD = 2**64
 _NOTHING = -(2**63)  # stands for a missing whole number until its word is left out
 
 
-def row_checksums(table: Table, columns: Mapping[str, Sequence[Any] | NDArray[np.float64]]) -> list[int]:
+def row_checksums(table: Table, columns: Mapping[str, Sequence[Any]]) -> list[int]:
     """Return the checksums of some rows from their values by column, and `seed` and `content` of their cells.
 
-    So a row that turns up at another cell is damaged. A column may be the array of `real_array`.
+    So a row that turns up at another cell is damaged.
     """
     length = len(next(iter(columns.values())))
     total = np.zeros(length, dtype=np.uint64)
@@ -44,12 +44,6 @@ def row_checksums(table: Table, columns: Mapping[str, Sequence[Any] | NDArray[np
         total += np.where(is_there, _mix(words + _salt(table.name, name)), np.uint64(0))
     checksums: list[int] = _mix(total).view(np.int64).tolist()
     return checksums
-
-
-def real_array(table: Table, name: str, values: Sequence[Any]) -> NDArray[np.float64] | None:
-    """Return a column of real numbers as an array, NaN where one is missing; None if its values are of other types."""
-    is_real = _is_real(table, name) and set(map(type, values)) <= {float, NoneType}
-    return np.array(values, dtype=np.float64) if is_real else None
 
 
 def seal(
@@ -105,16 +99,12 @@ def _mix(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return words ^ (words >> np.uint64(31))
 
 
-def _column_words(
-    values: Sequence[Any] | NDArray[np.float64], *, is_real: bool
-) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
+def _column_words(values: Sequence[Any], *, is_real: bool) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
     """Words of the values of a column, and where there are any."""
-    types = {float} if isinstance(values, np.ndarray) else set(map(type, values))
+    types = set(map(type, values))
     if is_real and types <= {float, int, NoneType}:
         real = np.array(values, dtype=np.float64) + 0.0  # not every database keeps the sign of a zero
         return real.view(np.uint64), ~np.isnan(real)
-    if not is_real and types <= {int, NoneType} and NoneType not in types:
-        return np.array(values, dtype=np.int64).view(np.uint64), np.ones(len(values), dtype=np.bool_)
     if not is_real and types <= {int, NoneType}:
         whole = np.array([_NOTHING if value is None else value for value in values], dtype=np.int64)
         return whole.view(np.uint64), whole != _NOTHING

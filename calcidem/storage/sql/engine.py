@@ -90,18 +90,12 @@ _CURE_OF_ERROR: dict[type[StoreError], str] = {
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a store is.
-
-    Attributes
-    ----------
-    url : URL
-        SQLAlchemy's form.
-    path : Path or None
-        The file of a SQLite store, None for a server.
-    """
+    """Where a store is."""
 
     url: URL
+    """SQLAlchemy's form."""
     path: Path | None
+    """The file of a SQLite store, None for a server."""
 
     def __str__(self) -> str:
         """Return the path, or the URL without its password."""
@@ -137,9 +131,8 @@ def parse_address(path_or_url: str | os.PathLike[str]) -> Address:
 def make_engine(address: Address, *, read_only: bool) -> Engine:
     """Create an engine whose transactions are real on every backend.
 
-    SQLite is opened with foreign keys on, a waiting time for locks and synchronous=FULL; a writer also chooses the
-    journal: a write-ahead log on a local disk, a rollback journal (DELETE) on a network file system, where the log
-    doesn't work. `StoreUnavailableError` if the driver of the URL's database isn't installed.
+    A writer of SQLite chooses the journal: a write-ahead log on a local disk, a rollback journal (DELETE) on a network
+    file system, where the log doesn't work. `StoreUnavailableError` if the database's driver isn't installed.
     """
     if address.path is not None:
         return _sqlite_engine(address.path, read_only=read_only)
@@ -155,8 +148,8 @@ def make_engine(address: Address, *, read_only: bool) -> Engine:
 
 
 def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
-    # A reader may not create a file either. It opens one as a writer would, so that, if it is the last one to close it,
-    # SQLite brings what a killed writer has left in its log into the database, and leaves no other file beside it.
+    # A reader creates no file. Otherwise it opens one as a writer would: the last connection that closes brings the log
+    # of a killed writer into the database.
     query: dict[str, str] = {"uri": "true", "mode": "rw" if read_only else "rwc"}
     if read_only and not os.access(path.parent, os.W_OK, effective_ids=True) and not Path(f"{path}-wal").exists():
         # A log needs a writable folder. Without one nobody writes, so the file can be read as it is.
@@ -211,9 +204,9 @@ def execute_on_connect(engine: Engine, statement: str) -> None:
 
 
 def bring_log_into_file(engine: Engine) -> None:
-    """Copy what is in the write-ahead log into the database file, as far as no reader still needs the older pages.
+    """Copy the write-ahead log, if there is one, into the database file, as far as readers allow.
 
-    Without a log nothing happens. An error is none: what the log holds is stored, and the next attempt may succeed.
+    An error is ignored: what the log holds is stored, and the next attempt may succeed.
     """
     with suppress(SQLAlchemyError, sqlite3.Error), closing(engine.raw_connection()) as connection:
         connection.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)")
@@ -223,8 +216,7 @@ def bring_log_into_file(engine: Engine) -> None:
 def transaction(engine: Engine, address: Address, *, write: bool) -> Iterator[Connection]:
     """Open a connection with one transaction: committed at the end, rolled back on any error.
 
-    For writing, SQLite waits for the lock at the beginning. `StoreError` is the translation of whatever the database
-    reported; it names the address.
+    A writer waits for SQLite's lock at the beginning. An error of the database becomes a `StoreError` with the address.
     """
     bound = engine.execution_options(**{_WRITES: True}) if write else engine
     try:
@@ -262,9 +254,9 @@ def _kind(original: BaseException | None) -> type[StoreError] | None:
 
 
 def measure_commits(path: Path, count: int) -> tuple[str, float]:
-    """Try a SQLite database as a campaign uses it: write a number of small transactions into a new file.
+    """Journal mode, such as ``"wal"``, and transactions a second of a new SQLite file, in small ones as of a campaign.
 
-    Given are the journal mode, such as ``"wal"``, and transactions a second. `StoreError` if that can't be done there.
+    `StoreError` if that can't be done there.
     """
     address = parse_address(path)
     engine = make_engine(address, read_only=False)

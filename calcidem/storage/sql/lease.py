@@ -1,27 +1,25 @@
 """One master for a campaign: a row in the database, and for a SQLite file an operating-system lock beside it.
 
-The lock decides at once between processes of one machine, even after a kill; the row's heartbeat decides
-between machines, where locks on network file systems can't be relied on. The lock's file also notes the heartbeat that
-the last acknowledged transaction stored: a row that is older, or gone, tells that SQLite dropped the end of a damaged
-write-ahead log, which it does without a word. filelock (4.2) raises where a file system
-has no locks (ENOLCK), or goes over to a file that a kill leaves behind: neither lets the row decide.
+The lock decides between processes of one machine, even after a kill. The row's heartbeat decides between machines,
+where locks on network file systems can't be relied on. The lock's file also notes the heartbeat of the last
+acknowledged transaction: if the row is older, or gone, SQLite has dropped the end of a damaged write-ahead log, which
+it does without a word. filelock (4.2) raises where a file system has no locks (ENOLCK), or falls back to a file that a
+kill leaves behind: neither lets the row decide.
 """
 
 import errno
 import os
 import socket
-import uuid
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Self
 
 from sqlalchemy import Connection, delete, insert, select, update
 
 from calcidem.storage.errors import LeaseHeldError, LeaseLostError
 from calcidem.storage.sql.tables import LEASE
-from calcidem.storage.store import STALE_AFTER, LeaseGrant, LeaseHolder
+from calcidem.storage.store import STALE_AFTER, LeaseHolder
 
 try:
     import fcntl
@@ -95,61 +93,48 @@ class FileLock:
             self._descriptor = None
 
 
-@dataclass(frozen=True, slots=True)
-class Acknowledged:
-    """The last transaction that was acknowledged to a master that did not end in order.
+def acknowledged_beside(database: Path | None) -> tuple[str, datetime] | None:
+    """Token and heartbeat of the last transaction that was acknowledged to a master that did not end in order.
 
-    Attributes
-    ----------
-    token : str
-        Of its lease.
-    heartbeat : datetime
-        That the transaction stored in the lease's row (UTC).
+    The lock file has them; None if there is none, or nothing is noted in it. Read it before the database.
     """
-
-    token: str
-    heartbeat: datetime
-
-    @classmethod
-    def noted_beside(cls, database: Path) -> Self | None:
-        """Read it from the lock file; None if there is none, or nothing is noted. To be read before the database is."""
-        try:
-            token, heartbeat = Path(f"{database}.lock").read_text(encoding="ascii").split()
-            return cls(token, datetime.fromisoformat(heartbeat))
-        except (OSError, ValueError):
-            return None
-
-    def describe_loss(self, connection: Connection) -> str | None:
-        """Return a sentence on what a database lacks of what was acknowledged; None if it has everything."""
-        row = connection.execute(select(LEASE).where(LEASE.c.token == self.token)).first()
-        if row is not None and row.heartbeat >= self.heartbeat:
-            return None
-        since = "" if row is None else f"after {row.heartbeat:%Y-%m-%d %H:%M:%S.%f} and "
-        return (
-            f"What was stored {since}until {self.heartbeat:%Y-%m-%d %H:%M:%S.%f} UTC is no longer in the database: its "
-            "write-ahead log was damaged, or the file is another. The cells concerned are pending."
-        )
+    try:
+        token, heartbeat = Path(f"{database}.lock").read_text(encoding="ascii").split()
+        return token, datetime.fromisoformat(heartbeat)
+    except (OSError, ValueError):
+        return None
 
 
-def claim_lease(connection: Connection, campaign_id: int, *, former_is_dead: bool) -> tuple[LeaseGrant, datetime]:
-    """Write the lease's row for this process in a writing transaction; give the grant and its first heartbeat.
+def describe_loss(connection: Connection, token: str, heartbeat: datetime) -> str | None:
+    """Return a sentence on what a database lacks of what was acknowledged; None if it has everything."""
+    row = connection.execute(select(LEASE).where(LEASE.c.token == token)).first()
+    if row is not None and row.heartbeat >= heartbeat:
+        return None
+    since = "" if row is None else f"after {row.heartbeat:%Y-%m-%d %H:%M:%S.%f} and "
+    return (
+        f"What was stored {since}until {heartbeat:%Y-%m-%d %H:%M:%S.%f} UTC is no longer in the database: its "
+        "write-ahead log was damaged, or the file is another. The cells concerned are pending and will be computed "
+        "again."
+    )
+
+
+def claim_lease(
+    connection: Connection, campaign_id: int, token: str, *, former_is_dead: bool
+) -> tuple[datetime, LeaseHolder | None]:
+    """Write the lease's row for this process in a writing transaction; give its first heartbeat and a dead holder.
 
     ``former_is_dead`` says that a former holder on this machine is gone, because this process has its file lock.
     `LeaseHeldError` if the holder may be alive.
     """
-    now = datetime.now(UTC)
-    host, taken_over_from = socket.gethostname(), None
+    now, host = datetime.now(UTC), socket.gethostname()
     former = lease_holder(connection, campaign_id, for_update=True)
     if former is not None:
         if former.may_live() and not (former.host == host and former_is_dead):
             raise lease_held_error(former)
-        taken_over_from = (
-            f"{former.host}, process {former.pid}, last heartbeat at {former.heartbeat:%Y-%m-%d %H:%M:%S} UTC"
-        )
         connection.execute(delete(LEASE).where(LEASE.c.campaign_id == campaign_id))
-    token, holder = uuid.uuid4().hex, LeaseHolder(host, os.getpid(), now, now)
+    holder = LeaseHolder(host, os.getpid(), now, now)
     connection.execute(insert(LEASE).values(campaign_id=campaign_id, token=token, **asdict(holder)))
-    return LeaseGrant(token, taken_over_from), now
+    return now, former
 
 
 def refuse_other_masters(connection: Connection, token: str | None) -> None:

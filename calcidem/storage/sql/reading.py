@@ -41,10 +41,10 @@ from calcidem.storage.records import (
     checked_seed,
 )
 from calcidem.storage.records.arrays import unpack_arrays
-from calcidem.storage.sql.checksums import arrays_text, covered_columns, is_intact, real_array, row_checksums
+from calcidem.storage.sql.checksums import arrays_text, covered_columns, is_intact, row_checksums
 from calcidem.storage.sql.database import OpenDatabase, is_possible
 from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
-from calcidem.storage.sql.lease import Acknowledged, lease_holder
+from calcidem.storage.sql.lease import acknowledged_beside, describe_loss, lease_holder
 from calcidem.storage.sql.tables import (
     ARRAYS,
     ATTEMPT,
@@ -58,7 +58,7 @@ from calcidem.storage.sql.tables import (
     join_results,
 )
 from calcidem.storage.sql.where import parse_where
-from calcidem.storage.store import ALL_CELLS, Integrity, LeaseHolder, Selection, StoreMark
+from calcidem.storage.store import ALL_CELLS, LeaseHolder, Selection, StoreMark
 
 T = TypeVar("T")
 
@@ -217,25 +217,23 @@ class StoreReader(OpenDatabase):
         return fetch()
 
     def arrays(self, selection: Selection = ALL_CELLS) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
-        """Arrays beside the outcomes of the selected cells, of those that have some, by seed, then content.
+        """Array records (`ARRAY_RECORDS`) by name of the selected cells that have some, by seed, then content.
 
-        The numbers of the cells are neither read nor compared with their checksums, unlike by `results`. Of each cell
-        there are records by name (`ARRAY_RECORDS`), or what of them is no longer what was stored, as a clause.
+        Unlike in `results`, the cells' numbers are neither read nor checked. Of damaged arrays there is a clause on the
+        damage.
         """
-        for chunk in self._chunks(selection, RESULT.c.arrays != ""):
-            statement = join_results(select(CELL.c.id, *_BY_KEY, RESULT.c.arrays)).where(RESULT.c.cell_id.is_not(None))
+        statement = join_results(select(CELL.c.id, *_BY_KEY, RESULT.c.arrays)).where(RESULT.c.arrays != "")
+        for chunk in self._chunks(selection):
             with self._reading() as connection:
                 arrays = _arrays_of(connection, chunk, ARRAY_RECORDS)
                 rows = [row for _, row in _readable_rows(connection, statement.order_by(*_BY_KEY), CELL.c.id, chunk)]
-            for row in filter(None, rows):
-                if not (is_possible(checked_seed, row[1]) and is_possible(canonical_content, row[2])):
-                    continue  # its numbers may be those of another cell
+            for row in _with_possible_keys(filter(None, rows)):
                 try:
                     yield CellKey(row[1], row[2]), _array_records(row[3], arrays.get(row[0], {}), ARRAY_RECORDS)
                 except UNREADABLE as error:
                     yield CellKey(row[1], row[2]), _problem_of(error)
 
-    def _chunks(self, selection: Selection, condition: ColumnElement[bool] | None = None) -> Iterator[Sequence[int]]:
+    def _chunks(self, selection: Selection) -> Iterator[Sequence[int]]:
         """Choose the cells at once, by seed, then content; the caller fetches them piece by piece.
 
         No transaction stays open between the pieces: an open one would keep a writer from emptying its log.
@@ -243,12 +241,6 @@ class StoreReader(OpenDatabase):
         statement = join_results(select(CELL.c.id)).where(*_conditions(self._campaign, selection)).order_by(*_BY_KEY)
         with self._reading() as connection:
             _refuse_unknown_contents(connection, self.record.name, self._campaign, selection)
-            try:
-                chosen = statement if condition is None else statement.where(condition)
-                return chunks(connection.scalars(chosen).all())
-            except UNREADABLE as error:
-                if condition is None or not may_be_damage(error):
-                    raise
             return chunks(connection.scalars(statement).all())
 
     def table(
@@ -261,12 +253,10 @@ class StoreReader(OpenDatabase):
     ) -> dict[str, NDArray[Any]]:
         """Return columns (`QUANTITY_BY_NAME`) of the selected planned cells in one query.
 
-        Rows are compared with the checksum of their brief quantities if neither others nor damaged cells are asked for.
-        They are sorted by these quantities, ``-`` before a name for descending, missing values last; what is equal is
-        in the order of seed, then content. A limit gives the first so many cells only. Each column is (cells,): objects
-        for texts (None where missing), int64 for seeds, and float64 for all other numbers (NaN where missing), in the
-        units of the quantities. `QueryError` for an unknown quantity, a filter that can't be understood, or a negative
-        limit.
+        ``sort`` names quantities, descending with ``-`` before the name; missing values are last, equal ones in the
+        order of seed, then content. Each column is (cells,): objects for texts (None where missing), int64 for seeds,
+        float64 for other numbers (NaN where missing). Only the brief checksum is compared if all names are brief.
+        `QueryError` for an unknown quantity, a filter that can't be understood, or a negative limit.
         """
         if unknown := [name for name in (*names, *(n.removeprefix("-") for n in sort)) if name not in QUANTITY_BY_NAME]:
             raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
@@ -297,9 +287,13 @@ class StoreReader(OpenDatabase):
             )
             return _with_derived(_listed(chunks(found, _ROWS_READ_AT_ONCE), outcomes, fetched, selection), names)
 
-    def integrity(self) -> Integrity:
-        """Compare everything that is stored of the campaign with its checksums, and let the database check itself."""
-        noted = None if self.address.path is None else Acknowledged.noted_beside(self.address.path)
+    def integrity(self) -> tuple[dict[CellKey, str], list[str]]:
+        """Compare everything that is stored of the campaign with its checksums, and let the database check itself.
+
+        Returned are the damaged cells, each with a clause on its damaged parts, and sentences on all other damage: of
+        packings, runs, attempts, or the file.
+        """
+        noted = acknowledged_beside(self.address.path)
         outcomes = self.results(with_arrays=True)
         damaged = {result.key: result.reason for result in outcomes if result.status is CellStatus.DAMAGED}
         others = [f"Run {number}: {_DAMAGED_RUN}" for number, run in self.runs() if run.exit_state == _DAMAGED_RUN]
@@ -317,9 +311,9 @@ class StoreReader(OpenDatabase):
             if connection.dialect.name == "sqlite":
                 lines = connection.exec_driver_sql("PRAGMA integrity_check(20)").scalars().all()
                 others += [f"The file: {line}." for line in lines if line != "ok"]
-            if noted is not None and (lost := noted.describe_loss(connection)) is not None:
+            if noted is not None and (lost := describe_loss(connection, *noted)) is not None:
                 others.append(lost)
-        return Integrity(damaged, tuple(others))
+        return damaged, others
 
 
 # Conditions
@@ -423,6 +417,15 @@ def _problem_of(error: Exception) -> str:
     return error.problem if isinstance(error, DamagedStoreError) else f"it can't be read ({error})"
 
 
+def _with_possible_keys(rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
+    """Leave out rows whose seed or content no cell can have: they may be those of any cell."""
+    found = list(rows)
+    contents = {content for content in {row[2] for row in found} if is_possible(canonical_content, content)}
+    if {type(row[1]) for row in found} != {int} or not all(row[1] >= 0 and row[2] in contents for row in found):
+        found = [row for row in found if row[2] in contents and is_possible(checked_seed, row[1])]
+    return found
+
+
 class _Outcomes:
     """What a query over outcomes fetches for each cell, and which of its rows are damaged.
 
@@ -457,54 +460,38 @@ class _Outcomes:
             name: places[column] for name, column in EXPRESSIONS.items() if column in places
         }
 
-    def intact(self, rows: Sequence[Sequence[Any]]) -> list[Sequence[Any] | NDArray[np.float64]] | None:
-        """Columns of rows that are all as they were stored, real numbers as arrays; None if there is any doubt.
-
-        That is the usual case, and some ten times as fast as to look at each row (`judge`).
-        """
-        if min(map(len, rows)) < len(self.columns):
-            return None
-        columns: list[Any] = list(zip(*rows, strict=True))
-        _, seeds, contents, outcomes = columns[:4]
-        known = all(is_possible(canonical_content, content) for content in set(contents))
-        if not known or set(map(type, seeds)) != {int} or min(seeds) < 0:
-            return None
+    def _changed(self, columns: Sequence[Sequence[Any]]) -> Iterator[tuple[int, str]]:
+        """Places of rows whose checksums do not fit, each with a clause that says which."""
         for table, first, names in self._parts:
-            for place, name in enumerate(names, first + 1):
-                if (numbers := real_array(table, name, columns[place])) is not None:
-                    columns[place] = numbers
-            covered = dict(zip(names, columns[first + 1 : first + 1 + len(names)], strict=True))
-            now: list[int | None] = [*row_checksums(table, covered | {"seed": seeds, "content": contents})]
-            if None in outcomes:
-                now = [None if outcome is None else own for outcome, own in zip(outcomes, now, strict=True)]
-            if columns[first] != tuple(now):
-                return None
-        return columns
-
-    def judge(self, rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
-        """Leave out rows without a key; a damaged one keeps nothing but that, and has as its reason what is damaged."""
-        found = list(rows)
-        contents = {content for content in {row[2] for row in found} if is_possible(canonical_content, content)}
-        if {type(row[1]) for row in found} != {int} or not all(row[1] >= 0 and row[2] in contents for row in found):
-            found = [row for row in found if row[2] in contents and is_possible(checked_seed, row[1])]
-        unread = [place for place, row in enumerate(found) if len(row) < len(self.columns)]
-        damage = dict.fromkeys(unread, "the database can't read it")
-        places = [place for place, row in enumerate(found) if place not in damage and row[3] is not None]
-        columns = list(zip(*(found if len(places) == len(found) else [found[place] for place in places]), strict=True))
-        for table, first, names in self._parts if places else ():
             covered = dict(zip(names, columns[first + 1 : first + 1 + len(names)], strict=True))
             checksums = row_checksums(table, covered | {"seed": columns[1], "content": columns[2]})
+            if columns[first] == tuple(checksums):
+                continue
             what = "its numbers were changed after they" if table is RESULT else "its attempt was changed after it"
-            for place, stored, now in zip(places, columns[first], checksums, strict=True):
-                if stored != now:
-                    damage.setdefault(place, f"{what} had been stored")
-        for place, clause in damage.items():
-            row = [*found[place][:3], *[None] * (len(self.columns) - 3)]
-            row[self.place["status"]] = CellStatus.DAMAGED.value
-            if "reason" in self.place:
-                row[self.place["reason"]] = clause
-            found[place] = row
-        return found
+            for place, (outcome, stored, now) in enumerate(zip(columns[3], columns[first], checksums, strict=True)):
+                if outcome is not None and stored != now:
+                    yield place, f"{what} had been stored"
+
+    def judge(self, rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
+        """Columns of the rows; of a damaged one nothing is left but its key, and as its reason what is damaged."""
+        found = _with_possible_keys(rows)
+        damage: dict[int, str] = {}
+        for place, row in enumerate(found):
+            if len(row) < len(self.columns):
+                damage[place] = "the database can't read it"
+                found[place] = (*row, *[None] * (len(self.columns) - len(row)))
+        columns: list[Any] = list(zip(*found, strict=True))
+        for place, clause in self._changed(columns) if columns else ():
+            damage.setdefault(place, clause)
+        if damage:
+            columns = [list(column) for column in columns]
+            for place, clause in damage.items():
+                for column in columns[3:]:
+                    column[place] = None
+                columns[self.place["status"]][place] = CellStatus.DAMAGED.value
+                if "reason" in self.place:
+                    columns[self.place["reason"]][place] = clause
+        return columns
 
 
 def _listed(
@@ -512,19 +499,17 @@ def _listed(
 ) -> dict[str, NDArray[Any]]:
     """Columns of the rows that are selected, from parts of all rows."""
     types = [np.int64 if name == "seed" else _KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
-    status = outcomes.place["status"]
     blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
     for block in parts:
-        # Only what is damaged is not what the query has selected.
-        columns = None if CellStatus.DAMAGED in (selection.statuses or ()) else outcomes.intact(block)
-        if columns is None:
-            judged = [
-                row for row in outcomes.judge(block) if _is_selected(row[status] or CellStatus.PENDING, selection)
-            ]
-            columns = list(zip(*judged, strict=True))
-        if columns:
-            listed = [columns[outcomes.place[name]] for name in names]
-            blocks.append([np.array(column, dtype=kind) for column, kind in zip(listed, types, strict=True)])
+        if not (columns := outcomes.judge(block)):
+            continue
+        listed = [columns[outcomes.place[name]] for name in names]
+        arrays: list[NDArray[Any]] = [np.array(column, dtype=kind) for column, kind in zip(listed, types, strict=True)]
+        statuses = columns[outcomes.place["status"]]
+        if CellStatus.DAMAGED in (*statuses, *(selection.statuses or ())):  # else all are what the query has selected
+            chosen = [_is_selected(status or CellStatus.PENDING, selection) for status in statuses]
+            arrays = [array[chosen] for array in arrays]
+        blocks.append(arrays)
     table = {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
     if "status" in table:
         table["status"][table["status"] == None] = CellStatus.PENDING.value  # noqa: E711 - of each element
@@ -549,7 +534,7 @@ def _results_of(connection: Connection, cells: Sequence[int], wanted: Collection
     outcomes = _Outcomes()
     statement = join_results(select(*outcomes.columns)).where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
     arrays = _arrays_of(connection, cells, wanted) if wanted else {}
-    for row in outcomes.judge(_rows_or_keys(connection, statement, cells)):
+    for row in zip(*outcomes.judge(_rows_or_keys(connection, statement, cells)), strict=True):
         key = CellKey(row[1], row[2])
         values = {name: row[place] for name, place in outcomes.place.items()}
         try:

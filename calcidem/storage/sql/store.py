@@ -2,9 +2,10 @@
 
 import os
 import time
+import uuid
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict
 from datetime import UTC, datetime
 from itertools import product, starmap
 from typing import Any, NamedTuple
@@ -39,7 +40,7 @@ from calcidem.storage.sql.database import campaign_record
 from calcidem.storage.sql.engine import Address, bring_log_into_file, parse_address, transaction
 from calcidem.storage.sql.reading import StoreReader, attempts_or_damage, cell_in, chunks, packing_of
 from calcidem.storage.sql.tables import ARRAYS, ATTEMPT, CAMPAIGN, CELL, PACKING, RESULT, RUN
-from calcidem.storage.store import RETRIED_BY_DEFAULT, LeaseGrant
+from calcidem.storage.store import RETRIED_BY_DEFAULT
 
 _CHECKPOINT_INTERVAL = 10.0
 """Seconds after which a writer's next transaction brings the write-ahead log into the file, for whoever copies that."""
@@ -220,13 +221,10 @@ class Store(StoreReader):
 
         Attempts recorded from here on belong to it.
         """
-        row = {field.name: getattr(run, field.name) for field in fields(RunRecord)}
-        row |= {"versions": dict(run.versions), "workers": [asdict(worker) for worker in run.workers]}
-        seal(RUN, [row])
+        (row,) = seal(RUN, [asdict(run)])
         with self._writing() as connection:
-            key: Any = connection.execute(
-                insert(RUN).values(row | {"campaign_id": self._campaign})
-            ).inserted_primary_key
+            stored = connection.execute(insert(RUN).values(row | {"campaign_id": self._campaign}))
+        key: Any = stored.inserted_primary_key
         self._run_id = int(key[0])
         return self._run_id
 
@@ -249,28 +247,37 @@ class Store(StoreReader):
 
     # Lease
 
-    def acquire_lease(self) -> LeaseGrant:
+    def acquire_lease(self) -> tuple[str, ...]:
         """Become the campaign's only master; a repeated call refreshes the lease.
 
-        `LeaseHeldError` if another living process is it; the message says which, and when it would count as dead.
+        Returned are sentences for the user about a dead master: that its lease was taken over, and what of its work is
+        lost. `LeaseHeldError` if another living process is the master; the message says which, and when it would count
+        as dead.
         """
         if self._token is not None:
             self.renew_lease()
-            return LeaseGrant(self._token, None)
+            return ()
         if not self._lock.acquire():
             raise lease.lease_held_error(self.lease_holder())
-        noted = lease.Acknowledged.noted_beside(self.address.path) if self._lock.held and self.address.path else None
+        noted = lease.acknowledged_beside(self.address.path) if self._lock.held else None
+        token = uuid.uuid4().hex
         try:
             with self._writing() as connection:
-                lost = None if noted is None else noted.describe_loss(connection)
-                grant, heartbeat = lease.claim_lease(connection, self._campaign, former_is_dead=self._lock.held)
+                lost = None if noted is None else lease.describe_loss(connection, *noted)
+                heartbeat, former = lease.claim_lease(connection, self._campaign, token, former_is_dead=self._lock.held)
                 self._lock.forget()
         except BaseException:
             self._lock.release()
             raise
-        self._token = grant.token
-        self._lock.note(grant.token, heartbeat)
-        return replace(grant, lost=lost)
+        self._token = token
+        self._lock.note(token, heartbeat)
+        sentences = []
+        if former is not None:
+            sentences.append(
+                f"Taken over from {former.host}, process {former.pid}, last heartbeat at "
+                f"{former.heartbeat:%Y-%m-%d %H:%M:%S} UTC, which ended without releasing the campaign."
+            )
+        return (*sentences, *([] if lost is None else [lost]))
 
     def renew_lease(self) -> None:
         """Report that this master is alive; recording does so, too. Call it at least every minute.
@@ -349,23 +356,19 @@ class Store(StoreReader):
         listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
         statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number, ATTEMPT.c.outcome).where(listed)
         existing = {(row.cell_id, row.number): row.outcome for row in connection.execute(statement)}
-        new = [(i, result) for i, result in accepted if existing.get((i, result.attempt)) != result.status]
+        new = [(i, result) for i, result in accepted if existing.get((i, result.attempt)) != result.columns["status"]]
         outdated = [(i, result.attempt) for i, result in new if (i, result.attempt) in existing]
         if outdated:
             connection.execute(delete(ATTEMPT).where(_attempt_in(outdated)))
-        attempts = []
-        for cell_id, result in new:
-            row: dict[str, Any] = {
-                "cell_id": cell_id,
-                "number": result.attempt,
-                "run_id": self._run_id,
-                "outcome": result.status.value,
-            }
-            row |= {"reason": result.columns["reason"], "seconds": result.columns["seconds"], "rank": result.rank}
-            attempts.append(row | {"host": result.host, "recorded": recorded, "forgiven": False})
+        attempts = [
+            {name: result.columns[name] for name in ("reason", "seconds", "rank", "host")}
+            | {"cell_id": cell_id, "number": result.attempt, "outcome": str(result.columns["status"])}
+            | {"run_id": self._run_id, "recorded": recorded, "forgiven": False}
+            for cell_id, result in new
+        ]
         outcomes = [
             {name: result.columns.get(name) for name in covered_columns(RESULT)}
-            | {"cell_id": cell_id, "attempt": result.attempt, "arrays": arrays_text(result.arrays)}
+            | {"cell_id": cell_id, "arrays": arrays_text(result.arrays)}
             for cell_id, result in accepted
         ]
         _insert(connection, ATTEMPT, seal(ATTEMPT, attempts, [result.key for _, result in new]))
@@ -494,7 +497,7 @@ def _gives_way(known: _Known, result: PackedResult, *, replace_done: bool) -> bo
         return True
     if known.status == CellStatus.DONE:
         return replace_done
-    return result.status is CellStatus.DONE or result.attempt >= known.attempt
+    return result.columns["status"] == CellStatus.DONE or result.attempt >= known.attempt
 
 
 def _insert(connection: Connection, table: Table, rows: Sequence[dict[str, Any]]) -> None:

@@ -20,8 +20,7 @@ def main(database: str, seeds: int) -> None:
     campaign = CampaignRecord(canonical_hash({}), "endurance", "{}", (0.0, 5.0), tuple(range(seeds)), datetime.now(UTC))
     with open_store(database) as store:
         store.begin_campaign(campaign)
-        grant = store.acquire_lease()
-        sys.stdout.write(f"lease {grant.taken_over_from or 'free'}\n")
+        sys.stdout.write(f"lease {' '.join(store.acquire_lease()) or 'free'}\n")
         sys.stdout.flush()
         for key in store.pending():
             noise = np.random.default_rng((key.seed, int(key.content))).integers(-(2**30), 2**30, size=(2, SAMPLES, 3))
