@@ -43,52 +43,33 @@ class UnavailableError(Exception):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredSample:
-    """A computed cell with its cement and its path.
-
-    Attributes
-    ----------
-    seed, content
-        Identity; content in percent.
-    vs
-        Shear-wave velocity in m/s; NaN if missing.
-    packing_index
-        Index of its packing.
-    kinds
-        0 (sand), 1 (P) or 2 (C) for each contact of that packing's graph, shape (m,).
-    path, features
-        Its preferential path, and the features of this path.
-    """
+    """A computed cell with its cement and its path."""
 
     seed: int
     content: float
+    """Identity; content in percent."""
     vs: float
+    """Shear-wave velocity in m/s; NaN if missing."""
     packing_index: int
     kinds: NDArray[np.uint8]
+    """0 (sand), 1 (P) or 2 (C) for each contact of that packing's graph, shape (m,)."""
     path: PreferentialPath
     features: PathFeatures
+    """Its preferential path, and the features of this path."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawFit:
-    """The law Vs = a C_d,n^b + c for one choice of weights.
-
-    Attributes
-    ----------
-    name
-        Choice of the weights, named as in the published tables.
-    weights
-        The weights.
-    connectivity
-        C_d,n of each sample of `CampaignAnalysis.samples`, shape (n,).
-    fit, check
-        The fit, and its errors for seeds left out.
-    """
+    """The law Vs = a C_d,n^b + c for one choice of weights."""
 
     name: str
+    """Choice of the weights, named as in the published tables."""
     weights: ContactWeights
     connectivity: NDArray[np.float64]
+    """C_d,n of each sample of `CampaignAnalysis.samples`, shape (n,)."""
     fit: PowerLawFit
     check: LeaveOneSeedOut
+    """The fit, and its errors for seeds left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,23 +78,16 @@ class CampaignAnalysis:
 
     Attributes raise `UnavailableError` if the campaign lacks their data. Cells are read when an
     attribute is first used, so the analysis of a running campaign is a snapshot.
-
-    Attributes
-    ----------
-    store
-        Store with a selected campaign.
-    most_samples
-        Above this number of cells, paths are analysed only for the samples of the first seeds.
-    with_cement
-        Adds cement that is not stored to outcomes of the store, if possible.
-    measured
-        Laboratory velocities for comparison.
     """
 
     store: Store
+    """Store with a selected campaign."""
     most_samples: int | None = None
+    """Above this number of cells, paths are analysed only for the samples of the first seeds."""
     with_cement: Callable[[Store, Iterable[CellResult]], Iterator[CellResult]] = lambda _, outcomes: iter(outcomes)
+    """Adds cement that is not stored to outcomes of the store, if possible."""
     measured: tuple[Target, ...] = ()
+    """Laboratory velocities for comparison."""
 
     @cached_property
     def config(self) -> dict[str, Any]:

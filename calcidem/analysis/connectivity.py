@@ -8,13 +8,6 @@ from typing import Self
 class ContactWeights:
     """Dimensionless length that a contact of each kind adds to a path.
 
-    Attributes
-    ----------
-    hertz
-        Weight of a sand contact, omega_h.
-    bond
-        Weight of a cemented contact, omega_LPB; at most that of a sand contact, because cement shortens the path.
-
     Raises
     ------
     ValueError
@@ -22,7 +15,9 @@ class ContactWeights:
     """
 
     hertz: float
+    """Weight of a sand contact, omega_h."""
     bond: float
+    """Weight of a cemented contact, omega_LPB; at most that of a sand contact, because cement shortens the path."""
 
     def __post_init__(self) -> None:
         """Check the order of the weights."""
@@ -49,13 +44,6 @@ class ContactWeights:
 class PathScale:
     """Scale that makes path lengths of different samples comparable.
 
-    Attributes
-    ----------
-    distance
-        Distance L between transmitter and receiver in m.
-    median_diameter
-        Median grain diameter d50 by count in m, smaller than the distance.
-
     Raises
     ------
     ValueError
@@ -63,7 +51,9 @@ class PathScale:
     """
 
     distance: float
+    """Distance L between transmitter and receiver in m."""
     median_diameter: float
+    """Median grain diameter d50 by count in m, smaller than the distance."""
 
     def __post_init__(self) -> None:
         """Check that the grain is smaller than the distance."""

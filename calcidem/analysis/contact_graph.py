@@ -27,18 +27,6 @@ _RELATIVE_TIE = 1e-9
 class ContactGraph:
     """The contacts of one packing.
 
-    Attributes
-    ----------
-    grain_count
-        Number of grains N; grains are numbered from 0.
-    pairs
-        The two grains of each contact, integers, shape (m, 2); no contact appears twice.
-    transmitter, receiver
-        Grains touched by the transmitter and by the receiver, integers, shapes (a,) and (b,), without common
-        grain.
-    entry_contacts
-        Contact of each entry of the sparse matrix, integers, shape (2 m,).
-
     Raises
     ------
     ValueError
@@ -47,12 +35,16 @@ class ContactGraph:
     """
 
     grain_count: int
+    """Number of grains N; grains are numbered from 0."""
     pairs: NDArray[np.int64]
+    """The two grains of each contact, integers, shape (m, 2); no contact appears twice."""
     transmitter: NDArray[np.int64]
     receiver: NDArray[np.int64]
+    """Grains touched by the transmitter and by the receiver, integers, shapes (a,) and (b,), without common grain."""
     _row_starts: NDArray[np.int32] = field(init=False, repr=False)
     _neighbours: NDArray[np.int32] = field(init=False, repr=False)
     entry_contacts: NDArray[np.int64] = field(init=False, repr=False)
+    """Contact of each entry of the sparse matrix, integers, shape (2 m,)."""
 
     def __post_init__(self) -> None:
         """Check the contacts and arrange them for searches."""
@@ -122,18 +114,12 @@ class ContactGraph:
 
 @dataclass(frozen=True, slots=True)
 class PreferentialPath:
-    """A shortest path from the transmitter to the receiver.
-
-    Attributes
-    ----------
-    grains
-        Grains on the path, from a transmitter grain to a receiver grain.
-    bonded
-        True for cemented contacts on the path; one entry fewer than grains.
-    """
+    """A shortest path from the transmitter to the receiver."""
 
     grains: tuple[int, ...]
+    """Grains on the path, from a transmitter grain to a receiver grain."""
     bonded: tuple[bool, ...]
+    """True for cemented contacts on the path; one entry fewer than grains."""
 
     @property
     def bonded_contacts(self) -> int:
@@ -180,21 +166,14 @@ def _refuse_apart(shortest: float) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShortestPaths:
-    """All shortest paths from the transmitter to the receiver, as distances that determine the next grains.
-
-    Attributes
-    ----------
-    distance
-        Weighted distance of each grain from the nearest receiver grain, shape (N,).
-    starts
-        Transmitter grains at which a shortest path starts, ascending.
-    weights
-        Weight of each kind of contact.
-    """
+    """All shortest paths from the transmitter to the receiver, as distances that determine the next grains."""
 
     distance: NDArray[np.float64]
+    """Weighted distance of each grain from the nearest receiver grain, shape (N,)."""
     starts: tuple[int, ...]
+    """Transmitter grains at which a shortest path starts, ascending."""
     weights: ContactWeights
+    """Weight of each kind of contact."""
     _lengths: csr_array
     _bonded: NDArray[np.bool_]
     _slack: float

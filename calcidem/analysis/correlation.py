@@ -28,18 +28,14 @@ class Correlations:
 
     Each is a Dataset along (variable, other) with `pearson`, its interval `pearson_low` and `pearson_high`,
     `spearman`, and the number of samples `n`. Constant variables have NaN.
-
-    Attributes
-    ----------
-    overall
-        Over all samples of all contents. A common trend with content inflates it.
-    within
-        Over deviations from the trend: each variable minus its mean at the content, divided by its standard deviation
-        there. Spearman's coefficient takes ranks within the content.
     """
 
     overall: xr.Dataset
+    """Over all samples of all contents. A common trend with content inflates it."""
     within: xr.Dataset
+    """Over deviations from the trend: each variable minus its mean at the content, divided by its standard deviation
+    there. Spearman's coefficient takes ranks within the content.
+    """
 
 
 def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:

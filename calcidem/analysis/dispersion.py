@@ -19,71 +19,45 @@ _RESOLVED = 1e-3  # relative resolution of a velocity by a parabola over that gr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SectionMotion:
-    """Motion across the path of one sample.
-
-    Attributes
-    ----------
-    times
-        (T,) s, evenly spaced.
-    places
-        (X,) m along the path.
-    across
-        (T, X) velocity, any unit.
-    """
+    """Motion across the path of one sample."""
 
     times: NDArray[np.float64]
+    """(T,) s, evenly spaced."""
     places: NDArray[np.float64]
+    """(X,) m along the path."""
     across: NDArray[np.float64]
+    """(T, X) velocity, any unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dispersion:
-    """Dispersion of the shear waves of one content.
-
-    Attributes
-    ----------
-    frequency
-        (F,) Hz.
-    velocity
-        (V,) m/s.
-    power
-        (F, V) mean stacked power of the samples, from 0 to 1: 1 if all places move in phase.
-    phase_velocity, standard_error
-        (F,) velocity of the largest power and its jackknife standard error over samples, m/s.
-    long_wave, long_wave_error
-        Limit at frequency zero and its standard error, m/s.
-    samples
-        Number of samples.
-    """
+    """Dispersion of the shear waves of one content."""
 
     frequency: NDArray[np.float64]
+    """(F,) Hz."""
     velocity: NDArray[np.float64]
+    """(V,) m/s."""
     power: NDArray[np.float64]
+    """(F, V) mean stacked power of the samples, from 0 to 1: 1 if all places move in phase."""
     phase_velocity: NDArray[np.float64]
     standard_error: NDArray[np.float64]
+    """(F,) velocity of the largest power and its jackknife standard error over samples, m/s."""
     long_wave: float
     long_wave_error: float
+    """Limit at frequency zero and its standard error, m/s."""
     samples: int
 
 
 @dataclass(frozen=True, slots=True)
 class ContentDispersion:
-    """Dispersion at one content.
-
-    Attributes
-    ----------
-    content
-        Percent.
-    found
-        Dispersion.
-    vs, static
-        Medians of Vs and of the static speed of the samples, m/s; NaN if the latter is unknown.
-    """
+    """Dispersion at one content."""
 
     content: float
+    """Percent."""
     found: Dispersion
     vs: float
     static: float
+    """Medians of Vs and of the static speed of the samples, m/s; NaN if the latter is unknown."""
 
 
 def dispersion(

@@ -24,20 +24,15 @@ from calcidem.analysis.outcomes import arrange_matrix, count_outcomes
 
 @dataclass(frozen=True, slots=True)
 class NormalFit:
-    """The normal distribution with the mean and standard deviation of a sample.
-
-    Attributes
-    ----------
-    mean, standard_deviation
-        In the unit of the sample; the deviation has the denominator n - 1.
-    largest_distance
-        Largest distance between the sample's cumulative distribution and the fitted one (Kolmogorov's
-        statistic, between 0 and 1); NaN if the deviation is zero or undefined.
-    """
+    """The normal distribution with the mean and standard deviation of a sample."""
 
     mean: float
     standard_deviation: float
+    """In the unit of the sample; the deviation has the denominator n - 1."""
     largest_distance: float
+    """Largest distance between the sample's cumulative distribution and the fitted one (Kolmogorov's statistic, between
+    0 and 1); NaN if the deviation is zero or undefined.
+    """
 
     def density(self, values: ArrayLike) -> NDArray[np.float64]:
         """Return the fitted probability density at `values`, in the inverse unit of the sample."""
@@ -46,61 +41,41 @@ class NormalFit:
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """Estimates of a distribution from a sample of its values.
-
-    Attributes
-    ----------
-    n
-        Number of values.
-    mean, standard_deviation
-        The deviation has the denominator n - 1.
-    skewness, kurtosis
-        Population moments, Eqs. 6 and 7 (0 and 3 for a normal distribution).
-    normality
-        Jarque-Bera test, Eq. 5.
-    mean_interval
-        Confidence interval of the mean by Student's t.
-    standard_deviation_interval
-        Confidence interval of the standard deviation, see `intervals.standard_deviation_interval`.
-    prediction_interval, prediction_interval_ordered
-        Interval for one new sample, for normal values and without this assumption from the ordered values.
-    normal_fit
-        The fitted normal distribution.
-    """
+    """Estimates of a distribution from a sample of its values."""
 
     n: int
+    """Number of values."""
     mean: float
     standard_deviation: float
+    """The deviation has the denominator n - 1."""
     skewness: float
     kurtosis: float
+    """Population moments, Eqs. 6 and 7 (0 and 3 for a normal distribution)."""
     normality: NormalityTest
+    """Jarque-Bera test, Eq. 5."""
     mean_interval: Interval
+    """Confidence interval of the mean by Student's t."""
     standard_deviation_interval: Interval
+    """Confidence interval of the standard deviation, see `intervals.standard_deviation_interval`."""
     prediction_interval: Interval
     prediction_interval_ordered: Interval
+    """Interval for one new sample, for normal values and without this assumption from the ordered values."""
     normal_fit: NormalFit
+    """The fitted normal distribution."""
 
 
 @dataclass(frozen=True, slots=True)
 class ContentDistribution:
-    """Distribution at one calcite content, and numbers of cells without a velocity.
-
-    Attributes
-    ----------
-    content
-        Calcite content in percent of sand mass.
-    missing
-        Number of cells not computed.
-    failed
-        Number of cells computed without a usable velocity.
-    vs
-        Distribution of the measured velocities, in m/s.
-    """
+    """Distribution at one calcite content, and numbers of cells without a velocity."""
 
     content: float
+    """Calcite content in percent of sand mass."""
     missing: int
+    """Number of cells not computed."""
     failed: int
+    """Number of cells computed without a usable velocity."""
     vs: Distribution
+    """Distribution of the measured velocities, in m/s."""
 
 
 def describe(values: ArrayLike, level: float = 0.95) -> Distribution:

@@ -15,25 +15,19 @@ BUDGET_QUANTITIES = ("vs", "reading_error", "numerical_error", "vs_error", "path
 
 @dataclass(frozen=True, slots=True)
 class ErrorBudget:
-    """Errors of the velocities of some cells.
-
-    Attributes
-    ----------
-    total, reading, numerical
-        Medians of the relative standard error of Vs and of its two parts; NaN if unknown.
-    scatter
-        Root mean square of the reading errors, m/s: their part of the standard deviation of Vs. NaN if all velocities
-        are equal: seeds without cement are one sample with one reading error.
-    compared, departing
-        Number of cells with both velocities, and number of those that differ by more than their errors.
-    """
+    """Errors of the velocities of some cells."""
 
     total: float
     reading: float
     numerical: float
+    """Medians of the relative standard error of Vs and of its two parts; NaN if unknown."""
     scatter: float
+    """Root mean square of the reading errors, m/s: their part of the standard deviation of Vs. NaN if all velocities
+    are equal: seeds without cement are one sample with one reading error.
+    """
     compared: int
     departing: int
+    """Number of cells with both velocities, and number of those that differ by more than their errors."""
 
 
 def error_budget(cells: Mapping[Any, ArrayLike]) -> ErrorBudget:

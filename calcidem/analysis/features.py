@@ -13,21 +13,14 @@ from calcidem.storage.records import PathFeatures
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """Definition of one feature; all are dimensionless.
-
-    Attributes
-    ----------
-    name
-        Name of the quantity throughout (`calcidem.storage.records.PathFeatures`).
-    symbol
-        Symbol in the paper.
-    definition
-        Definition in words.
-    """
+    """Definition of one feature; all are dimensionless."""
 
     name: str
+    """Name of the quantity throughout (`calcidem.storage.records.PathFeatures`)."""
     symbol: str
+    """Symbol in the paper."""
     definition: str
+    """Definition in words."""
 
 
 FEATURES = (

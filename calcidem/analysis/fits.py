@@ -17,37 +17,27 @@ _START_EXPONENTS = np.concatenate([np.arange(-4.0, 0.0, 0.25), np.arange(0.25, 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PowerLawFit:
-    """A fitted law Vs = a C^b + c; C is dimensionless, Vs, a and c are in m/s.
-
-    Attributes
-    ----------
-    a, b, c
-        The parameters.
-    a_interval, b_interval, c_interval
-        Their confidence intervals.
-    covariance
-        Covariance of (a, b, c), shape (3, 3). The three are strongly correlated, so the intervals alone do not suffice.
-    residuals
-        Measured minus fitted velocity of each used sample, in m/s, shape (n,).
-    residual_standard_deviation
-        Standard deviation of the residuals with n - 3 degrees of freedom, in m/s.
-    n
-        Number of samples used.
-    left_out
-        Number of samples without velocity or connectivity.
-    """
+    """A fitted law Vs = a C^b + c; C is dimensionless, Vs, a and c are in m/s."""
 
     a: float
     b: float
     c: float
+    """The parameters."""
     a_interval: Interval
     b_interval: Interval
     c_interval: Interval
+    """Their confidence intervals."""
     covariance: NDArray[np.float64]
+    """Covariance of (a, b, c), shape (3, 3). The three are strongly correlated, so the intervals alone do not suffice.
+    """
     residuals: NDArray[np.float64]
+    """Measured minus fitted velocity of each used sample, in m/s, shape (n,)."""
     residual_standard_deviation: float
+    """Standard deviation of the residuals with n - 3 degrees of freedom, in m/s."""
     n: int
+    """Number of samples used."""
     left_out: int
+    """Number of samples without velocity or connectivity."""
 
     def predict(self, connectivity: ArrayLike) -> NDArray[np.float64]:
         """Return the velocity in m/s for positive values of C_d,n, any shape."""
@@ -75,21 +65,14 @@ class PowerLawFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LeaveOneSeedOut:
-    """Prediction errors of the law for seeds left out of the fit.
-
-    Attributes
-    ----------
-    errors
-        Measured minus predicted velocity in m/s of every used sample, shape (n,).
-    root_mean_square_error
-        Root mean square of these errors, in m/s.
-    coverage
-        Share of samples inside their prediction interval, for comparison with its level.
-    """
+    """Prediction errors of the law for seeds left out of the fit."""
 
     errors: NDArray[np.float64]
+    """Measured minus predicted velocity in m/s of every used sample, shape (n,)."""
     root_mean_square_error: float
+    """Root mean square of these errors, in m/s."""
     coverage: float
+    """Share of samples inside their prediction interval, for comparison with its level."""
 
 
 def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -> PowerLawFit:

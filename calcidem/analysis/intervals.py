@@ -20,16 +20,11 @@ BOOTSTRAP_SEED = 20_240_501
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A closed interval.
-
-    Attributes
-    ----------
-    low, high
-        Ends, in the unit of the quantity; NaN if the interval is undefined.
-    """
+    """A closed interval."""
 
     low: float
     high: float
+    """Ends, in the unit of the quantity; NaN if the interval is undefined."""
 
     @property
     def half_width(self) -> float:

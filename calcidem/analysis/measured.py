@@ -11,53 +11,35 @@ from calcidem.analysis.distribution import ContentDistribution
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Laboratory measurement at one content.
-
-    Attributes
-    ----------
-    content
-        Percent.
-    vs
-        Mean, m/s.
-    sd
-        Standard deviation between samples, m/s; None if unknown or not to be fitted.
-    samples
-        Number of samples of both; None if they count as exact.
-    """
+    """Laboratory measurement at one content."""
 
     content: float
+    """Percent."""
     vs: float
+    """Mean, m/s."""
     sd: float | None = None
+    """Standard deviation between samples, m/s; None if unknown or not to be fitted."""
     samples: int | None = None
+    """Number of samples of both; None if they count as exact."""
 
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """Comparison of a campaign with a measurement at one content.
-
-    Attributes
-    ----------
-    measured
-        Measurement.
-    mean, standard_deviation
-        Values of the campaign there, m/s, interpolated linearly between its contents.
-    interpolated
-        True if the campaign lacks the content itself.
-    difference
-        Relative difference of the mean from the measured one.
-    standard_errors
-        Difference of both means over its standard error; NaN without scatter.
-    deviation_ratio
-        Standard deviation over the measured one; NaN if the latter is unknown.
-    """
+    """Comparison of a campaign with a measurement at one content."""
 
     measured: Target
+    """Measurement."""
     mean: float
     standard_deviation: float
+    """Values of the campaign there, m/s, interpolated linearly between its contents."""
     interpolated: bool
+    """True if the campaign lacks the content itself."""
     difference: float
+    """Relative difference of the mean from the measured one."""
     standard_errors: float
+    """Difference of both means over its standard error; NaN without scatter."""
     deviation_ratio: float
+    """Standard deviation over the measured one; NaN if the latter is unknown."""
 
 
 def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Target]) -> tuple[Misfit, ...]:

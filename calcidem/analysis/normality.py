@@ -19,23 +19,18 @@ _SIMULATION_SEED = 19_870_555
 
 @dataclass(frozen=True, slots=True)
 class NormalityTest:
-    """Result of a Jarque-Bera test.
-
-    Attributes
-    ----------
-    statistic
-        The Jarque-Bera statistic, Eq. 5.
-    p_asymptotic
-        p-value from the chi-square distribution with 2 degrees of freedom, valid for n towards infinity.
-        The paper calls a sample not normal if this is below 0.05.
-    p_small_sample
-        p-value among simulated normal samples of the same size, valid for every n; from n = 10,000 on the asymptotic
-        value.
-    """
+    """Result of a Jarque-Bera test."""
 
     statistic: float
+    """The Jarque-Bera statistic, Eq. 5."""
     p_asymptotic: float
+    """p-value from the chi-square distribution with 2 degrees of freedom, valid for n towards infinity. The paper calls
+    a sample not normal if this is below 0.05.
+    """
     p_small_sample: float
+    """p-value among simulated normal samples of the same size, valid for every n; from n = 10,000 on the asymptotic
+    value.
+    """
 
 
 def jarque_bera(values: NDArray[np.float64]) -> NormalityTest:

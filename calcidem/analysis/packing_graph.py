@@ -15,27 +15,18 @@ from calcidem.storage.records import CementPattern, PackingRecord, PathFeatures
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackingGraph:
-    """Contacts of a packing, and the data that turn its paths into features.
-
-    Attributes
-    ----------
-    packing
-        The disks.
-    graph
-        Contacts, and grains at transmitter and receiver.
-    weights
-        Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains.
-    scale
-        Distance between transmitter and receiver, and median diameter by count.
-    in_column
-        True for contacts at the height of the receiver, shape (m,).
-    """
+    """Contacts of a packing, and the data that turn its paths into features."""
 
     packing: PackingRecord
+    """The disks."""
     graph: ContactGraph
+    """Contacts, and grains at transmitter and receiver."""
     weights: ContactWeights
+    """Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains."""
     scale: PathScale
+    """Distance between transmitter and receiver, and median diameter by count."""
     in_column: NDArray[np.bool_]
+    """True for contacts at the height of the receiver, shape (m,)."""
     _keys: NDArray[np.int64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -16,33 +16,22 @@ from calcidem.analysis.contact_graph import ContactGraph, contacts_on_path
 
 
 class PathLine(NamedTuple):
-    """Numbers of contacts on a path, which define the line N_h + r N_LPB over the ratio r.
-
-    Attributes
-    ----------
-    hertz_contacts, bonded_contacts
-        Sand contacts N_h and cemented contacts N_LPB.
-    """
+    """Numbers of contacts on a path, which define the line N_h + r N_LPB over the ratio r."""
 
     hertz_contacts: int
     bonded_contacts: int
+    """Sand contacts N_h and cemented contacts N_LPB."""
 
 
 @dataclass(frozen=True, slots=True)
 class PathEnvelope:
-    """Shortest path length of one sample over the weight ratio.
-
-    Attributes
-    ----------
-    lines
-        Paths that are shortest at some ratio, in order of the ratio: N_LPB falls and N_h grows from each to the next.
-    low, high
-        Range of ratios of the envelope.
-    """
+    """Shortest path length of one sample over the weight ratio."""
 
     lines: tuple[PathLine, ...]
+    """Paths that are shortest at some ratio, in order of the ratio: N_LPB falls and N_h grows from each to the next."""
     low: float
     high: float
+    """Range of ratios of the envelope."""
 
     def connectivity(self, ratio: ArrayLike) -> NDArray[np.float64]:
         """Return C_d for omega_h = 1 and these omega_LPB, any shape; `ValueError` outside of `low` and `high`."""

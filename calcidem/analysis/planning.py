@@ -23,29 +23,20 @@ _SMALLEST_COUNT = 3
 
 @dataclass(frozen=True, slots=True)
 class SeedPlan:
-    """Number of seeds for a requested confidence interval of a mean.
-
-    Attributes
-    ----------
-    half_width
-        Requested half-width, in the unit of the values.
-    present, present_half_width
-        Present seeds with a velocity, and their half-width.
-    unreadable
-        Seeds without a readable velocity.
-    needed
-        Total seeds with a velocity needed, for the measured standard deviation.
-    needed_low, needed_high
-        The same at both ends of the confidence interval of the standard deviation.
-    """
+    """Number of seeds for a requested confidence interval of a mean."""
 
     half_width: float
+    """Requested half-width, in the unit of the values."""
     present: int
     present_half_width: float
+    """Present seeds with a velocity, and their half-width."""
     unreadable: int
+    """Seeds without a readable velocity."""
     needed: int
+    """Total seeds with a velocity needed, for the measured standard deviation."""
     needed_low: int
     needed_high: int
+    """The same at both ends of the confidence interval of the standard deviation."""
 
     @property
     def more(self) -> int:

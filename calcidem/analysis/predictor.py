@@ -25,41 +25,27 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Prediction of Vs for a sample that was not simulated.
-
-    Attributes
-    ----------
-    vs
-        Median, m/s.
-    interval
-        Interval with the given probability, m/s.
-    uses_features
-        False if the prediction depends on the content alone.
-    """
+    """Prediction of Vs for a sample that was not simulated."""
 
     vs: float
+    """Median, m/s."""
     interval: Interval
+    """Interval with the given probability, m/s."""
     uses_features: bool
+    """False if the prediction depends on the content alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VelocityPredictor:
-    """Predictor for one content; see `fit_predictor`.
-
-    Attributes
-    ----------
-    centre, slopes
-        Logarithm of Vs (m/s) at zero features, and its slope with each feature, shape (k,).
-    errors
-        Logarithm of Vs of each sample minus its prediction without this sample, shape (n,).
-    level
-        Probability of the intervals.
-    """
+    """Predictor for one content; see `fit_predictor`."""
 
     centre: float
     slopes: Matrix
+    """Logarithm of Vs (m/s) at zero features, and its slope with each feature, shape (k,)."""
     errors: Matrix
+    """Logarithm of Vs of each sample minus its prediction without this sample, shape (n,)."""
     level: float
+    """Probability of the intervals."""
 
     def predict(self, features: ArrayLike = ()) -> Prediction:
         """Predict a sample from its features, shape (k,), in the order of the fit."""
@@ -117,18 +103,12 @@ def interval_score(interval: Interval, value: float, level: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictorCheck:
-    """Performance of the predictor of a content on samples left out of the fit.
-
-    Attributes
-    ----------
-    inside
-        True for samples in their interval, shape (n,).
-    scores
-        Interval score of each sample in m/s, shape (n,).
-    """
+    """Performance of the predictor of a content on samples left out of the fit."""
 
     inside: NDArray[np.bool_]
+    """True for samples in their interval, shape (n,)."""
     scores: Matrix
+    """Interval score of each sample in m/s, shape (n,)."""
 
     @property
     def n(self) -> int:

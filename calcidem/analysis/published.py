@@ -19,67 +19,44 @@ from calcidem.analysis.intervals import Interval
 
 @dataclass(frozen=True, slots=True)
 class PublishedVelocity:
-    """One row of Table 3.
-
-    Attributes
-    ----------
-    stage
-        Roman numeral of its stage.
-    mean, standard_deviation
-        m/s.
-    skewness, kurtosis
-        Moments (0 and 3 for a normal distribution).
-    normal
-        True if marked normal.
-    """
+    """One row of Table 3."""
 
     stage: str
+    """Roman numeral of its stage."""
     mean: float
     standard_deviation: float
+    """m/s."""
     skewness: float
     kurtosis: float
+    """Moments (0 and 3 for a normal distribution)."""
     normal: bool
+    """True if marked normal."""
 
 
 @dataclass(frozen=True, slots=True)
 class PublishedContent:
-    """One calcite content of Tables 2 and 3.
-
-    Attributes
-    ----------
-    content
-        Percent of sand mass.
-    frequency
-        Excitation frequency in Hz.
-    vs
-        Its row of Table 3, if any.
-    """
+    """One calcite content of Tables 2 and 3."""
 
     content: float
+    """Percent of sand mass."""
     frequency: float
+    """Excitation frequency in Hz."""
     vs: PublishedVelocity | None
+    """Its row of Table 3, if any."""
 
 
 @dataclass(frozen=True, slots=True)
 class PublishedStage:
-    """A stage of section 3.2.1.
-
-    Attributes
-    ----------
-    name
-        Roman numeral.
-    text_range
-        Bounds in the text, in percent.
-    rate
-        Growth rate in m/s per percent.
-    variance_range
-        Range of "variance" in the text, m/s.
-    """
+    """A stage of section 3.2.1."""
 
     name: str
+    """Roman numeral."""
     text_range: Interval
+    """Bounds in the text, in percent."""
     rate: float
+    """Growth rate in m/s per percent."""
     variance_range: Interval
+    """Range of "variance" in the text, m/s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,54 +65,40 @@ class PublishedLaw:
 
     Attributes
     ----------
-    name
-        Choice of the weights.
-    weights
-        The contact weights.
-    connectivity_range
-        Range of C_d,n.
     a, c
         Parameters of the law.
-    table_b, conclusions_b
-        Exponent printed in the table, and in the conclusions.
     """
 
     name: str
+    """Choice of the weights."""
     weights: ContactWeights
+    """The contact weights."""
     connectivity_range: Interval
+    """Range of C_d,n."""
     a: float
     table_b: float
     conclusions_b: float
+    """Exponent printed in the table, and in the conclusions."""
     c: float
 
 
 @dataclass(frozen=True, slots=True)
 class PublishedStudy:
-    """All printed numbers.
-
-    Attributes
-    ----------
-    title
-        Title of the paper.
-    seeds, samples
-        Number of random distributions of calcite, and of samples.
-    parameters
-        Table 1 in SI units; names as in `published.toml`.
-    contents
-        Tables 2 and 3, ascending.
-    stages
-        Section 3.2.1.
-    laws
-        Table 4.
-    """
+    """All printed numbers."""
 
     title: str
+    """Title of the paper."""
     seeds: int
     samples: int
+    """Number of random distributions of calcite, and of samples."""
     parameters: Mapping[str, float]
+    """Table 1 in SI units; names as in `published.toml`."""
     contents: tuple[PublishedContent, ...]
+    """Tables 2 and 3, ascending."""
     stages: tuple[PublishedStage, ...]
+    """Section 3.2.1."""
     laws: tuple[PublishedLaw, ...]
+    """Table 4."""
 
     @property
     def velocities(self) -> tuple[tuple[float, PublishedVelocity], ...]:

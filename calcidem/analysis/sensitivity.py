@@ -15,30 +15,21 @@ _FEWEST_PAIRS = 4
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Comparison of a variant with the same seeds of the reference at one content.
-
-    Attributes
-    ----------
-    content
-        Percent.
-    planned, measured
-        Number of cells of the variant, and of those with a velocity.
-    mean, standard_deviation
-        Of all measured cells of the variant, m/s.
-    mean_ratio, deviation_ratio
-        Mean and standard deviation over those of the reference, for seeds with a velocity in both.
-    deviation_ratio_interval
-        Bootstrap interval of the deviation ratio; the same seeds are drawn with replacement on both sides.
-    """
+    """Comparison of a variant with the same seeds of the reference at one content."""
 
     content: float
+    """Percent."""
     planned: int
     measured: int
+    """Number of cells of the variant, and of those with a velocity."""
     mean: float
     standard_deviation: float
+    """Of all measured cells of the variant, m/s."""
     mean_ratio: float
     deviation_ratio: float
+    """Mean and standard deviation over those of the reference, for seeds with a velocity in both."""
     deviation_ratio_interval: Interval
+    """Bootstrap interval of the deviation ratio; the same seeds are drawn with replacement on both sides."""
 
 
 def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float = 0.95) -> tuple[Change, ...]:
@@ -92,22 +83,15 @@ def _percentiles(values: np.ndarray, level: float = 0.95) -> Interval:
 
 @dataclass(frozen=True, slots=True)
 class VarianceParts:
-    """Variance of Vs at one content, divided between two crossed causes, each part in (m/s)^2.
-
-    Attributes
-    ----------
-    first, second
-        Parts of the two causes; unbiased estimates, which may be negative for no effect.
-    rest
-        Part of the interaction and of everything else.
-    mean
-        Mean of all values, m/s.
-    """
+    """Variance of Vs at one content, divided between two crossed causes, each part in (m/s)^2."""
 
     first: float
     second: float
+    """Parts of the two causes; unbiased estimates, which may be negative for no effect."""
     rest: float
+    """Part of the interaction and of everything else."""
     mean: float
+    """Mean of all values, m/s."""
 
     @property
     def total(self) -> float:

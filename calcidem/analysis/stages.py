@@ -9,19 +9,13 @@ from numpy.typing import ArrayLike
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A range of calcite content.
-
-    Attributes
-    ----------
-    name
-        Roman numeral, as in the paper.
-    low, high
-        First and last content, in percent of sand mass.
-    """
+    """A range of calcite content."""
 
     name: str
+    """Roman numeral, as in the paper."""
     low: float
     high: float
+    """First and last content, in percent of sand mass."""
 
 
 STAGES = (
@@ -36,25 +30,18 @@ STAGES = (
 
 @dataclass(frozen=True, slots=True)
 class StageGrowth:
-    """Growth of mean Vs within one stage.
-
-    Attributes
-    ----------
-    stage
-        The range.
-    contents
-        Contents of the campaign in this range, in percent.
-    end_point_slope
-        Difference of the means at the last and first content over the difference of content, in m/s per percent: the
-        paper's rate.
-    least_squares_slope
-        Slope of the regression line through all means, in m/s per percent. Both are NaN with fewer than two contents.
-    """
+    """Growth of mean Vs within one stage."""
 
     stage: Stage
+    """The range."""
     contents: tuple[float, ...]
+    """Contents of the campaign in this range, in percent."""
     end_point_slope: float
+    """Difference of the means at the last and first content over the difference of content, in m/s per percent: the
+    paper's rate.
+    """
     least_squares_slope: float
+    """Slope of the regression line through all means, in m/s per percent. Both are NaN with fewer than two contents."""
 
 
 def growth_by_stage(

@@ -22,33 +22,22 @@ _WEIGHT_RATIOS.flags.writeable = False
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RatioScan:
-    """Correlation of C_d,n with Vs over the weight ratio.
-
-    Attributes
-    ----------
-    ratios
-        omega_LPB / omega_h, shape (k,).
-    correlation
-        Pearson's coefficient at each ratio, shape (k,); NaN if C_d,n is the same for all samples.
-    best_ratio
-        Ratio of the most negative coefficient.
-    best_correlation
-        Coefficient at the best ratio.
-    best_ratio_interval
-        Bootstrap interval of the best ratio, by default at 95 %.
-    n
-        Number of samples used.
-    left_out
-        Number of samples without velocity.
-    """
+    """Correlation of C_d,n with Vs over the weight ratio."""
 
     ratios: NDArray[np.float64]
+    """omega_LPB / omega_h, shape (k,)."""
     correlation: NDArray[np.float64]
+    """Pearson's coefficient at each ratio, shape (k,); NaN if C_d,n is the same for all samples."""
     best_ratio: float
+    """Ratio of the most negative coefficient."""
     best_correlation: float
+    """Coefficient at the best ratio."""
     best_ratio_interval: Interval
+    """Bootstrap interval of the best ratio, by default at 95 %."""
     n: int
+    """Number of samples used."""
     left_out: int
+    """Number of samples without velocity."""
 
 
 def scan_ratio(

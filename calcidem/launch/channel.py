@@ -14,24 +14,16 @@ _MOST_UNHEARD = 4
 
 @dataclass(slots=True)
 class _Command:
-    """The command that listens to this process.
-
-    Attributes
-    ----------
-    connection
-        To it; the starter writes in the same end.
-    buffer
-        What has come in of its next line.
-    lost
-        Ranks that it has reported as lost and that were not read yet, with reasons.
-    unheard
-        Number of snapshots of the progress that it has not acknowledged yet.
-    """
+    """The command that listens to this process."""
 
     connection: socket.socket
+    """To it; the starter writes in the same end."""
     buffer: bytes = b""
+    """What has come in of its next line."""
     lost: dict[int, str] = field(default_factory=dict)
+    """Ranks that it has reported as lost and that were not read yet, with reasons."""
     unheard: int = 0
+    """Number of snapshots of the progress that it has not acknowledged yet."""
 
     def say(self, text: str) -> None:
         """Send it a line."""

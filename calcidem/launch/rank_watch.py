@@ -50,41 +50,31 @@ _SIGNAL_CURES = {  # by name: Windows, which imports this, too, has no SIGKILL
 
 @dataclass(slots=True, eq=False)
 class _ReportedRank:
-    """A rank that has reported.
-
-    Attributes
-    ----------
-    number, host, process
-        Which it is and where; the process is its starter's.
-    connection, buffer
-        To its starter, and what has come in of the next line.
-    loaded, joined
-        Whether it has loaded its program, and whether it has found the others.
-    silent
-        Seconds since its last message.
-    ended, ended_after, ended_well, killed
-        How it has ended, as the end of a sentence, empty while it lives; seconds of the launch until then; whether its
-        exit code was 0; whether a signal has ended it.
-    worded
-        Whether its starter has reported how it ended, or that the launcher ends it.
-    told
-        Whether rank 0 was informed of its end.
-    """
+    """A rank that has reported."""
 
     number: int
     host: str
     process: int
+    """Which it is and where; the process is its starter's."""
     connection: socket.socket
     buffer: bytes = b""
+    """To its starter, and what has come in of the next line."""
     loaded: bool = False
     joined: bool = False
+    """Whether it has loaded its program, and whether it has found the others."""
     silent: float = 0.0
+    """Seconds since its last message."""
     ended: str = ""
     ended_after: float = 0.0
     ended_well: bool = False
     killed: bool = False
+    """How it has ended, as the end of a sentence, empty while it lives; seconds of the launch until then; whether its
+    exit code was 0; whether a signal has ended it.
+    """
     worded: bool = False
+    """Whether its starter has reported how it ended, or that the launcher ends it."""
     told: bool = False
+    """Whether rank 0 was informed of its end."""
 
     def __str__(self) -> str:
         """Name for the user."""
@@ -99,18 +89,15 @@ class _Caller:
     ----------
     connection, buffer
         To it, and what has come in of its line.
-    place
-        Its address and port, for the user.
-    challenge
-        The text that it has to seal.
-    since
-        Seconds of the launch at which it connected.
     """
 
     connection: socket.socket
     place: str
+    """Its address and port, for the user."""
     challenge: str
+    """The text that it has to seal."""
     since: float
+    """Seconds of the launch at which it connected."""
     buffer: bytes = b""
 
 
@@ -170,7 +157,6 @@ class RankWatch:
         self.address = " ".join([self._key, str(silence_timeout), this_host(), *places])
 
     def __enter__(self) -> Self:
-        """Use it in a `with` statement."""
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -15,19 +15,6 @@ Cell: TypeAlias = tuple[int, float]
 class Batch(Generic[CellT]):
     """Cells that one worker computes together.
 
-    Attributes
-    ----------
-    identifier
-        Number of the batch, unique within a sweep.
-    cells
-        At least one cell, each hashable and picklable.
-    cost
-        Expected effort in any unit, larger than zero; only ratios matter. Used for the time left.
-    group
-        What the cells have in common (the content, in a campaign): cost is measured per group.
-    losses
-        Number of workers that were lost over these cells, in this run and in earlier ones.
-
     Raises
     ------
     ValueError
@@ -35,13 +22,17 @@ class Batch(Generic[CellT]):
     """
 
     identifier: int
+    """Number of the batch, unique within a sweep."""
     cells: tuple[CellT, ...]
+    """At least one cell, each hashable and picklable."""
     cost: float = 1.0
+    """Expected effort in any unit, larger than zero; only ratios matter. Used for the time left."""
     group: Hashable = None
+    """What the cells have in common (the content, in a campaign): cost is measured per group."""
     losses: int = 0
+    """Number of workers that were lost over these cells, in this run and in earlier ones."""
 
     def __post_init__(self) -> None:
-        """Check the values."""
         if not self.cells:
             raise ValueError("cells is empty: a batch needs at least one cell")
         if not self.cost > 0.0:

@@ -39,21 +39,13 @@ _Identity: TypeAlias = tuple[str, int, int]
 
 @dataclass(slots=True)
 class _Flight(Generic[CellT]):
-    """A batch in flight.
-
-    Attributes
-    ----------
-    batch
-        The batch.
-    since
-        Time of its submission, s on the monotonic clock.
-    alone
-        Whether no other batch was in flight.
-    """
+    """A batch in flight."""
 
     batch: Batch[CellT]
     since: float
+    """Time of its submission, s on the monotonic clock."""
     alone: bool
+    """Whether no other batch was in flight."""
 
 
 class ExecutorWorkers(Generic[CellT]):

@@ -115,7 +115,6 @@ class GroupCommit(Generic[CellT]):
             self._progress.on_outcome(outcome)
 
     def __enter__(self) -> Self:
-        """Use it in a `with` statement."""
         return self
 
     def __exit__(

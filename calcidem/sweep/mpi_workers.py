@@ -38,24 +38,16 @@ _LAST_WORD = 0.5
 
 @dataclass(slots=True)
 class _Worker(Generic[CellT]):
-    """State of a worker on the master.
-
-    Attributes
-    ----------
-    place
-        Its rank and host.
-    batch
-        What it computes; None while it waits.
-    since
-        Time at which the batch was handed out, s on the monotonic clock.
-    task
-        The request that sends the batch.
-    """
+    """State of a worker on the master."""
 
     place: Place
+    """Its rank and host."""
     batch: Batch[CellT] | None = None
+    """What it computes; None while it waits."""
     since: float = 0.0
+    """Time at which the batch was handed out, s on the monotonic clock."""
     task: MPI.Request | None = None
+    """The request that sends the batch."""
 
 
 class MPIWorkers(Generic[CellT]):

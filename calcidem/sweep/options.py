@@ -11,23 +11,6 @@ class SweepOptions:
     batch only. Past `hard_limit` the kernel kills the worker, which works in compiled code too. Past
     `watchdog_limit` the master gives the worker up, which works even if it is stopped or its node is gone.
 
-    Attributes
-    ----------
-    time_limit
-        Seconds that a batch may take, including compilation, or None for no limit but the next.
-    silence_factor, silence_floor
-        Without a time limit the master gives a worker up that takes this many times as long as the slowest batch so
-        far, in proportion to their costs, and not before this number of seconds; ten times as many before any batch is
-        done.
-    hard_limit_factor
-        The hard limit as a multiple of the time limit, larger than 1.
-    watchdog_margin
-        Seconds that the master waits past the hard limit.
-    stop_grace
-        Seconds that the master waits for its workers when the sweep ends in order; some may be starting.
-    hurry_grace
-        The same when the sweep ends at a signal or by an error.
-
     Raises
     ------
     ValueError
@@ -35,15 +18,22 @@ class SweepOptions:
     """
 
     time_limit: float | None = None
+    """Seconds that a batch may take, including compilation, or None for no limit but the next."""
     silence_factor: float = 20.0
     silence_floor: float = 300.0
+    """Without a time limit the master gives a worker up that takes this many times as long as the slowest batch so far,
+    in proportion to their costs, and not before this number of seconds; ten times as many before any batch is done.
+    """
     hard_limit_factor: float = 1.5
+    """The hard limit as a multiple of the time limit, larger than 1."""
     watchdog_margin: float = 5.0
+    """Seconds that the master waits past the hard limit."""
     stop_grace: float = 60.0
+    """Seconds that the master waits for its workers when the sweep ends in order; some may be starting."""
     hurry_grace: float = 2.0
+    """The same when the sweep ends at a signal or by an error."""
 
     def __post_init__(self) -> None:
-        """Check the values."""
         if self.time_limit is not None and not self.time_limit > 0.0:
             raise ValueError(f"time_limit is {self.time_limit} s: give more than 0 s, or None for no limit")
         if not self.hard_limit_factor > 1.0:

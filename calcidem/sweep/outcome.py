@@ -24,16 +24,11 @@ class FailureKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where something was computed.
-
-    Attributes
-    ----------
-    rank, host
-        Number of the rank and name of its machine.
-    """
+    """Where something was computed."""
 
     rank: int
     host: str
+    """Number of the rank and name of its machine."""
 
     @classmethod
     def here(cls, rank: int) -> Self:
@@ -43,21 +38,14 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why a batch has no results.
-
-    Attributes
-    ----------
-    kind
-        Class of the failure.
-    message
-        One sentence for a person.
-    traceback
-        Python traceback of the exception, or an empty text.
-    """
+    """Why a batch has no results."""
 
     kind: FailureKind
+    """Class of the failure."""
     message: str
+    """One sentence for a person."""
     traceback: str = ""
+    """Python traceback of the exception, or an empty text."""
 
     @classmethod
     def from_exception(cls, kind: FailureKind, error: BaseException) -> Self:
@@ -73,19 +61,6 @@ class Failure:
 class BatchOutcome(Generic[CellT, ResultT]):
     """What became of a batch.
 
-    Attributes
-    ----------
-    batch
-        The batch.
-    place
-        Rank and host that computed it.
-    seconds
-        Wall time of the computation in s.
-    results
-        One result for each cell in the order of `batch.cells`, or None.
-    failure
-        Why there are no results, or None.
-
     Raises
     ------
     ValueError
@@ -94,9 +69,13 @@ class BatchOutcome(Generic[CellT, ResultT]):
 
     batch: Batch[CellT]
     place: Place
+    """Rank and host that computed it."""
     seconds: float
+    """Wall time of the computation in s."""
     results: tuple[ResultT, ...] | None = None
+    """One result for each cell in the order of `batch.cells`, or None."""
     failure: Failure | None = None
+    """Why there are no results, or None."""
 
     def __post_init__(self) -> None:
         """Check that the outcome is one or the other."""

@@ -15,22 +15,16 @@ from typing import Self
 
 @dataclass(frozen=True, slots=True)
 class ProcessIdentity:
-    """What names a process for others on the same machine.
-
-    Attributes
-    ----------
-    process
-        Its number.
-    machine
-        Equal for two processes exactly if their numbers mean the same: same boot of the same kernel, same
-        namespace (containers).
-    host
-        Name of the machine.
-    """
+    """What names a process for others on the same machine."""
 
     process: int
+    """Its number."""
     machine: str
+    """Equal for two processes exactly if their numbers mean the same: same boot of the same kernel, same namespace
+    (containers).
+    """
     host: str
+    """Name of the machine."""
 
     @classmethod
     def of_this_process(cls) -> Self:

@@ -75,16 +75,11 @@ def wait_for_release(comm: MPI.Comm) -> None:
 
 @dataclass(slots=True)
 class Incoming:
-    """A message being received.
-
-    Attributes
-    ----------
-    source, tag
-        Rank of the sender, and meaning.
-    """
+    """A message being received."""
 
     source: int
     tag: Tag
+    """Rank of the sender, and meaning."""
     _buffer: bytearray
     _request: MPI.Request
 

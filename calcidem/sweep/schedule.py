@@ -17,22 +17,14 @@ _LOSSES_BEFORE_QUARANTINE = 3
 
 @dataclass(slots=True)
 class Tally:
-    """What has happened so far.
-
-    Attributes
-    ----------
-    settled
-        Number of cells with a final outcome, of whatever kind.
-    failed, timed_out, quarantined
-        Those of them that have no result.
-    lost_workers
-        Number of workers lost.
-    """
+    """What has happened so far."""
 
     settled: int = 0
+    """Number of cells with a final outcome, of whatever kind."""
     failed: int = 0
     timed_out: int = 0
     quarantined: int = 0
+    """Those of them that have no result."""
     lost_workers: int = 0
 
 
@@ -50,11 +42,6 @@ class Schedule(Generic[CellT]):
       left to harm; after `_LOSSES_BEFORE_SPLIT` losses as single cells.
     - A single cell with `_LOSSES_BEFORE_QUARANTINE` losses is settled as quarantined.
 
-    Attributes
-    ----------
-    batches
-        What to compute, in this order; the identifiers must differ.
-
     Raises
     ------
     ValueError
@@ -62,6 +49,7 @@ class Schedule(Generic[CellT]):
     """
 
     batches: Sequence[Batch[CellT]]
+    """What to compute, in this order; the identifiers must differ."""
     tally: Tally = field(default_factory=Tally)
 
     def __post_init__(self) -> None:

@@ -46,27 +46,18 @@ class SweepState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class SweepEnd:
-    """How a sweep ended, the same on all ranks.
-
-    Attributes
-    ----------
-    state
-        Why it ended.
-    detail
-        One sentence for a person, or an empty text.
-    tally
-        Numbers of cells and lost workers.
-    seconds
-        Wall time of the sweep in s.
-    unresponsive_ranks
-        Ranks that may still run but did not answer the request to stop; known on rank 0 only.
-    """
+    """How a sweep ended, the same on all ranks."""
 
     state: SweepState
+    """Why it ended."""
     detail: str = ""
+    """One sentence for a person, or an empty text."""
     tally: Tally = field(default_factory=Tally)
+    """Numbers of cells and lost workers."""
     seconds: float = 0.0
+    """Wall time of the sweep in s."""
     unresponsive_ranks: frozenset[int] = frozenset()
+    """Ranks that may still run but did not answer the request to stop; known on rank 0 only."""
 
     @property
     def exit_code(self) -> int:

@@ -15,27 +15,18 @@ from calcidem.sweep.sweep_end import SweepEnd
 
 @dataclass(frozen=True, slots=True)
 class Loss(Generic[CellT]):
-    """Workers that are gone.
-
-    Attributes
-    ----------
-    place
-        Rank and host of the worker, or of the last one.
-    batch
-        What it was computing, or None.
-    reason
-        How the loss was noticed.
-    seconds
-        Time that it had spent on the batch, s.
-    workers
-        Number of workers that the batch took down, one after the other.
-    """
+    """Workers that are gone."""
 
     place: Place
+    """Rank and host of the worker, or of the last one."""
     batch: Batch[CellT] | None
+    """What it was computing, or None."""
     reason: str
+    """How the loss was noticed."""
     seconds: float
+    """Time that it had spent on the batch, s."""
     workers: int = 1
+    """Number of workers that the batch took down, one after the other."""
 
 
 class Workers(Protocol[CellT]):

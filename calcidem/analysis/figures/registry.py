@@ -32,27 +32,18 @@ _SEED_COUNTS = tuple(int(count) for count in np.unique(np.geomspace(4, 512, 15).
 
 @dataclass(frozen=True, slots=True)
 class CampaignFigure:
-    """A figure that every campaign can have.
-
-    Attributes
-    ----------
-    name
-        File name without ending.
-    title
-        In a few words.
-    caption
-        What the figure shows, in sentences.
-    draw
-        Draws it; raises `UnavailableError` where the campaign lacks what it needs.
-    pictorial
-        Whether it shows thousands of grains, so that pixels serve it better than vectors.
-    """
+    """A figure that every campaign can have."""
 
     name: str
+    """File name without ending."""
     title: str
+    """In a few words."""
     caption: str
+    """What the figure shows, in sentences."""
     draw: Callable[[CampaignAnalysis], Figure]
+    """Draws it; raises `UnavailableError` where the campaign lacks what it needs."""
     pictorial: bool = False
+    """Whether it shows thousands of grains, so that pixels serve it better than vectors."""
 
 
 def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:

@@ -170,27 +170,18 @@ def draw_sobol(indices: xr.Dataset) -> Figure:
 
 @dataclass(frozen=True, slots=True)
 class StudyFigure:
-    """A figure of a sensitivity study.
-
-    Attributes
-    ----------
-    study
-        "frequency" or "damping": which study it shows.
-    name
-        File name without ending.
-    title
-        In a few words.
-    caption
-        What the figure shows, in sentences.
-    draw
-        Draws it from the study's result.
-    """
+    """A figure of a sensitivity study."""
 
     study: str
+    """"frequency" or "damping": which study it shows."""
     name: str
+    """File name without ending."""
     title: str
+    """In a few words."""
     caption: str
+    """What the figure shows, in sentences."""
     draw: Callable[[xr.Dataset], Figure]
+    """Draws it from the study's result."""
 
 
 STUDY_FIGURES = (

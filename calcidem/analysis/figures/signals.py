@@ -32,32 +32,22 @@ METHOD_STYLES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrival:
-    """Signals of one sample and what was read from them.
-
-    Attributes
-    ----------
-    seed, content
-        Which sample; content in percent.
-    time
-        s, shape (t,).
-    transmitted, received
-        The two signals at these times, shape (t,), m/s.
-    distance
-        Between transmitter and receiver, m.
-    velocities
-        Velocity in m/s by the methods of `METHOD_STYLES` that gave one.
-    onset
-        Level of the first arrival, relative to the peak.
-    """
+    """Signals of one sample and what was read from them."""
 
     seed: int
     content: float
+    """Which sample; content in percent."""
     time: NDArray[np.float64]
+    """s, shape (t,)."""
     transmitted: NDArray[np.float64]
     received: NDArray[np.float64]
+    """The two signals at these times, shape (t,), m/s."""
     distance: float
+    """Between transmitter and receiver, m."""
     velocities: Mapping[str, float]
+    """Velocity in m/s by the methods of `METHOD_STYLES` that gave one."""
     onset: float
+    """Level of the first arrival, relative to the peak."""
 
     @property
     def transmitted_peak(self) -> float:

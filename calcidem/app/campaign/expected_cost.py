@@ -30,24 +30,16 @@ _PACKINGS_OVER_LATTICE = 0.5  # velocity of packings over that of the hexagonal 
 
 @dataclass(frozen=True, slots=True)
 class ExpectedCost:
-    """Cost of cells, each number good to a factor of two.
-
-    Attributes
-    ----------
-    seconds
-        On one core of this machine, the kernels compiled and the packing made.
-    packing_seconds
-        To make the packing.
-    memory
-        Bytes of each process that computes.
-    disk
-        Bytes of the database and the NetCDF file.
-    """
+    """Cost of cells, each number good to a factor of two."""
 
     seconds: float
+    """On one core of this machine, the kernels compiled and the packing made."""
     packing_seconds: float
+    """To make the packing."""
     memory: float
+    """Bytes of each process that computes."""
     disk: float
+    """Bytes of the database and the NetCDF file."""
 
 
 def expected_speeds(configuration: Configuration, packing: Packing | None) -> dict[float, float]:

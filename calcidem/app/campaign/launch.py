@@ -80,29 +80,21 @@ def default_ranks() -> int:
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """A launch by `calcidem run --ranks`.
-
-    Attributes
-    ----------
-    arguments
-        Of the command line of each rank.
-    ranks
-        Number of ranks, of which the first coordinates.
-    restarts
-        How often to start again when the run was cut off: when ranks, or a host, died and the others could not
-        continue. A run that was stopped by a signal is not started again, nor is one whose database is locked or
-        missing, or whose ranks fail twice in the same manner while they start.
-    start_timeout
-        Seconds in which all ranks must have found one another.
-    silence_timeout
-        Seconds without a sign of life after which a rank's host is given up.
-    """
+    """A launch by `calcidem run --ranks`."""
 
     arguments: Sequence[str]
+    """Of the command line of each rank."""
     ranks: int
+    """Number of ranks, of which the first coordinates."""
     restarts: int = 0
+    """How often to start again when the run was cut off: when ranks, or a host, died and the others could not continue.
+    A run that was stopped by a signal is not started again, nor is one whose database is locked or missing, or whose
+    ranks fail twice in the same manner while they start.
+    """
     start_timeout: float = 120.0
+    """Seconds in which all ranks must have found one another."""
     silence_timeout: float = 60.0
+    """Seconds without a sign of life after which a rank's host is given up."""
 
     def run(self) -> int:
         """Run calcidem under an MPI launcher and return its exit code.
@@ -197,24 +189,16 @@ class Launch:
 
 @dataclass(frozen=True, slots=True)
 class _LaunchEnd:
-    """How a launch ended.
-
-    Attributes
-    ----------
-    code
-        Exit code.
-    worth_a_restart
-        Whether another start may do better.
-    failure_at_start
-        Reason why the ranks did not begin; empty if they did.
-    hosts
-        Remaining hosts with their numbers of ranks, if others are lost; else empty.
-    """
+    """How a launch ended."""
 
     code: int
+    """Exit code."""
     worth_a_restart: bool = False
+    """Whether another start may do better."""
     failure_at_start: str = ""
+    """Reason why the ranks did not begin; empty if they did."""
     hosts: dict[str, int] = field(default_factory=dict)
+    """Remaining hosts with their numbers of ranks, if others are lost; else empty."""
 
 
 def _attend(process: "subprocess.Popen[bytes]", watch: RankWatch, relay: "_Relay", screen: CommandScreen) -> str:

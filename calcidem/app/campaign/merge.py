@@ -40,52 +40,34 @@ class MergeConflictError(StoreError):
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
-    """A done cell on which sources disagree.
-
-    Attributes
-    ----------
-    key
-        The cell.
-    velocities
-        Vs, m/s, by the position of the source.
-    quantities
-        Names of the quantities that differ.
-    """
+    """A done cell on which sources disagree."""
 
     key: CellKey
+    """The cell."""
     velocities: Mapping[int, float]
+    """Vs, m/s, by the position of the source."""
     quantities: tuple[str, ...]
+    """Names of the quantities that differ."""
 
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """Outcome of a merge.
-
-    Attributes
-    ----------
-    settled
-        Number of cells with an outcome.
-    missing
-        Cells that are planned and have none.
-    taken
-        Outcomes taken from each source.
-    shared
-        Done cells that several sources have with the same values.
-    overruled
-        Cells that are done in one source and failed in another.
-    conflicts
-        Done cells on which sources disagree. If there are any and no source was preferred, nothing was written.
-    lacking
-        Quantities of done cells that one source has and another lacks, which may be older than they are.
-    """
+    """Outcome of a merge."""
 
     settled: int
+    """Number of cells with an outcome."""
     missing: tuple[CellKey, ...]
+    """Cells that are planned and have none."""
     taken: tuple[int, ...]
+    """Outcomes taken from each source."""
     shared: int
+    """Done cells that several sources have with the same values."""
     overruled: int
+    """Cells that are done in one source and failed in another."""
     conflicts: tuple[Conflict, ...]
+    """Done cells on which sources disagree. If there are any and no source was preferred, nothing was written."""
     lacking: tuple[str, ...]
+    """Quantities of done cells that one source has and another lacks, which may be older than they are."""
 
 
 def merge_databases(

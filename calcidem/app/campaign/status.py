@@ -45,64 +45,43 @@ _URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContentStatus:
-    """Progress of the cells of one content.
-
-    Attributes
-    ----------
-    content
-        Percent.
-    statuses
-        Status by seed.
-    counts
-        Number of cells by status.
-    vs
-        Of the done cells, m/s.
-    mean, deviation
-        Of them, m/s; NaN where there are too few.
-    interval
-        Of the mean at 95 %, m/s (Student's t).
-    budget
-        Errors of its velocities.
-    seconds_per_cell
-        Computing time of a cell so far; NaN before any.
-    seconds_left
-        Computing time that the pending cells need on one core; NaN if nothing was measured.
-    """
+    """Progress of the cells of one content."""
 
     content: float
+    """Percent."""
     statuses: Mapping[int, CellStatus]
+    """Status by seed."""
     counts: Mapping[CellStatus, int]
+    """Number of cells by status."""
     vs: NDArray[np.float64]
+    """Of the done cells, m/s."""
     mean: float
     deviation: float
+    """Of them, m/s; NaN where there are too few."""
     interval: Interval
+    """Of the mean at 95 %, m/s (Student's t)."""
     budget: ErrorBudget
+    """Errors of its velocities."""
     seconds_per_cell: float
+    """Computing time of a cell so far; NaN before any."""
     seconds_left: float
+    """Computing time that the pending cells need on one core; NaN if nothing was measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """A cell that failed, or that needed several attempts.
-
-    Attributes
-    ----------
-    key, status
-        The cell and its present status.
-    attempts, losses
-        Number of attempts, and number of workers lost over it since the last retry.
-    reason
-        First line of the reason; empty for a done or pending cell.
-    retry
-        Why its sample was computed again with half the step; empty if it was not.
-    """
+    """A cell that failed, or that needed several attempts."""
 
     key: CellKey
     status: CellStatus
+    """The cell and its present status."""
     attempts: int
     losses: int
+    """Number of attempts, and number of workers lost over it since the last retry."""
     reason: str
+    """First line of the reason; empty for a done or pending cell."""
     retry: str = ""
+    """Why its sample was computed again with half the step; empty if it was not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,39 +92,30 @@ class CampaignStatus:
     ----------
     name, hash, seeds
         Of the campaign.
-    content_hashes
-        Of its packings, by index; None where it is unknown.
-    contents
-        One for each content, ascending.
-    counts
-        Number of cells by status.
-    budget
-        Errors of all velocities.
-    troubles
-        Cells that failed, were repeated, or needed half the step.
-    last_run, run_number
-        The latest run, if there was any.
-    running
-        Whether a process writes the campaign at this moment, as far as is known.
-    workers
-        Ranks that compute in the latest run.
-    seconds_left
-        Until all cells are settled on this number of workers; NaN if nothing was measured.
     """
 
     name: str
     hash: str
     content_hashes: Mapping[int, str | None]
+    """Of its packings, by index; None where it is unknown."""
     seeds: tuple[int, ...]
     contents: tuple[ContentStatus, ...]
+    """One for each content, ascending."""
     counts: Mapping[CellStatus, int]
+    """Number of cells by status."""
     budget: ErrorBudget
+    """Errors of all velocities."""
     troubles: tuple[Trouble, ...]
+    """Cells that failed, were repeated, or needed half the step."""
     last_run: RunRecord | None
     run_number: int | None
+    """The latest run, if there was any."""
     running: bool
+    """Whether a process writes the campaign at this moment, as far as is known."""
     workers: int
+    """Ranks that compute in the latest run."""
     seconds_left: float
+    """Until all cells are settled on this number of workers; NaN if nothing was measured."""
 
     @property
     def pending(self) -> int:

@@ -64,15 +64,11 @@ class CellComputation:
 
     It is prepared at its first batch, or where it is unpickled: there, the kernels are compiled first, each by one of
     the processes of a machine that begin together.
-
-    Attributes
-    ----------
-    configuration, packing
-        Of the campaign.
     """
 
     configuration: Configuration
     packing: Packing
+    """Of the campaign."""
 
     def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None], /) -> Sequence[PackedResult]:
         """Measure the cells of a batch, which share a content."""

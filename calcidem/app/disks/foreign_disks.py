@@ -43,37 +43,25 @@ _MOST_SHOWN_STEPS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForeignDisks:
-    """Content of a file, in its own unit and frame.
-
-    Attributes
-    ----------
-    form, evidence
-        What the file was taken for, and why.
-    lines
-        (N,) line of each disk in the file.
-    place
-        (N, 3) centres; without a column z the third is 0.
-    radius
-        (N,).
-    kinds
-        (N,) types, groups or materials, as text; None without such a column.
-    box
-        (3, 2) lowest and highest x, y and z of the box that the file names; None if it names none.
-    unit
-        Unit of length that the file names; empty if it names none.
-    skipped
-        Lines below the first disk that are none.
-    """
+    """Content of a file, in its own unit and frame."""
 
     form: str
     evidence: str
+    """What the file was taken for, and why."""
     lines: Integers
+    """(N,) line of each disk in the file."""
     place: Floats
+    """(N, 3) centres; without a column z the third is 0."""
     radius: Floats
+    """(N,)."""
     kinds: tuple[str, ...] | None = None
+    """(N,) types, groups or materials, as text; None without such a column."""
     box: Floats | None = None
+    """(3, 2) lowest and highest x, y and z of the box that the file names; None if it names none."""
     unit: str = ""
+    """Unit of length that the file names; empty if it names none."""
     skipped: tuple[int, ...] = ()
+    """Lines below the first disk that are none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,45 +31,32 @@ _LOOSE = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedPacking:
-    """What was read from a file, and what became of it; its text is the report.
-
-    Attributes
-    ----------
-    source, out
-        The file that was read, and the one that was written.
-    form, evidence
-        What the source was taken for, and why.
-    x, y, radius
-        (N,) m; left wall and floor are at 0.
-    width, height
-        Of the box: between the walls, and up to the highest disk, m.
-    origin
-        Left wall and floor in the frame of the source, m.
-    left_out
-        Sentences on disks and lines that are not part of it.
-    remarks
-        Sentences on the unit, the walls and what looks strange.
-    pairs
-        Number of touching pairs.
-    mean_overlap, largest_overlap
-        Of them, m; 0 without any.
-    """
+    """What was read from a file, and what became of it; its text is the report."""
 
     source: Path
     out: Path
+    """The file that was read, and the one that was written."""
     form: str
     evidence: str
+    """What the source was taken for, and why."""
     x: Floats
     y: Floats
     radius: Floats
+    """(N,) m; left wall and floor are at 0."""
     width: float
     height: float
+    """Of the box: between the walls, and up to the highest disk, m."""
     origin: tuple[float, float]
+    """Left wall and floor in the frame of the source, m."""
     left_out: tuple[str, ...]
+    """Sentences on disks and lines that are not part of it."""
     remarks: tuple[str, ...]
+    """Sentences on the unit, the walls and what looks strange."""
     pairs: int
+    """Number of touching pairs."""
     mean_overlap: float
     largest_overlap: float
+    """Of them, m; 0 without any."""
 
     @property
     def porosity(self) -> float:

@@ -17,17 +17,11 @@ OK, WARNING, PROBLEM = FindingLevel
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check of the machine found: one line of the report.
-
-    Attributes
-    ----------
-    level, subject, fact
-        How good it is, what was looked at, and what was found.
-    cure
-        What to do about it; empty if all is well.
-    """
+    """What a check of the machine found: one line of the report."""
 
     level: FindingLevel
     subject: str
     fact: str
+    """How good it is, what was looked at, and what was found."""
     cure: str = ""
+    """What to do about it; empty if all is well."""

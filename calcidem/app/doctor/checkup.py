@@ -57,19 +57,13 @@ print(json.dumps([MPI.COMM_WORLD.Get_size(), available_cores(), fault_tolerance_
 
 @dataclass(frozen=True, slots=True)
 class _Rank:
-    """Report of a rank on itself.
-
-    Attributes
-    ----------
-    world_size, cores
-        Number of ranks that it knows of, and of cores that it may use.
-    fault_tolerant
-        Whether a lost rank leaves it running.
-    """
+    """Report of a rank on itself."""
 
     world_size: int
     cores: int
+    """Number of ranks that it knows of, and of cores that it may use."""
     fault_tolerant: bool
+    """Whether a lost rank leaves it running."""
 
 
 def _mpi_findings() -> Iterator[Finding]:

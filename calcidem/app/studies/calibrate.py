@@ -56,28 +56,20 @@ _TOO_MUCH = 4.0
 
 @dataclass(frozen=True, slots=True)
 class FitPlan:
-    """Parameters and targets of a fit.
-
-    Attributes
-    ----------
-    targets
-        Targets of the fit; those at a content of ``predict`` are only compared.
-    free
-        Parameters to fit, at most as many as numbers to meet.
-    seeds
-        Seeds common to all trials, so that trials differ only in the parameters. A seed counts at a content only if it
-        has a velocity in every trial.
-    predict
-        Further contents to measure with the fitted values, percent.
-    tolerance
-        Relative error of the model itself, added to the sampling error of every target.
-    """
+    """Parameters and targets of a fit."""
 
     targets: Sequence[Target]
+    """Targets of the fit; those at a content of ``predict`` are only compared."""
     free: Sequence[ParameterRange]
+    """Parameters to fit, at most as many as numbers to meet."""
     seeds: Sequence[int]
+    """Seeds common to all trials, so that trials differ only in the parameters. A seed counts at a content only if it
+    has a velocity in every trial.
+    """
     predict: Sequence[float] = ()
+    """Further contents to measure with the fitted values, percent."""
     tolerance: float = 0.02
+    """Relative error of the model itself, added to the sampling error of every target."""
 
     @property
     def met(self) -> tuple[Target, ...]:
@@ -87,74 +79,53 @@ class FitPlan:
 
 @dataclass(frozen=True, slots=True)
 class FittedContent:
-    """A content of a calibration.
-
-    Attributes
-    ----------
-    content
-        Percent.
-    target
-        Target there, or None.
-    role
-        ``fitted``, ``left out`` with too few readable seeds, or ``predicted``.
-    seeds, planned
-        Seeds with a velocity in every trial, or in a prediction with the fitted values, and all measured seeds.
-    mean, mean_error, sd
-        Mean of Vs over these seeds with the fitted values, its standard error, and the standard deviation, m/s.
-    mean_band, sd_band
-        95 % bands of mean and standard deviation, m/s, of campaigns with as many samples as the target, for parameters
-        drawn from their posterior; None if unknown.
-    """
+    """A content of a calibration."""
 
     content: float
+    """Percent."""
     target: Target | None
+    """Target there, or None."""
     role: Literal["fitted", "left out", "predicted"]
+    """``fitted``, ``left out`` with too few readable seeds, or ``predicted``."""
     seeds: int
     planned: int
+    """Seeds with a velocity in every trial, or in a prediction with the fitted values, and all measured seeds."""
     mean: float
     mean_error: float
     sd: float
+    """Mean of Vs over these seeds with the fitted values, its standard error, and the standard deviation, m/s."""
     mean_band: tuple[float, float] | None = None
     sd_band: tuple[float, float] | None = None
+    """95 % bands of mean and standard deviation, m/s, of campaigns with as many samples as the target, for parameters
+    drawn from their posterior; None if unknown.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedParameters:
-    """Fitted parameters.
-
-    Attributes
-    ----------
-    values
-        Fitted value of each parameter, in SI units.
-    deviations
-        Standard deviation of each parameter from the scatter of Vs between seeds and between samples of the targets.
-    correlation
-        (P, P) correlation of the parameters.
-    intervals
-        Bounds of the 95 % posterior interval of each (`calcidem.app.studies.posterior`), if the trials determine it.
-    at_limit
-        Parameters that ended at a limit of their range; their deviations mean little.
-    contents
-        Targets with the results reached, then predictions.
-    trials
-        Number of points at which Vs was measured.
-    chi_square, freedom
-        Sum of squared residuals over squared errors, and degrees of freedom: targets minus parameters. If chi-square is
-        far above the latter, the model cannot meet the targets, and the deviations are too small.
-    doubts
-        Objections to the result, a sentence each.
-    """
+    """Fitted parameters."""
 
     values: ParameterValues
+    """Fitted value of each parameter, in SI units."""
     deviations: ParameterValues
+    """Standard deviation of each parameter from the scatter of Vs between seeds and between samples of the targets."""
     correlation: Floats
+    """(P, P) correlation of the parameters."""
     at_limit: tuple[str, ...]
+    """Parameters that ended at a limit of their range; their deviations mean little."""
     contents: tuple[FittedContent, ...]
+    """Targets with the results reached, then predictions."""
     trials: int
+    """Number of points at which Vs was measured."""
     chi_square: float
     freedom: int
+    """Sum of squared residuals over squared errors, and degrees of freedom: targets minus parameters. If chi-square is
+    far above the latter, the model cannot meet the targets, and the deviations are too small.
+    """
     doubts: tuple[str, ...] = ()
+    """Objections to the result, a sentence each."""
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Bounds of the 95 % posterior interval of each (`calcidem.app.studies.posterior`), if the trials determine it."""
 
     @property
     def is_fitted(self) -> bool:

@@ -19,54 +19,37 @@ from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """Feature that the kernel includes or omits, and the experiment that does the opposite.
-
-    Attributes
-    ----------
-    what
-        Name.
-    needed
-        Whether the campaign includes it.
-    why
-        Reason why it is needed, or can safely be omitted.
-    opposite
-        Experiment with the feature if it is omitted, without it if it is needed; None if impossible.
-    setting
-        Name of the opposite in the settings of `calcidem accuracy`; empty if it has none.
-    """
+    """Feature that the kernel includes or omits, and the experiment that does the opposite."""
 
     what: str
+    """Name."""
     needed: bool
+    """Whether the campaign includes it."""
     why: str
+    """Reason why it is needed, or can safely be omitted."""
     opposite: Experiment | None
+    """Experiment with the feature if it is omitted, without it if it is needed; None if impossible."""
     setting: str = ""
+    """Name of the opposite in the settings of `calcidem accuracy`; empty if it has none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """One row for one content.
-
-    Attributes
-    ----------
-    content
-        Percent of the sand's mass.
-    alternative
-        Explained feature.
-    time_ratio
-        Processor time of the opposite over that of the campaign, median of interleaved rounds.
-    difference
-        Largest relative difference in Vs between the two; None if no cell has both velocities.
-    error, other_error
-        Largest relative error of Vs against a converged reference, for the campaign and for the opposite; None if not
-        measured.
-    """
+    """One row for one content."""
 
     content: float
+    """Percent of the sand's mass."""
     alternative: Alternative
+    """Explained feature."""
     time_ratio: float | None
+    """Processor time of the opposite over that of the campaign, median of interleaved rounds."""
     difference: float | None
+    """Largest relative difference in Vs between the two; None if no cell has both velocities."""
     error: float | None = None
     other_error: float | None = None
+    """Largest relative error of Vs against a converged reference, for the campaign and for the opposite; None if not
+    measured.
+    """
 
 
 def explain(

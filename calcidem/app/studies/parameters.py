@@ -17,19 +17,13 @@ from calcidem.dem.sample.packing import Packing
 
 @dataclass(frozen=True, slots=True)
 class ParameterRange:
-    """Parameter of the configuration and its range.
-
-    Attributes
-    ----------
-    name
-        ``section.key`` of the configuration.
-    low, high
-        Limits in the unit of the key, positive.
-    """
+    """Parameter of the configuration and its range."""
 
     name: str
+    """``section.key`` of the configuration."""
     low: float = 0.0
     high: float = math.inf
+    """Limits in the unit of the key, positive."""
 
 
 def parse_range(text: str) -> ParameterRange:

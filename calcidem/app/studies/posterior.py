@@ -18,21 +18,14 @@ _SEED = 20_250_601
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """Draws of the parameters, and their predictions.
-
-    Attributes
-    ----------
-    points
-        (D, P) logarithms of the parameters, with equal weights.
-    predicted
-        (D, R) logarithms of the means and standard deviations of a new campaign.
-    effective
-        Effective number of independent draws; if it is far below D, the trials do not determine the posterior.
-    """
+    """Draws of the parameters, and their predictions."""
 
     points: Floats
+    """(D, P) logarithms of the parameters, with equal weights."""
     predicted: Floats
+    """(D, R) logarithms of the means and standard deviations of a new campaign."""
     effective: float
+    """Effective number of independent draws; if it is far below D, the trials do not determine the posterior."""
 
     def band(self, level: float = 0.95) -> Floats:
         """(2, R) lower and upper ends of the predictive bands, m/s."""

@@ -53,20 +53,15 @@ class Agreement(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """One recomputed cell.
-
-    Attributes
-    ----------
-    stored, computed
-        Both outcomes.
-    differences
-        Relative differences of quantities whose bits differ: infinite for missing quantities and for differing values
-        that are not numbers. A quantity that the stored cell lacks is not compared.
-    """
+    """One recomputed cell."""
 
     stored: CellResult
     computed: CellResult
+    """Both outcomes."""
     differences: Mapping[str, float]
+    """Relative differences of quantities whose bits differ: infinite for missing quantities and for differing values
+    that are not numbers. A quantity that the stored cell lacks is not compared.
+    """
 
     @property
     def agreement(self) -> Agreement:

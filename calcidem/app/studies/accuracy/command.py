@@ -25,23 +25,16 @@ _CONVERGENCE_CASES: tuple[tuple[bool, Regime], ...] = ((True, "linear"), (False,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """Measurements to make.
-
-    Attributes
-    ----------
-    configuration
-        Configuration of the campaign.
-    experiment, contents, seeds
-        Cells; contents in percent.
-    stored
-        Velocities of a stored campaign at each content, m/s; None measures a few samples instead.
-    """
+    """Measurements to make."""
 
     configuration: Configuration
+    """Configuration of the campaign."""
     experiment: Experiment
     contents: Sequence[float]
     seeds: Sequence[int]
+    """Cells; contents in percent."""
     stored: Mapping[float, Sequence[float]] | None = None
+    """Velocities of a stored campaign at each content, m/s; None measures a few samples instead."""
 
 
 def plan_task(

@@ -16,43 +16,29 @@ _PACKAGED = Path(__file__).with_name("measured.json")
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """Results of one run of the command.
-
-    Attributes
-    ----------
-    campaign_hash
-        Identity of the campaign's physics.
-    packing_hash
-        `Packing.content_hash` of the packing.
-    study
-        Errors of the settings.
-    convergence, amplitudes, equilibrium, scatter
-        Rows of the other tables, empty if not measured.
-    """
+    """Results of one run of the command."""
 
     campaign_hash: str
+    """Identity of the campaign's physics."""
     packing_hash: str
+    """`Packing.content_hash` of the packing."""
     study: Study
+    """Errors of the settings."""
     convergence: tuple[Convergence, ...] = ()
     amplitudes: tuple[AmplitudeRow, ...] = ()
     equilibrium: tuple[EquilibriumRow, ...] = ()
     scatter: tuple[Scatter, ...] = ()
+    """Rows of the other tables, empty if not measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredErrors:
-    """Largest relative errors of Vs against a converged reference.
-
-    Attributes
-    ----------
-    source
-        Source file.
-    worst
-        Largest error by name of the setting and content in percent.
-    """
+    """Largest relative errors of Vs against a converged reference."""
 
     source: Path
+    """Source file."""
     worst: dict[tuple[str, float], float]
+    """Largest error by name of the setting and content in percent."""
 
 
 def findings_json(findings: Findings) -> str:

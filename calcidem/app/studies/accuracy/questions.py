@@ -29,88 +29,61 @@ _CellsFound = dict[tuple[int, float], Measurement]
 
 @dataclass(frozen=True, slots=True)
 class AmplitudeRow:
-    """One regime at one amplitude, over all cells.
-
-    Attributes
-    ----------
-    amplitude
-        v0 of the pulse, m/s.
-    regime
-        Regime of the cells.
-    cells
-        Cells with a velocity here and in the finite regime.
-    lost
-        Cells with a velocity in the finite regime only: refused, or with a stated error above 5 %.
-    median, worst
-        Relative error of Vs against the finite regime of this amplitude. For the finite regime itself it is the
-        deviation from the velocity at the experiment's amplitude: not an error, but the effect of the pulse's strength.
-    refusal
-        Reason if the pulse was refused beforehand.
-    """
+    """One regime at one amplitude, over all cells."""
 
     amplitude: float
+    """v0 of the pulse, m/s."""
     regime: Regime
+    """Regime of the cells."""
     cells: int
+    """Cells with a velocity here and in the finite regime."""
     lost: int
+    """Cells with a velocity in the finite regime only: refused, or with a stated error above 5 %."""
     median: float | None
     worst: float | None
+    """Relative error of Vs against the finite regime of this amplitude. For the finite regime itself it is the
+    deviation from the velocity at the experiment's amplitude: not an error, but the effect of the pulse's strength.
+    """
     refusal: str = ""
+    """Reason if the pulse was refused beforehand."""
 
 
 @dataclass(frozen=True, slots=True)
 class EquilibriumRow:
-    """Packing with one unbalanced-force ratio, over all cells.
-
-    Attributes
-    ----------
-    unbalanced_force_ratio
-        Unbalanced-force ratio.
-    changed_contacts
-        Contacts that touch either here or in the packing with the smallest ratio.
-    cells
-        Compared cells.
-    median, worst
-        Relative error of Vs against the packing with the smallest ratio, all else equal.
-    """
+    """Packing with one unbalanced-force ratio, over all cells."""
 
     unbalanced_force_ratio: float
+    """Unbalanced-force ratio."""
     changed_contacts: int
+    """Contacts that touch either here or in the packing with the smallest ratio."""
     cells: int
+    """Compared cells."""
     median: float
     worst: float
+    """Relative error of Vs against the packing with the smallest ratio, all else equal."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """Scatter and errors at one content.
-
-    Attributes
-    ----------
-    content
-        Percent.
-    samples
-        Number of samples for the scatter.
-    deviation
-        Standard deviation of Vs over its mean.
-    seeds
-        Number of seeds of the campaign.
-    statistical
-        Relative standard error of the campaign's mean, ``deviation / sqrt(seeds)``.
-    numerical, worst
-        Median and largest of the numerical errors of the default setting.
-    bias
-        Their mean with sign: the bias of the campaign's mean. Unlike the statistical error it does not fall with the
-        number of seeds.
-    """
+    """Scatter and errors at one content."""
 
     content: float
+    """Percent."""
     samples: int
+    """Number of samples for the scatter."""
     deviation: float
+    """Standard deviation of Vs over its mean."""
     seeds: int
+    """Number of seeds of the campaign."""
     statistical: float
+    """Relative standard error of the campaign's mean, ``deviation / sqrt(seeds)``."""
     numerical: float
     worst: float
+    """Median and largest of the numerical errors of the default setting."""
     bias: float
+    """Their mean with sign: the bias of the campaign's mean. Unlike the statistical error it does not fall with the
+    number of seeds.
+    """
 
 
 def _errors(found: _CellsFound, exact: _CellsFound) -> list[float]:

@@ -25,84 +25,56 @@ CONVERGENCE_STEPS = (0.8, 0.4, 0.2, 0.1)  # steps over the limit; each is half o
 
 @dataclass(frozen=True, slots=True)
 class ReferenceCell:
-    """Reference of one cell.
-
-    Attributes
-    ----------
-    seed, content
-        The cell; content in percent.
-    vs
-        m/s; None if the reference has no reliable pick either.
-    step_fraction
-        Step over the stability limit.
-    halving
-        Relative change of Vs by halving twice this step; None without a velocity.
-    """
+    """Reference of one cell."""
 
     seed: int
     content: float
+    """The cell; content in percent."""
     vs: float | None
+    """m/s; None if the reference has no reliable pick either."""
     step_fraction: float
+    """Step over the stability limit."""
     halving: float | None
+    """Relative change of Vs by halving twice this step; None without a velocity."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellError:
-    """Deviation of one cell with one setting from the reference.
-
-    Attributes
-    ----------
-    setting
-        `Setting.name`.
-    seed, content
-        The cell; content in percent.
-    vs, reference_vs
-        m/s; None without a reliable pick.
-    vs_error
-        Relative, signed; None unless both have a velocity.
-    arrival_error
-        Relative error of the travel time of the first arrival, signed; None unless both have one.
-    signal_error
-        See `signal_distance`.
-    expected, bound
-        Relative error estimated by the cell itself, and its bound.
-    """
+    """Deviation of one cell with one setting from the reference."""
 
     setting: str
+    """`Setting.name`."""
     seed: int
     content: float
+    """The cell; content in percent."""
     vs: float | None
     reference_vs: float | None
+    """m/s; None without a reliable pick."""
     vs_error: float | None
+    """Relative, signed; None unless both have a velocity."""
     arrival_error: float | None
+    """Relative error of the travel time of the first arrival, signed; None unless both have one."""
     signal_error: float
+    """See `signal_distance`."""
     expected: float | None
     bound: float | None
+    """Relative error estimated by the cell itself, and its bound."""
 
 
 @dataclass(frozen=True, slots=True)
 class Convergence:
-    """Convergence of the signal at a content, medians over its cells.
-
-    Attributes
-    ----------
-    content
-        Percent.
-    damped
-        True with the experiment's local damping, False without damping.
-    regime
-        ``linear``, or a regime with contact histories.
-    changes
-        Change of the signal by each halving of the step: normalised L2, at the sampling times of the largest step.
-    orders
-        Logarithm to base 2 of each change over the next: the order, without an exact solution.
-    """
+    """Convergence of the signal at a content, medians over its cells."""
 
     content: float
+    """Percent."""
     damped: bool
+    """True with the experiment's local damping, False without damping."""
     regime: Regime
+    """``linear``, or a regime with contact histories."""
     changes: tuple[float, ...]
+    """Change of the signal by each halving of the step: normalised L2, at the sampling times of the largest step."""
     orders: tuple[float, ...]
+    """Logarithm to base 2 of each change over the next: the order, without an exact solution."""
 
 
 def fitting_lanes(seeds: Sequence[int], lanes: int) -> int:

@@ -20,25 +20,18 @@ REFERENCE_SAMPLES = 1600
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One setting for computing the same cells.
-
-    Attributes
-    ----------
-    knob
-        Changed parameter.
-    value
-        Its value as text.
-    experiment
-        Complete experiment.
-    numerical
-        False if the exact answer also changes, as with the width of a band or the damping. The difference is then not
-        an error, and `cheapest` excludes the setting.
-    """
+    """One setting for computing the same cells."""
 
     knob: str
+    """Changed parameter."""
     value: str
+    """Its value as text."""
     experiment: Experiment
+    """Complete experiment."""
     numerical: bool = True
+    """False if the exact answer also changes, as with the width of a band or the damping. The difference is then not an
+    error, and `cheapest` excludes the setting.
+    """
 
     @property
     def name(self) -> str:

@@ -27,61 +27,41 @@ _SLOW = 3.0  # time over the default's above which a setting is timed only once
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Absolute relative errors of one setting over its cells.
-
-    Attributes
-    ----------
-    setting, numerical
-        See `Setting`.
-    cells
-        Compared cells; 0 if the setting was refused.
-    lost
-        Cells with a velocity only in the reference.
-    median, worst
-        Errors of Vs.
-    arrival, signal
-        Medians of the errors of the first arrival and of the whole signal.
-    covered
-        Share of cells whose error of Vs is within their stated bound.
-    seconds
-        Processor time of a cell.
-    """
+    """Absolute relative errors of one setting over its cells."""
 
     setting: str
     numerical: bool
+    """See `Setting`."""
     cells: int
+    """Compared cells; 0 if the setting was refused."""
     lost: int
+    """Cells with a velocity only in the reference."""
     median: float
     worst: float
+    """Errors of Vs."""
     arrival: float
     signal: float
+    """Medians of the errors of the first arrival and of the whole signal."""
     covered: float
+    """Share of cells whose error of Vs is within their stated bound."""
     seconds: float
+    """Processor time of a cell."""
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """Results of a study.
-
-    Attributes
-    ----------
-    cells
-        Every cell of every setting.
-    summaries
-        One for each setting, over all contents; the experiment's own first.
-    references
-        One for each cell.
-    reference_seconds
-        Processor time of a cell of the reference.
-    seconds
-        Processor time of a cell by setting and content.
-    """
+    """Results of a study."""
 
     cells: tuple[CellError, ...]
+    """Every cell of every setting."""
     summaries: tuple[Summary, ...]
+    """One for each setting, over all contents; the experiment's own first."""
     references: tuple[ReferenceCell, ...]
+    """One for each cell."""
     reference_seconds: float
+    """Processor time of a cell of the reference."""
     seconds: Mapping[str, Mapping[float, float]]
+    """Processor time of a cell by setting and content."""
 
 
 def run_study(  # noqa: PLR0913 - every departure from the default is a keyword

@@ -54,25 +54,17 @@ class _ListedPlan(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """Variant ready for computation.
-
-    Attributes
-    ----------
-    name
-        Name of the variant and of its campaign in the database.
-    choice, value
-        Choice and its value in words.
-    against
-        Name of the variant to compare with.
-    configuration
-        Configuration to compute.
-    """
+    """Variant ready for computation."""
 
     name: str
+    """Name of the variant and of its campaign in the database."""
     choice: str
     value: str
+    """Choice and its value in words."""
     against: str
+    """Name of the variant to compare with."""
     configuration: Configuration
+    """Configuration to compute."""
 
 
 def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...]:

@@ -32,21 +32,14 @@ _FEWEST_TO_NEGLECT = 32
 
 @dataclass(frozen=True, slots=True)
 class SobolPlan:
-    """Varied parameters, and cells of every point.
-
-    Attributes
-    ----------
-    configuration
-        All other numbers, and the cells of every point, with the same seeds.
-    ranges
-        Lowest and highest value of each parameter.
-    bases
-        Base points, a power of two; there are (parameters + 2) times as many points.
-    """
+    """Varied parameters, and cells of every point."""
 
     configuration: Configuration
+    """All other numbers, and the cells of every point, with the same seeds."""
     ranges: dict[str, tuple[float, float]]
+    """Lowest and highest value of each parameter."""
     bases: int
+    """Base points, a power of two; there are (parameters + 2) times as many points."""
 
     @property
     def contents(self) -> tuple[float, ...]:

@@ -43,27 +43,18 @@ _PROGRESS = 64  # drawn scenes between two messages
 
 @dataclass(frozen=True, slots=True)
 class _Maps:
-    """Results of the maps.
-
-    Attributes
-    ----------
-    walks
-        Verdicts along each quantity, by its name.
-    packings
-        Verdicts on small packings.
-    limits
-        Time-step limits by stiffness contrast, for bare, partly and fully bonded scenes.
-    endurance
-        Long runs.
-    detections
-        Runs with a forced step.
-    """
+    """Results of the maps."""
 
     walks: dict[str, tuple[Judgement, ...]]
+    """Verdicts along each quantity, by its name."""
     packings: tuple[Judgement, ...]
+    """Verdicts on small packings."""
     limits: dict[float, tuple[Limits, ...]]
+    """Time-step limits by stiffness contrast, for bare, partly and fully bonded scenes."""
     endurance: tuple[Endurance, ...]
+    """Long runs."""
     detections: tuple[Detection, ...]
+    """Runs with a forced step."""
 
 
 def _tables(found: _Maps) -> str:

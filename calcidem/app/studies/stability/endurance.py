@@ -21,27 +21,18 @@ _PRESSED_LATTICE = Extreme(confinement=1e6)
 
 @dataclass(frozen=True, slots=True)
 class Endurance:
-    """Results of long runs of one regime.
-
-    Attributes
-    ----------
-    regime
-        See `state.start`.
-    steps
-        Steps of each run.
-    drift
-        Largest change of the energy without damping over its first value.
-    residual_motion
-        Largest displacement of a disk of an undisturbed balanced scene, over the mean overlap.
-    restarted
-        Whether a run continued from a stored state half-way ended with the same bits.
-    """
+    """Results of long runs of one regime."""
 
     regime: Regime
+    """See `state.start`."""
     steps: int
+    """Steps of each run."""
     drift: float
+    """Largest change of the energy without damping over its first value."""
     residual_motion: float
+    """Largest displacement of a disk of an undisturbed balanced scene, over the mean overlap."""
     restarted: bool
+    """Whether a run continued from a stored state half-way ended with the same bits."""
 
 
 def endurance() -> tuple[Endurance, ...]:

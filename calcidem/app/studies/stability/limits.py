@@ -32,27 +32,18 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Detection:
-    """One run with a forced step.
-
-    Attributes
-    ----------
-    factor
-        Step over the true limit from the eigenvalues.
-    regime
-        See `state.start`.
-    steps
-        Steps after which a guard ended it; None if none did.
-    problem
-        Message of the guard.
-    looks
-        Steps between two checks by the guards.
-    """
+    """One run with a forced step."""
 
     factor: float
+    """Step over the true limit from the eigenvalues."""
     regime: Regime
+    """See `state.start`."""
     steps: int | None
+    """Steps after which a guard ended it; None if none did."""
     problem: str
+    """Message of the guard."""
     looks: int
+    """Steps between two checks by the guards."""
 
 
 def limits(scene: Extreme) -> Limits:

@@ -42,42 +42,28 @@ _PLAIN = {"step_fraction", "friction"}
 
 @dataclass(frozen=True, slots=True)
 class OwnScene:
-    """Scene as a user of `calcidem.dem` may write it.
-
-    Attributes
-    ----------
-    kind
-        One of `_OWN_KINDS`.
-    step_fraction
-        Argument of `start`; values above 1 must be refused.
-    factor
-        Step over the limit at the start, if the step is ``fixed``.
-    speed
-        Speed of disks, m/s.
-    gap
-        Gap between disks, in radii; 1e-16 is rounding.
-    size_ratio
-        Largest over smallest radius.
-    friction
-        Friction between disks.
-    push
-        Gravity over 9.81 m/s^2, at most 1000, and the lid's force in N/m.
-    fixed
-        Whether the step is given and therefore constant.
-    seed
-        Seed of everything else.
-    """
+    """Scene as a user of `calcidem.dem` may write it."""
 
     kind: str
+    """One of `_OWN_KINDS`."""
     step_fraction: float = 0.8
+    """Argument of `start`; values above 1 must be refused."""
     factor: float = 1.0
+    """Step over the limit at the start, if the step is ``fixed``."""
     speed: float = 0.1
+    """Speed of disks, m/s."""
     gap: float = 1e-16
+    """Gap between disks, in radii; 1e-16 is rounding."""
     size_ratio: float = 1.0
+    """Largest over smallest radius."""
     friction: float = 0.5
+    """Friction between disks."""
     push: float = 1.0
+    """Gravity over 9.81 m/s^2, at most 1000, and the lid's force in N/m."""
     fixed: bool = False
+    """Whether the step is given and therefore constant."""
     seed: int = 1
+    """Seed of everything else."""
 
 
 def draw_own_scenes(count: int, seed: int) -> tuple[OwnScene, ...]:

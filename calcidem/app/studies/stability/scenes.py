@@ -47,75 +47,51 @@ _CEMENTED_FREQUENCY = 2.0e4  # Hz: bonds carry the wave at any stress
 
 @dataclass(frozen=True, slots=True)
 class Extreme:
-    """One scene of the map.
-
-    Attributes
-    ----------
-    step_fraction
-        Step over its predicted limit; values above 1 must be refused.
-    contrast
-        Stiffness of bonds over that of the pressed contacts.
-    damping
-        Local damping factor.
-    amplitude
-        v0 of the pulse, m/s.
-    frequency
-        Frequency over the cut-off of a chain of such contacts.
-    size_ratio
-        Largest over smallest radius; below 2.5 all disks are equal.
-    content
-        Used part of the contacts' capacity for cement; 1 bonds all contacts.
-    confinement
-        Confining stress, Pa.
-    missing
-        Share of removed disks: towards the loss of rigidity, with rattlers. None below 0.
-    strength
-        Strength of bonds over the stress of the pulse in them.
-    floating
-        Number of tiny disks in the central pore, which touch only each other.
-    regime
-        See `state.start`.
-    seed
-        Seed of disorder and cement.
-    """
+    """One scene of the map."""
 
     step_fraction: float = 0.8
+    """Step over its predicted limit; values above 1 must be refused."""
     contrast: float = 1.0e3
+    """Stiffness of bonds over that of the pressed contacts."""
     damping: float = 0.3
+    """Local damping factor."""
     amplitude: float = 1.0e-4
+    """v0 of the pulse, m/s."""
     frequency: float = 0.2
+    """Frequency over the cut-off of a chain of such contacts."""
     size_ratio: float = 1.2
+    """Largest over smallest radius; below 2.5 all disks are equal."""
     content: float = 0.3
+    """Used part of the contacts' capacity for cement; 1 bonds all contacts."""
     confinement: float = 1.0e5
+    """Confining stress, Pa."""
     missing: float = 0.0
+    """Share of removed disks: towards the loss of rigidity, with rattlers. None below 0."""
     strength: float = 1.0e6
+    """Strength of bonds over the stress of the pulse in them."""
     floating: int = 0
+    """Number of tiny disks in the central pore, which touch only each other."""
     regime: Regime = "linear"
+    """See `state.start`."""
     seed: int = 1
+    """Seed of disorder and cement."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneQuantity:
-    """Properties of a field of `Extreme` for the maps.
-
-    Attributes
-    ----------
-    label
-        Label of the axis of a map.
-    walk
-        Values of a map; all other numbers are those of ``base``.
-    extreme, plausible
-        Range of random draws, over all scenes and over scenes that mostly have a velocity to check; without a range
-        the field is not drawn.
-    powers
-        True if the ranges are powers of ten.
-    """
+    """Properties of a field of `Extreme` for the maps."""
 
     label: str
+    """Label of the axis of a map."""
     walk: tuple[float, ...]
+    """Values of a map; all other numbers are those of ``base``."""
     extreme: tuple[float, float] | None = None
     plausible: tuple[float, float] | None = None
+    """Range of random draws, over all scenes and over scenes that mostly have a velocity to check; without a range the
+    field is not drawn.
+    """
     powers: bool = False
+    """True if the ranges are powers of ten."""
     base: Extreme = Extreme()
 
 
@@ -167,27 +143,18 @@ QUANTITIES = {
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """Sample of a small packing.
-
-    Attributes
-    ----------
-    stress
-        Stress on the lid, Pa.
-    friction
-        Friction between the disks during packing.
-    content
-        Percent.
-    regime
-        See `state.start`.
-    seed
-        Seed of packing and cement.
-    """
+    """Sample of a small packing."""
 
     stress: float
+    """Stress on the lid, Pa."""
     friction: float
+    """Friction between the disks during packing."""
     content: float
+    """Percent."""
     regime: Regime
+    """See `state.start`."""
     seed: int = 1
+    """Seed of packing and cement."""
 
 
 def draw_scenes(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, ...]:

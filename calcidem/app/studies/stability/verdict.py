@@ -42,27 +42,16 @@ class StabilityVerdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """Judgement of one scene.
-
-    Attributes
-    ----------
-    scene
-        Scene.
-    verdict
-        Verdict.
-    reason
-        Reason in words.
-    vs
-        Velocity, m/s; None if there is none.
-    error
-        True relative error, or that of `own_scenes.error_of_run`; None if unknown.
-    """
+    """Judgement of one scene."""
 
     scene: Extreme | Packed | OwnScene
     verdict: StabilityVerdict
     reason: str = ""
+    """Reason in words."""
     vs: float | None = None
+    """Velocity, m/s; None if there is none."""
     error: float | None = None
+    """True relative error, or that of `own_scenes.error_of_run`; None if unknown."""
 
 
 def judge_scene(scene: Extreme) -> Judgement:
