@@ -23,11 +23,14 @@ from calcidem.analysis.figures.style import (
     SAND_GRAIN,
     VERMILION,
     apply_style,
-    draw_scale,
     letter_panels,
     new_figure,
 )
 from calcidem.analysis.packing_graph import PackingGraph
+
+_BAR_BELOW = 0.04
+"""Distance of a scale bar from its picture, over the width of the picture."""
+
 
 _PANEL_WIDTH = 3.4
 """Width in inches of a panel with a path; its text stands beside."""
@@ -71,8 +74,8 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]
             spine.set_linewidth(1.1)
             spine.set_edgecolor(BLACK)
     letter_panels(grid.ravel())
-    draw_scale(grid[0][0], 0.0, 0.0, packing.width * MM)
-    draw_scale(grid[1][0], left * MM, (middle - half) * MM, 2 * half * MM)
+    _draw_scale(grid[0][0], 0.0, 0.0, packing.width * MM)
+    _draw_scale(grid[1][0], left * MM, (middle - half) * MM, 2 * half * MM)
     figure.legend(handles=[_SAND_KEY, _CLUSTER_KEY, _P_KEY, _C_KEY], loc="outside lower center", ncols=4)
     return figure
 
@@ -107,7 +110,7 @@ def draw_measurement(
     scene.text(-0.14 * width, height / 2, "transmitter", rotation=90, ha="right", va="center", color=VERMILION)
     scene.text(1.07 * width, height / 2, "receiver", rotation=270, ha="left", va="center", color=GREEN)
     _draw_way(scene, graph, None if arrival is None else arrival.distance)
-    draw_scale(scene, 0.0, 0.0, width)
+    _draw_scale(scene, 0.0, 0.0, width)
     if arrival is None:
         signals.set_axis_off()
     else:
@@ -161,8 +164,31 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
         )
         axes.text(1.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", linespacing=1.5)
     letter_panels(panels)
-    draw_scale(panels[-1], 0.0, low * MM, packing.width * MM)
+    _draw_scale(panels[-1], 0.0, low * MM, packing.width * MM)
     figure.legend(
         handles=[_SAND_KEY, _CLUSTER_KEY, _P_KEY, _C_KEY, _PATH_KEY, _BARE_KEY], loc="outside lower center", ncols=3
     )
     return figure
+
+
+def _draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
+    """Draw a scale bar below a picture of this width whose lower left corner is given; all in mm, the data's unit."""
+    length = _round_length(width)
+    y = low - _BAR_BELOW * width
+    axes.plot([left, left + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
+    axes.annotate(
+        f"{length:g} mm",
+        (left + length / 2, y),
+        xytext=(0, -3),
+        textcoords="offset points",
+        ha="center",
+        va="top",
+        fontsize=8.0,
+        annotation_clip=False,
+    )
+
+
+def _round_length(width: float) -> float:
+    """Give the largest of 1, 2 and 5 times a power of ten that is at most a quarter of a width."""
+    power = 10.0 ** math.floor(math.log10(0.25 * width))
+    return max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= 0.25 * width)

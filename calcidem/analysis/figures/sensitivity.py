@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calcidem.analysis.figures.signals import METHOD_STYLES
@@ -23,7 +24,6 @@ from calcidem.analysis.figures.style import (
     apply_style,
     letter_panels,
     new_figure,
-    start_at_zero,
 )
 from calcidem.analysis.sobol import OUTPUTS
 
@@ -62,7 +62,7 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
                 zorder=3,
             )
         axes.set_title(f"{content:g} %")
-        start_at_zero(axes)
+        _start_at_zero(axes)
     letter_panels(panels[: len(contents)])
     for axes in panels[len(contents) :]:
         axes.set_axis_off()
@@ -93,7 +93,7 @@ def draw_frequency_study(study: xr.Dataset) -> Figure:
     letter_panels((left, right))
     for axes in (left, right):
         axes.set_xlabel(_FREQUENCY_LABEL)
-        start_at_zero(axes)
+        _start_at_zero(axes)
     left.set_ylabel("frequency received (kHz)")
     right.set_ylabel(VS_LABEL)
     figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=1 + study.sizes["content"])
@@ -132,7 +132,7 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
         signals.set_title(f"{content:g} %")
         velocities.plot(factors, chosen["vs_peak"].transpose("damping", ...), color=BLUE, marker="o", markersize=3.5)
         velocities.set_ylabel(VS_LABEL)
-        start_at_zero(velocities)
+        _start_at_zero(velocities)
         velocities.set_xlim(0, 1.08 * factors[-1])
     letter_panels(panels.ravel())
     panels[-1, 0].set_xlabel("time (ms)")
@@ -212,3 +212,8 @@ STUDY_FIGURES = (
         draw_damping_study,
     ),
 )
+
+
+def _start_at_zero(axes: Axes) -> None:
+    """Let a vertical axis begin at zero, with some room above the data."""
+    axes.set_ylim(0, 1.06 * axes.get_ylim()[1])

@@ -1,6 +1,5 @@
 """One look for all figures: colours, sizes, units, and how a figure is written to files."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -35,8 +34,6 @@ KHZ = 1e-3
 
 PICTURE_MARGIN = 0.015
 """Margin around a picture of a sample, over the width of the sample."""
-_BAR_BELOW = 0.04
-"""Distance of a scale bar from its picture, over the width of the picture."""
 
 SAND_GRAIN = "#d3e0ea"
 CLUSTER_GRAIN = "#f6c667"
@@ -154,11 +151,6 @@ def letter_panels(panels: Iterable[Axes], **look: Any) -> None:  # noqa: ANN401 
         axes.set_title(f"({name}) {axes.get_title(loc='left')}".rstrip(), loc="left", **look)
 
 
-def start_at_zero(axes: Axes) -> None:
-    """Let a vertical axis begin at zero, with some room above the data."""
-    axes.set_ylim(0, 1.06 * axes.get_ylim()[1])
-
-
 def strip_axes(axes: Axes) -> None:
     """Take grid, ticks and frame off axes that show a picture."""
     axes.grid(visible=False)
@@ -166,29 +158,6 @@ def strip_axes(axes: Axes) -> None:
     axes.set_yticks([])
     for spine in axes.spines.values():
         spine.set_visible(False)
-
-
-def draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
-    """Draw a scale bar below a picture of this width whose lower left corner is given; all in mm, the data's unit."""
-    length = _round_length(width)
-    y = low - _BAR_BELOW * width
-    axes.plot([left, left + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
-    axes.annotate(
-        f"{length:g} mm",
-        (left + length / 2, y),
-        xytext=(0, -3),
-        textcoords="offset points",
-        ha="center",
-        va="top",
-        fontsize=8.0,
-        annotation_clip=False,
-    )
-
-
-def _round_length(width: float) -> float:
-    """Give the largest of 1, 2 and 5 times a power of ten that is at most a quarter of a width."""
-    power = 10.0 ** math.floor(math.log10(0.25 * width))
-    return max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= 0.25 * width)
 
 
 def render(figure: Figure, file_format: str, colours: int | None = None) -> bytes:

@@ -1,10 +1,16 @@
 """How an error ends a command: one message without a traceback, and an exit code."""
 
 import errno
+import os
+import platform
 import sys
+import tempfile
 import traceback
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
 
-from calcidem.app.cli.terminal import IS_VERBOSE, log_error, printable
+from calcidem.app.cli.terminal import IS_VERBOSE, printable
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.dem.sample.packing import PackingError, PackingFileError
 from calcidem.storage.errors import (
@@ -18,6 +24,7 @@ from calcidem.storage.errors import (
 )
 from calcidem.storage.passwords import hide_passwords
 from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepError
+from calcidem.version import __version__
 
 _EXIT_BAD_INPUT = 2
 """Bad configuration, arguments or files."""
@@ -72,7 +79,7 @@ def tell_error(error: Exception) -> int:
     else:
         text = f"calcidem stopped at an unexpected error: {type(error).__name__}: {error}"
         try:
-            path = log_error(error)
+            path = _log_error(error)
         except MemoryError as lack:
             return tell_error(lack)
         text += (
@@ -95,3 +102,16 @@ def _sentence(error: OSError) -> str:
     return f"{named}{error.strerror[:1].lower()}{error.strerror[1:]}; " + _CURE_OF_ERRNO.get(
         error.errno, "check the name and the disk"
     )
+
+
+def _log_error(error: BaseException) -> Path | None:
+    """Write the traceback into a new file, in this folder or the one for temporary files; None if none can be made."""
+    program = f"calcidem {__version__}, Python {platform.python_version()}, {platform.platform()}"
+    text = hide_passwords("\n".join([program, repr(sys.argv), "".join(traceback.format_exception(error))]))
+    name = f"calcidem-error-{datetime.now(UTC):%Y%m%d-%H%M%S}-{os.getpid()}.log"
+    for folder in (Path.cwd, tempfile.gettempdir):
+        with suppress(OSError):
+            path = Path(folder()) / name
+            path.write_text(text, encoding="utf-8", errors="backslashreplace")
+            return path
+    return None

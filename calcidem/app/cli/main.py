@@ -7,22 +7,17 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
+from io import TextIOWrapper
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from calcidem.app.cli.terminal import (
-    IS_QUIET,
-    IS_VERBOSE,
-    be_plain_under_mpi,
-    print_any_text,
-    printable,
-    strange_argument,
-)
+from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable
 from calcidem.storage.passwords import keep_passwords_back
+from calcidem.sweep.environment import TERMINAL_VARIABLE, launcher
 from calcidem.version import __version__
 
 _OBJECTS_BEFORE_COLLECTING = 10_000
@@ -92,9 +87,9 @@ def main() -> None:
         os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
     gc.set_threshold(_OBJECTS_BEFORE_COLLECTING)
     warnings.formatwarning = _format_warning
-    print_any_text()
-    be_plain_under_mpi()
-    if wrong := strange_argument(sys.argv[1:]):
+    _print_any_text()
+    _be_plain_under_mpi()
+    if wrong := _strange_argument(sys.argv[1:]):
         sys.stderr.write(f"Error: {wrong}\n")
         sys.exit(2)
     try:
@@ -195,3 +190,27 @@ def _format_warning(
 
 if __name__ == "__main__":
     main()
+
+
+def _be_plain_under_mpi() -> None:
+    """Have a rank write no colours and move no cursor unless the command that started it has a terminal.
+
+    mpirun gives its ranks a pseudo-terminal, also where a file or a pipe takes what they write.
+    """
+    if launcher() is not None and TERMINAL_VARIABLE not in os.environ:
+        os.environ["TERM"] = "dumb"
+
+
+def _print_any_text() -> None:
+    """Have output written in any encoding: what it lacks, and parts of file names that are no text, as escapes."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _strange_argument(arguments: Sequence[str]) -> str:
+    """What is wrong with an argument that has control characters, for a person; empty if none has."""
+    for number, argument in enumerate(arguments, 1):
+        if (shown := printable(argument)) != argument:
+            return f"argument {number} = '{shown}': has control characters; write it without, or rename the file"
+    return ""

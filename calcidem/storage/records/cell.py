@@ -29,7 +29,7 @@ _Whole = int | None
 _POSITIVE, _NOT_NEGATIVE = Bound.POSITIVE, Bound.NOT_NEGATIVE
 _reading = partial(Quantity, origin="reading", is_exact=True)
 _speed = partial(_reading, "m s-1", bound=_POSITIVE)
-_reading_error = partial(_reading, "1", bound=_NOT_NEGATIVE, is_brief=True)
+_relative_error = partial(_reading, "1", bound=_NOT_NEGATIVE, is_brief=True)
 _wave = partial(Quantity, origin="wave", bound=_POSITIVE, is_exact=True)
 _cement = partial(Quantity, origin="cement", bound=_NOT_NEGATIVE, is_exact=True)
 
@@ -131,9 +131,9 @@ class CellResult:
     vs_first_arrival: Annotated[_Real, _speed("shear-wave velocity by first arrival")] = None
     vs_cross_correlation: Annotated[_Real, _speed("shear-wave velocity by cross-correlation")] = None
     coherence: Annotated[_Real, _reading("1", "stack of the section along the line of the S wave")] = None
-    reading_error: Annotated[_Real, _reading_error("relative standard error of the reading of vs")] = None
+    reading_error: Annotated[_Real, _relative_error("relative standard error of the reading of vs")] = None
     path_vs: Annotated[_Real, _speed("shear-wave velocity from station to station", is_brief=True)] = None
-    path_error: Annotated[_Real, _reading_error("relative standard error of the reading of path_vs")] = None
+    path_error: Annotated[_Real, _relative_error("relative standard error of the reading of path_vs")] = None
     frequency: Annotated[_Real, _wave("Hz", "frequency of the transmitted pulse", is_needed=True)] = None
     distance: Annotated[_Real, _wave("m", "distance that the shear wave travelled")] = None
     """From the transmitter to the receiver."""

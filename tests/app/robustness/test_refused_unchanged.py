@@ -126,7 +126,7 @@ def test_an_error_that_no_memory_is_left_to_log_is_a_lack_of_memory(
     def fail(_error: BaseException) -> NoReturn:
         raise MemoryError
 
-    monkeypatch.setattr("calcidem.app.cli.exit_codes.log_error", fail)
+    monkeypatch.setattr("calcidem.app.cli.exit_codes._log_error", fail)
     assert tell_error(RuntimeError("anything")) == 1
     assert "memory" in capsys.readouterr().err
 

@@ -8,7 +8,7 @@ from time import process_time
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from calcidem.app.studies.accuracy.settings import REFERENCE_SAMPLES, reference_experiment, with_wave
+from calcidem.app.studies.accuracy.settings import REFERENCE_SAMPLES, with_wave
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.kernels.layout import Floats
@@ -16,6 +16,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
 from calcidem.dem.wave.reading import smooth
 from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 HALVING = 1.0e-4  # largest relative change of Vs by halving the step
 COARSEST = 0.4  # first step over the limit
@@ -114,12 +115,12 @@ def find_reference(
     reference cells, and the mean processor time of a cell, s.
     """
     step, waiting = coarsest, list(seeds)
-    before = measure_cells(reference_experiment(experiment, step), content, waiting, lanes)
+    before = measure_cells(_reference_experiment(experiment, step), content, waiting, lanes)
     done: dict[int, tuple[Measurement, ReferenceCell, float]] = {}
     while waiting:
         step /= 2.0
         width = fitting_lanes(waiting, lanes)
-        found, seconds = measure_and_time(reference_experiment(experiment, step), content, waiting, width)
+        found, seconds = measure_and_time(_reference_experiment(experiment, step), content, waiting, width)
         now = {(cell.seed, content): cell for cell in found}
         for seed in waiting:
             cell = now[seed, content]
@@ -227,3 +228,18 @@ def _signal_changes(records: Sequence[WaveRecord], smoothing: float) -> Floats:
     signals = [_at_times(common, time, signal) for time, signal in zip(times, signals, strict=True)]
     size = np.linalg.norm(signals[-1])
     return np.array([np.linalg.norm(fine - coarse) / size for coarse, fine in itertools.pairwise(signals)])
+
+
+def _reference_experiment(experiment: Experiment, step_fraction: float) -> Experiment:
+    """Return the experiment at the highest accuracy: float64, finite displacement, all disks, dense samples.
+
+    Early stop keeps its setting; as a separate knob it is shown to change no reading.
+    """
+    return with_wave(
+        experiment,
+        precision="float64",
+        regime="finite",
+        keep=(WHOLE_DOMAIN,),
+        step_fraction=step_fraction,
+        samples_per_period=max(REFERENCE_SAMPLES, experiment.wave.samples_per_period),
+    )

@@ -44,21 +44,6 @@ def with_wave(experiment: Experiment, **changes: Any) -> Experiment:  # noqa: AN
     return replace(experiment, wave=replace(experiment.wave, **changes))
 
 
-def reference_experiment(experiment: Experiment, step_fraction: float) -> Experiment:
-    """Return the experiment at the highest accuracy: float64, finite displacement, all disks, dense samples.
-
-    Early stop keeps its setting; as a separate knob it is shown to change no reading.
-    """
-    return with_wave(
-        experiment,
-        precision="float64",
-        regime="finite",
-        keep=(WHOLE_DOMAIN,),
-        step_fraction=step_fraction,
-        samples_per_period=max(REFERENCE_SAMPLES, experiment.wave.samples_per_period),
-    )
-
-
 def settings(experiment: Experiment) -> Iterator[Setting]:
     """Yield the settings of a study: the experiment's own first, then every knob."""
     wave = experiment.wave

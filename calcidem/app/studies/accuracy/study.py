@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
-from scipy.stats import spearmanr
 
 from calcidem.app.studies.accuracy.reference import (
     COARSEST,
@@ -163,17 +162,6 @@ def covered_share(cells: Iterable[CellError]) -> float:
         abs(cell.vs_error) <= cell.bound for cell in cells if cell.vs_error is not None and cell.bound is not None
     ]
     return float(np.mean(honest)) if honest else np.nan
-
-
-def rank_correlation(cells: Iterable[CellError]) -> float:
-    """Spearman's rank correlation of expected and actual errors of cells; NaN below three cells."""
-    pairs = {
-        (cell.expected, abs(cell.vs_error)) for cell in cells if cell.vs_error is not None and cell.expected is not None
-    }  # a set: without cement all seeds are the same cell
-    if len(pairs) <= 2:  # noqa: PLR2004 - two always agree
-        return np.nan
-    expected, found = np.array(list(pairs)).T
-    return float(spearmanr(expected, found).statistic)
 
 
 def cheapest(study: Study, target: float) -> Summary | None:
