@@ -10,7 +10,7 @@ import pytest
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.own_sand import MINERALS, OwnSand, own_sand_text, parse_quantity, read_own_disks
+from calcidem.app.config.own_sand import OwnSand, own_sand_text, parse_quantity, read_own_disks
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation
 from calcidem.dem.sample.packing import Packing
@@ -46,6 +46,8 @@ def test_a_written_configuration_is_that_of_the_grain() -> None:
     assert written[0].cement == written[1].cement
     assert (fine.overlap, fine.velocity) == pytest.approx((coarse.overlap, coarse.velocity))
     assert fine.overlap == pytest.approx((3.0 * 2.0**0.5 * 0.92 * 100e3 / 44e9) ** (2 / 3))
+    named = (own_sand_text(OwnSand(1e-3, 1e5, mineral, (0.0,))) for mineral in ("carbonate", "calcite"))
+    assert next(named).replace("arbonate", "alcite") == next(named)
     higher = OwnSand(0.3e-3, 800e3, "quartz", (0.0,))
     assert higher.overlap == pytest.approx(4.0 * fine.overlap)
     assert higher.velocity == pytest.approx(2.0**0.5 * fine.velocity)
@@ -88,7 +90,7 @@ def test_sands_that_cannot_be_computed_are_refused() -> None:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("mineral", MINERALS)
+@pytest.mark.parametrize("mineral", ["quartz", "carbonate"])
 @pytest.mark.parametrize("stress", [20e3, 100e3, 1e6])
 @pytest.mark.parametrize("grain_size", [0.1e-3, 0.3e-3, 1e-3, 5e-3])
 def test_written_configurations_need_no_edit(grain_size: float, stress: float, mineral: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 from calcidem.app.campaign import expected_cost as cost
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.parts import planned_batches
-from calcidem.app.campaign.preview import _hard_to_read, _rough_time
+from calcidem.app.campaign.preview import _rough_time, _waves
 from calcidem.app.config.checks import _longest_step, check_against_packing
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.schema import Bonding, Configuration, Excitation
@@ -88,11 +88,19 @@ def test_contents_that_are_hard_to_read_are_named(small_configuration: Configura
     told = {}
     for frequency in (5e3, 30e3):
         chosen = replace(small_configuration, excitation=Excitation(frequency))
-        told[frequency] = "\n".join(_hard_to_read(chosen, small_packing, speeds))
+        told[frequency] = "\n".join(_waves(chosen, small_packing, speeds))
     assert "9 %: 0.1 wavelengths on the path" in told[5e3]
     assert "Hard to read: 0 %: 0." in told[5e3]
     assert "0 %: 2.6 grains in a wavelength" in told[30e3]
     assert "wave.frequency = " in told[30e3]
+
+
+def test_frequencies_that_are_chosen_are_told(small_configuration: Configuration, small_packing: Packing) -> None:
+    """Those of the cells, content by content."""
+    automatic = replace(small_configuration, excitation=Excitation("auto"))
+    told = next(_waves(automatic, small_packing, {2.55: 1000.0, 0.0: 200.0}))
+    found = [automatic.experiment(small_packing).frequency(content) / 1e3 for content in (0.0, 2.55)]
+    assert told == f'Frequency: {found[0]:g} kHz at 0 %, {found[1]:g} kHz at 2.55 %, by wave.frequency = "auto".'
 
 
 def test_rough_times_have_units() -> None:

@@ -9,6 +9,7 @@ from base64 import b64decode
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,16 +25,16 @@ from calcidem.app.report.cell_figures import draw_cell
 from calcidem.app.report.comparison import published_table
 from calcidem.app.report.folder import write_files
 from calcidem.app.report.one_cell import describe_cell
-from calcidem.app.report.page import write_report
-from calcidem.app.report.provenance import parameter_table
+from calcidem.app.report.page import unnamed_page, write_report
+from calcidem.app.report.provenance import configuration_table, parameter_table
 from calcidem.app.report.results import growth_table, outcome_table, velocity_table
 from calcidem.app.report.sections import TABLES, make_or_explain
 from calcidem.app.report.terms import _MEANINGS, explained_terms
 from calcidem.app.report.wording import decimal, probability, significant, time_span
 from calcidem.app.studies.frequency_and_damping import run_studies
-from calcidem.storage.errors import UnknownCellError
+from calcidem.storage.errors import OutputRefusedError, UnknownCellError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import open_store, read_campaign
 
 pytestmark = pytest.mark.slow
 
@@ -97,6 +98,21 @@ def test_page_has_every_figure_or_says_why_not(page: str) -> None:
     assert packed <= set(re.findall(r'<script type="application/octet-stream" id="([^"]+)"', page))
 
 
+def test_a_page_without_a_name_replaces_the_report_of_its_campaign_alone(
+    small_database: Path, small_report: Path, tmp_path: Path
+) -> None:
+    """It is named by the database and beside it; any other file of that name is refused."""
+    database = Path(shutil.copy(small_database, tmp_path / "small-0.3mm.db"))
+    page = tmp_path / "small-0.3mm.html"
+    with read_campaign(database) as store:
+        assert unnamed_page(store) == page
+        shutil.copy(small_report, page)
+        assert unnamed_page(store) == page
+        page.write_text(page.read_text(encoding="utf-8").replace(store.record.hash[:16], "f" * 16), encoding="utf-8")
+        with pytest.raises(OutputRefusedError, match=r"small-0\.3mm\.html is no report of this campaign"):
+            unnamed_page(store)
+
+
 def test_missing_and_failed_cells_are_counted_apart(page: str, small_database: Path) -> None:
     """The cell that was not computed and the one that failed are in different columns, with the reason."""
     with open_campaign(small_database) as campaign:
@@ -119,6 +135,14 @@ def test_calibrated_parameters_are_named() -> None:
     marked = {table.rows[place][0] for place in table.marked}
     assert {"sand.wave_stiffness_factor", "pattern.p_share", "packing.stress"} <= marked
     assert not {"sand.shear_modulus", "wave.damping", "wave.amplitude", "packing.width"} & marked
+
+
+def test_a_frequency_that_chose_itself_is_given_with_its_values() -> None:
+    """Of each content that has a cell."""
+    frequency = (("seed", "content"), [[np.nan, 69e3, np.nan], [np.nan, 69e3, 130e3]])
+    cells = xr.Dataset({"frequency": frequency}, {"content": [0.0, 0.5, 3.0]})
+    analysis = SimpleNamespace(config={"wave": {"frequency": "auto", "damping": 0.3}}, cells=cells)
+    assert configuration_table(analysis).rows[0] == ("wave.frequency", "auto: 69000 at 0.5 %, 130000 at 3 %")  # type: ignore[arg-type]
 
 
 def test_another_sand_is_not_held_beside_the_paper(page: str, small_database: Path) -> None:

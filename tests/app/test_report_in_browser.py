@@ -92,6 +92,18 @@ def test_page_is_complete_and_fits(page: Chromium, small_report: Path, width: in
     assert (brightness(seen["dark"]) < 0.1) == dark
 
 
+@pytest.mark.parametrize("width", [390, 1280])
+def test_what_goes_on_beyond_an_edge_is_marked_there(page: Chromium, small_report: Path, width: int) -> None:
+    """On a narrow screen pictures, map and tables scroll; a mark at the edge says so, and goes at the end."""
+    page.show(small_report, width)
+    boxes = "[...document.querySelectorAll('.ends > *')]"
+    page.wait_for(f"{boxes}.every(b => b.parentElement.matches('.goes-right') === (b.scrollWidth > b.clientWidth + 1))")
+    assert (page.evaluate("document.querySelectorAll('figure .ends.goes-right img').length") > 5) == (width == 390)
+    page.evaluate(f"{boxes}.forEach(b => (b.scrollLeft = 1e6))")
+    page.wait_for("!document.querySelector('.goes-right')")
+    assert (page.evaluate("document.querySelectorAll('figure .ends.goes-left img').length") > 5) == (width == 390)
+
+
 def brightness(colour: str) -> float:
     """Relative luminance of a colour like rgb(1, 2, 3), as WCAG 2.2 defines it."""
     shares = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]

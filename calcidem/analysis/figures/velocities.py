@@ -223,7 +223,7 @@ def draw_histograms(
     for axes in panels[len(rows) :]:
         axes.set_axis_off()
     figure.supxlabel(VS_LABEL, fontsize=9)
-    figure.supylabel("probability density (own scales)", fontsize=9)
+    figure.supylabel("probability density (own scales)" if lines > 1 else "density (own scales)", fontsize=9)
     if marks:
         figure.legend(handles=marks[:1], loc="outside lower right")
     return figure

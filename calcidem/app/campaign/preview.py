@@ -86,7 +86,7 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     for warning in packing_warnings(configuration, packing):
         yield f"Warning: {warning}."
     yield f"Packing: {len(packing.radius)} disks; they hold these contents and this wave."
-    yield from _hard_to_read(configuration, packing, speeds)
+    yield from _waves(configuration, packing, speeds)
 
 
 def _expected_half_widths(store: Store, configuration: Configuration) -> dict[float, float]:
@@ -131,9 +131,12 @@ def _cost_lines(
         yield "Warning: run.output: results need more space than is free; free some space, or give another folder."
 
 
-def _hard_to_read(configuration: Configuration, packing: Packing, speeds: Mapping[float, float]) -> Iterator[str]:
-    """Contents whose wavelength does not suit the path or the grains."""
+def _waves(configuration: Configuration, packing: Packing, speeds: Mapping[float, float]) -> Iterator[str]:
+    """The frequencies that are chosen, and contents whose wavelength does not suit the path or the grains."""
     experiment, diameter = configuration.experiment(packing), 2.0 * float(np.mean(packing.radius))
+    if configuration.excitation.table is None:
+        chosen = (f"{experiment.frequency(content) / 1e3:g} kHz at {content:g} %" for content in sorted(speeds))
+        yield f'Frequency: {", ".join(chosen)}, by wave.frequency = "auto".'
     for content, speed in sorted(speeds.items()):
         frequency = experiment.frequency(content)
         waves, grains = frequency * experiment.distance / speed, speed / (frequency * diameter)

@@ -77,7 +77,7 @@ def _comparison_table(table: "pd.DataFrame", level: float) -> Table:
     """The table as people read it: contents together, campaigns below one another."""
     shown = Table(title="Shear-wave velocity, m/s", title_justify="left", box=SIMPLE_HEAD)
     shown.add_column("content %", justify="right")
-    shown.add_column("campaign")
+    shown.add_column("campaign", overflow="fold", min_width=12)
     for name in ("n", "mean", "sd", "difference", "paired", "pairs", "sd ratio"):
         shown.add_column(name, justify="right")
     for content, rows in table.groupby("content"):

@@ -38,7 +38,7 @@ def init_command(
         typer.Option(metavar="STRESS", help="Its confining stress; 100kPa if not given."),
     ] = None,
     mineral: Annotated[
-        str | None, typer.Option(metavar="MINERAL", help="Its grains: quartz (if not given) or carbonate.")
+        str | None, typer.Option(metavar="MINERAL", help="Its grains: quartz (if not given), carbonate or calcite.")
     ] = None,
     contents: Annotated[
         str | None, typer.Option(metavar="PERCENT,...", help="Its calcite contents; 0,1,2,4 if not given.")

@@ -11,7 +11,10 @@ from calcidem.app.cli.terminal import progress_bar
 
 def report_command(
     database: Database,
-    out: Annotated[Path, typer.Option(metavar="FILE.html", help="Page to write or replace.")] = Path("report.html"),
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Page to write or replace; DB.html beside the database if not given."),
+    ] = None,
     with_studies: Annotated[
         bool, typer.Option("--with-studies", help="Run the frequency and damping studies and include them.")
     ] = False,
@@ -24,9 +27,13 @@ def report_command(
 ) -> None:
     """Write one self-contained page: configuration, tables, figures, failures, errors and run time."""
     from calcidem.app.config.measured import read_targets
-    from calcidem.app.report.page import write_report
+    from calcidem.app.report.page import unnamed_page, write_report
     from calcidem.storage.files import refuse_to_replace
+    from calcidem.storage.sql.store import read_campaign
 
+    if out is None:
+        with read_campaign(database, campaign) as store:
+            out = unnamed_page(store)
     refuse_to_replace(out)
     targets = read_targets(measured) if measured else ()
     studies = None

@@ -26,9 +26,11 @@ from calcidem.dem.sample.packing_file import checked_disks
 from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.dem.wave.pulse import cutoff_frequency
 
+_CALCITE = Sand(shear_modulus=32e9, poisson_ratio=0.32, density=2710.0)
 MINERALS = {
     "quartz": Sand(shear_modulus=44e9, poisson_ratio=0.08, density=2650.0),
-    "carbonate": Sand(shear_modulus=32e9, poisson_ratio=0.32, density=2710.0),
+    "carbonate": _CALCITE,
+    "calcite": _CALCITE,
 }
 """Grains of spheres, of quartz and of calcite: Mavko, Mukerji and Dvorkin (2009), The Rock Physics Handbook,
 doi:10.1017/CBO9780511626753, tables of mineral moduli."""
@@ -250,7 +252,7 @@ def _commented(own: OwnSand) -> str:
         "[wave]",
         (
             'frequency = "auto"',
-            f"{WAVELENGTHS:g} wavelengths of path at each content; some {waves:.2g} Hz without cement",
+            f"about {WAVELENGTHS:g} wavelengths of path at each content; 'run --check' lists them",
         ),
         (
             f"amplitude = {_short(_GENTLE * 0.5 * own.overlap * d * waves, 1)}",

@@ -26,8 +26,9 @@ from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.terms import explained_terms
 from calcidem.app.report.wording import Table, decimal, time_span
+from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_text_atomically
-from calcidem.storage.sql.store import read_campaign
+from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.sweep.progress import pluralize
 
 _FEW_SAMPLES = 30
@@ -41,6 +42,9 @@ _PAGE_BYTES = 3_000_000
 
 _BYTES_OF_TEXT = 200_000
 """Of these, for tables, style and script."""
+
+_HEAD_BYTES = 50_000
+"""Of a page: style and head."""
 
 _LEAST_FOR_CELLS = 200_000
 """Of a page that many pictures fill."""
@@ -130,6 +134,26 @@ def write_report(
     return target
 
 
+def unnamed_page(store: Store) -> Path:
+    """Give the page of a campaign for which no name is given: beside its database, or here if that is on a server.
+
+    `OutputRefusedError` if a file of that name is no report of this campaign.
+    """
+    database = store.address.path
+    if database is None:
+        page = Path(f"{Path(store.record.name).name}.html")
+    else:
+        page = database.with_name(f"{database.name.removesuffix('.db')}.html")
+    if page.exists() and _identity(store) not in page.read_bytes()[:_HEAD_BYTES].decode(errors="replace"):
+        raise OutputRefusedError(f"{page} is no report of this campaign.", "Give another name with --out.")
+    return page
+
+
+def _identity(store: Store) -> str:
+    """What the head of a page says of its campaign alone."""
+    return f"campaign {store.record.hash[:16]}"
+
+
 def _render_page(
     analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset], watch: Callable[[int, int], None]
 ) -> str:
@@ -154,7 +178,7 @@ def _render_page(
     record, cell_data = analysis.store.record, gather_cell_data(analysis, max(room, _LEAST_FOR_CELLS))
     return environment.get_template("report.html").render(
         name=record.name,
-        hash=record.hash,
+        identity=_identity(analysis.store),
         written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         facts=_key_facts(analysis),
         blocks={**cell_data.blocks, **{picture.packed: picture.source for picture in pictures if picture.packed}},

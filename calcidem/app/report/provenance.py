@@ -59,10 +59,14 @@ def parameter_table(config: Mapping[str, Any]) -> Table | None:
     )
 
 
-def configuration_table(config: Mapping[str, Any]) -> Table:
-    """The whole physical configuration."""
-    rows = tuple((key, _value_text(value)) for key, value in flat_parameters(config).items())
-    return Table("The whole physical configuration in SI units.", ("parameter", "value"), rows)
+def configuration_table(analysis: CampaignAnalysis) -> Table:
+    """The whole physical configuration, with the frequencies that were chosen by themselves."""
+    texts = {key: _value_text(value) for key, value in flat_parameters(analysis.config).items()}
+    if texts.get("wave.frequency") == "auto":
+        chosen = analysis.cells["frequency"].max("seed").dropna("content")
+        found = [f"{_value_text(float(one))} at {float(one['content']):g} %" for one in chosen]
+        texts["wave.frequency"] = f"auto: {', '.join(found) or 'no cell is computed yet'}"
+    return Table("The whole physical configuration in SI units.", ("parameter", "value"), tuple(texts.items()))
 
 
 def _value_text(value: object) -> str:

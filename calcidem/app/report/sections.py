@@ -35,7 +35,7 @@ TABLES: Mapping[str, Callable[[CampaignAnalysis], Table | None]] = {
     "parameters": lambda analysis: parameter_table(analysis.config),
     "packing": packing_table,
     "runs": lambda analysis: run_table(analysis.store.runs()),
-    "configuration": lambda analysis: configuration_table(analysis.config),
+    "configuration": configuration_table,
 }
 """Makers of tables by their names in files; None where a campaign has nothing to show."""
 

@@ -66,6 +66,21 @@ function context(canvas, width, height) {
   return drawn;
 }
 
+// Boxes that scroll sideways -------------------------------------------------------------------------------------
+
+const sizes = new ResizeObserver((changes) => changes.forEach(({ target }) => markEnds(target.closest(".ends > *"))));
+/** Mark the ends of a box beyond which there is more of it. */
+function markEnds(box) {
+  const hidden = box.scrollWidth - box.clientWidth;
+  box.parentElement.classList.toggle("goes-left", box.scrollLeft > 1);
+  box.parentElement.classList.toggle("goes-right", box.scrollLeft < hidden - 1);
+}
+function watchEnds(box) {
+  box.addEventListener("scroll", () => markEnds(box), { passive: true });
+  for (const part of [box, box.firstElementChild]) sizes.observe(part);
+}
+document.querySelectorAll(".ends > *").forEach(watchEnds);
+
 // Theme --------------------------------------------------------------------------------------------------------
 
 const root = document.documentElement;

@@ -45,9 +45,9 @@ function showCell(place) {
       <div class="signals"><h4>Signals</h4>${details.signal ? `<div id="signal"></div>` : absent("signal")}
         ${details.section ? `<h4>Section</h4><div id="section"></div>` : ""}<div id="more"></div></div>
       <div class="sample"><h4>Sample</h4>${details.packing ? `<div id="sample-keys"></div><div id="sample" tabindex="0" role="region" aria-label="Sample"><canvas role="img"></canvas></div>` : absent("cement pattern")}</div>
-      <div class="record"><h4>Record</h4><div class="scroll"><table id="record"><tbody>
+      <div class="record"><h4>Record</h4><table id="record"><tbody>
         ${rows.map(([meaning, text]) => `<tr><th scope="row">${escape(meaning)}</th><td>${escape(text)}</td></tr>`).join("")}
-      </tbody></table></div></div>
+      </tbody></table></div>
     </div>`;
   byId("cell").hidden = false;
   source.extend(place, byId("more"));
@@ -149,9 +149,16 @@ function drawSection({ start, interval, levels, places, traces, begin, least, pe
     return `<polyline points="${points.join(" ")}" fill="none" stroke="var(--${station === traces.length - 1 ? "ink" : "received"})" stroke-width="1.4"/>`;
   });
   const shown = peaks.filter(([travel]) => begin + travel <= end);
+  // Numbers stand above the ends of their lines, as far as they do not overlap, nor leave the drawing.
+  const textAt = new Map();
+  let room = width - 14;
+  for (const [travel] of [...shown].sort(([one], [other]) => other - one)) {
+    textAt.set(travel, Math.min(x(begin + travel), room));
+    room = textAt.get(travel) - 34;
+  }
   const lines = shown.map(([travel, coherence, isChosen]) => {
     const colour = isChosen ? "peak" : "quiet";
-    return `<line x1="${x(begin)}" y1="${y(0)}" x2="${x(begin + travel)}" y2="${y(distance)}" stroke="var(--${colour})" stroke-width="${isChosen ? 2 : 1.2}"${isChosen ? "" : ` stroke-dasharray="5 4"`}/><text x="${x(begin + travel)}" y="${top - 6}" text-anchor="middle"${isChosen ? ` font-weight="bold"` : ""}>${coherence.toFixed(2)}</text>`;
+    return `<line x1="${x(begin)}" y1="${y(0)}" x2="${x(begin + travel)}" y2="${y(distance)}" stroke="var(--${colour})" stroke-width="${isChosen ? 2 : 1.2}"${isChosen ? "" : ` stroke-dasharray="5 4"`}/><text x="${textAt.get(travel)}" y="${top - 6}" text-anchor="middle"${isChosen ? ` font-weight="bold"` : ""}>${coherence.toFixed(2)}</text>`;
   });
   const chosen = shown.find(([, , isChosen]) => isChosen);
   const said = chosen ? `The S wave is the peak at ${number(chosen[0])} ms of travel, with a coherence of ${chosen[1].toFixed(2)}` : "No peak is the S wave";

@@ -237,7 +237,8 @@ function drawMap() {
   brush.textAlign = "center";
   brush.fillText("seed", (LEFT + Math.min(width, LEFT + seeds.length * cellWidth)) / 2, height - 10);
   brush.rotate(-Math.PI / 2);
-  brush.fillText("calcite content (%)", -(height - BOTTOM) / 2, 10);
+  const title = ["calcite content (%)", "content (%)", "%"].find((text) => brush.measureText(text).width < height - BOTTOM) ?? "%";
+  brush.fillText(title, -(height - BOTTOM) / 2, 10);
 }
 function placeAt(event) {
   const box = byId("map").getBoundingClientRect();

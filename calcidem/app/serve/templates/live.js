@@ -247,7 +247,8 @@ function showStatus({ parts, status }) {
   if (!reasons.length) return;
   const rows = reasons.map((one) => `<tr><td>${escape(one.outcome.replace("_", " "))}</td><td class="long">${escape(one.reason)}</td><td>${one.contents.join(", ")}</td><td>${one.cells}</td></tr>`);
   if (!parts.reasons.firstChild) {
-    parts.reasons.innerHTML = `<summary></summary><div class="scroll" tabindex="0" role="region" aria-label="Cells without velocity"><table><thead><tr><th scope="col">outcome</th><th scope="col">reason</th><th scope="col">contents (%)</th><th scope="col">cells</th></tr></thead><tbody></tbody></table></div>`;
+    parts.reasons.innerHTML = `<summary></summary><div class="ends"><div class="scroll" tabindex="0" role="region" aria-label="Cells without velocity"><table><thead><tr><th scope="col">outcome</th><th scope="col">reason</th><th scope="col">contents (%)</th><th scope="col">cells</th></tr></thead><tbody></tbody></table></div></div>`;
+    watchEnds(parts.reasons.querySelector(".scroll"));
   }
   put(parts.reasons.firstChild, `${plural(reasons.reduce((sum, one) => sum + one.cells, 0), "cell")} without velocity, and why`);
   put(parts.reasons.querySelector("tbody"), rows.join(""), true);
