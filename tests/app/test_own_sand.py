@@ -31,9 +31,10 @@ def part_with_velocity(own: OwnSand, seeds: int) -> float:
 
 
 @pytest.mark.slow
-def test_a_written_configuration_needs_no_edit() -> None:
-    """A sand unlike the paper's has the velocity that the file expects."""
-    assert part_with_velocity(OwnSand(1e-4, 1e6, "carbonate", (0.0,)), seeds=2) == 1.0
+@pytest.mark.parametrize("own", [(1e-4, 1e6, "carbonate"), (5e-3, 20e3, "quartz")])
+def test_a_written_configuration_needs_no_edit(own: tuple[float, float, str]) -> None:
+    """Sands unlike the paper's have the velocity that the file expects."""
+    assert part_with_velocity(OwnSand(*own, (0.0,)), seeds=2) == 1.0
 
 
 def test_a_written_configuration_is_that_of_the_grain() -> None:

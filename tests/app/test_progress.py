@@ -83,6 +83,7 @@ def test_lines_tell_what_matters() -> None:
     assert "lost rank 2 (node7): its process ended" in text
     counted = "4 of 6 cells (67 %), 1 done, 2 failed, 1 no arrival, 1 of 1 worker busy, 30 s left"
     assert counted in text
+    assert "?" not in text  # what is not known is left out
     assert "stopped after 0 s, 0 cells settled, SIGUSR1: running batches were finished" in text
     assert "\x1b" not in text
 

@@ -1,6 +1,7 @@
 """The live page as a browser and its enemies see it: the real command, on loopback, on a real store."""
 
 import json
+import os
 import signal
 import socket
 from collections.abc import Callable, Iterator
@@ -18,9 +19,11 @@ from calcidem.app.campaign.status import read_status
 from calcidem.app.serve.beside_run import page_beside_run
 from calcidem.app.serve.columns import CellColumns
 from calcidem.app.serve.feed import CampaignFeed
+from calcidem.app.serve.movies import MovieMaker
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import open_store
+from calcidem.sweep.environment import available_cores
 
 pytestmark = pytest.mark.slow
 
@@ -170,6 +173,18 @@ def test_a_password_of_a_configuration_is_in_no_command_line() -> None:
             assert answer.result()[0] == 200
     assert any(b"calcidem" in line and b"show" in line and b"nobody" in line for line in lines)
     assert not any(b"MARKED-SECRET" in line for line in lines)
+
+
+def test_a_movie_waits_for_a_run_and_for_another_movie(tmp_path: Path) -> None:
+    """It is refused while a run has all cores of this machine, or another is made; at the end its process is gone."""
+    movies, feed = MovieMaker(), CampaignFeed(0, str(tmp_path / "none.db"), None)
+    run = {"running": True, "workers": available_cores(), "run": {"host": os.uname().nodename}}
+    told = movies.start((0, 1, 5.0), feed, run)
+    assert (told["state"], f"the run has all {available_cores()} cores" in told["reason"]) == ("refused", True)
+    assert movies.start((0, 1, 5.0), feed, run | {"run": {"host": "elsewhere"}})["state"] == "working"
+    assert "another movie is being computed" in movies.start((0, 2, 5.0), feed, {})["reason"]
+    movies.end()
+    assert not any(b"none.db" in line for line in command_lines())
 
 
 def test_a_feed_notices_whatever_happens_to_its_database(tmp_path: Path) -> None:

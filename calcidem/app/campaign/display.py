@@ -99,7 +99,7 @@ class LineDisplay(SilentDisplay):
         elif time.monotonic() >= self._next:
             self._pause = min(1.5 * self._pause, self._longest)
             self._next = time.monotonic() + self._pause
-            self.note(", ".join([*_described(progress), f"{_time_left(progress)} left"]))
+            self.note(", ".join([*_described(progress), *_time_left(progress)]))
 
     def note(self, text: str) -> None:
         """Write a line with the time."""
@@ -188,8 +188,7 @@ class LiveDisplay:
         part = progress.finished / progress.total if progress.total else progress.fraction
         bar = ProgressBar(1.0, part, _BAR_WIDTH, pulse=not part, animation_time=time.monotonic())
         summary, *details = _described(progress)
-        left = _time_left(progress, passed)
-        elapsed = duration(progress.seconds + passed) + ("" if left == "?" else f", {left} left")
+        elapsed = ", ".join([duration(progress.seconds + passed), *_time_left(progress, passed)])
         head.add_row(spinner, Text(_VERBS[progress.stage], style="bold"), bar, summary, Text(elapsed, style="cyan"))
         lines = [Text(f"  {', '.join(details)}", no_wrap=True, overflow="ellipsis")] if details else []
         return Group(head, *lines, *self._contents(progress))
@@ -259,7 +258,7 @@ def _describe_packing(progress: RunProgress) -> Iterator[str]:
     yield f"{progress.time_steps:,} time steps"
 
 
-def _time_left(progress: RunProgress, passed: float = 0.0) -> str:
-    """Time left some seconds after this snapshot."""
+def _time_left(progress: RunProgress, passed: float = 0.0) -> list[str]:
+    """Time left some seconds after this snapshot, where it is known."""
     left = progress.seconds_left
-    return "?" if left is None else duration(max(left - passed, 0.0))
+    return [] if left is None else [f"{duration(max(left - passed, 0.0))} left"]
