@@ -97,6 +97,7 @@ def test_what_goes_on_beyond_an_edge_is_marked_there(page: Chromium, small_repor
     """On a narrow screen pictures, map and tables scroll; a mark at the edge says so, and goes at the end."""
     page.show(small_report, width)
     boxes = "[...document.querySelectorAll('.ends > *')]"
+    page.evaluate("document.querySelectorAll('details').forEach(one => (one.open = true))")
     page.wait_for(f"{boxes}.every(b => b.parentElement.matches('.goes-right') === (b.scrollWidth > b.clientWidth + 1))")
     assert (page.evaluate("document.querySelectorAll('figure .ends.goes-right img').length") > 5) == (width == 390)
     page.evaluate(f"{boxes}.forEach(b => (b.scrollLeft = 1e6))")
