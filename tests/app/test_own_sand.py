@@ -47,8 +47,7 @@ def test_a_written_configuration_is_that_of_the_grain() -> None:
     assert written[0].cement == written[1].cement
     assert (fine.overlap, fine.velocity) == pytest.approx((coarse.overlap, coarse.velocity))
     assert fine.overlap == pytest.approx((3.0 * 2.0**0.5 * 0.92 * 100e3 / 44e9) ** (2 / 3))
-    named = (own_sand_text(OwnSand(1e-3, 1e5, mineral, (0.0,))) for mineral in ("carbonate", "calcite"))
-    assert next(named).replace("arbonate", "alcite") == next(named)
+    assert OwnSand(1e-3, 1e5, "calcite", (0.0,)).sand == OwnSand(1e-3, 1e5, "carbonate", (0.0,)).sand
     higher = OwnSand(0.3e-3, 800e3, "quartz", (0.0,))
     assert higher.overlap == pytest.approx(4.0 * fine.overlap)
     assert higher.velocity == pytest.approx(2.0**0.5 * fine.velocity)

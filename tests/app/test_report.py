@@ -142,7 +142,7 @@ def test_a_frequency_that_chose_itself_is_given_with_its_values() -> None:
     frequency = (("seed", "content"), [[np.nan, 69e3, np.nan], [np.nan, 69e3, 130e3]])
     cells = xr.Dataset({"frequency": frequency}, {"content": [0.0, 0.5, 3.0]})
     analysis = SimpleNamespace(config={"wave": {"frequency": "auto", "damping": 0.3}}, cells=cells)
-    assert configuration_table(analysis).rows[0] == ("wave.frequency", "auto: 69000 at 0.5 %, 130000 at 3 %")  # type: ignore[arg-type]
+    assert configuration_table(analysis).rows[0] == ("wave.frequency", "auto: 69 kHz at 0.5 %, 130 kHz at 3 %")  # type: ignore[arg-type]
 
 
 def test_another_sand_is_not_held_beside_the_paper(page: str, small_database: Path) -> None:

@@ -64,7 +64,7 @@ def configuration_table(analysis: CampaignAnalysis) -> Table:
     texts = {key: _value_text(value) for key, value in flat_parameters(analysis.config).items()}
     if texts.get("wave.frequency") == "auto":
         chosen = analysis.cells["frequency"].max("seed").dropna("content")
-        found = [f"{_value_text(float(one))} at {float(one['content']):g} %" for one in chosen]
+        found = [f"{float(one) / 1e3:g} kHz at {float(one['content']):g} %" for one in chosen]
         texts["wave.frequency"] = f"auto: {', '.join(found) or 'no cell is computed yet'}"
     return Table("The whole physical configuration in SI units.", ("parameter", "value"), tuple(texts.items()))
 
