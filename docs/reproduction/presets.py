@@ -12,18 +12,22 @@ def main() -> None:
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("databases", nargs="+")
-    printed = {
-        content: f"{row.mean:.0f} ± {row.standard_deviation:.0f}" for content, row in published_study().velocities
+    rows = {
+        "published": {
+            content: f"{row.mean:.0f} ± {row.standard_deviation:.0f}" for content, row in published_study().velocities
+        }
     }
-    columns = []
     for database in parser.parse_args().databases:
         with open_campaign(database) as campaign:
-            columns.append((campaign.record.name, campaign.vs()))
-    print(f"| content % | paper | {' | '.join(name for name, _ in columns)} |")
-    print(f"|{'---|' * (len(columns) + 2)}")
-    for content in columns[0][1]["content"].to_numpy().tolist():
-        shown = [mean_and_deviation(vs.sel(content=content).to_numpy()) for _, vs in columns]
-        print(f"| {content:g} | {printed.get(content, '')} | {' | '.join(shown)} |")
+            vs = campaign.vs()
+            contents = vs["content"].to_numpy().tolist()
+            rows[campaign.record.name] = {
+                content: mean_and_deviation(vs.sel(content=content).to_numpy()) for content in contents
+            }
+    print(f"| content % | {' | '.join(f'{content:g}' for content in contents)} |")
+    print(f"|{'---|' * (len(contents) + 1)}")
+    for name, cells in rows.items():
+        print(f"| {name} | {' | '.join(cells.get(content, '') for content in contents)} |")
 
 
 def mean_and_deviation(values: np.ndarray) -> str:
