@@ -39,8 +39,6 @@ _TAIL = """
 * Rows verify the equations of the model, not that sand obeys them: a disk is no sphere.
 * Where contacts change from slip to stick the error is of first order in the step. [Accuracy](accuracy.md) gives the
   error of a campaign's velocities.
-* Friction, damping and impacts together are chaotic over long times: no two programs agree disk by disk
-  ([measurement](performance.md#do-they-compute-the-same-thing)).
 """
 
 

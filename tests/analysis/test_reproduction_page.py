@@ -29,6 +29,15 @@ FEATURES = {
     "C_d": "path_connectivity",
     "C_d,n": "path_normalized_connectivity",
 }
+MEASURED = {
+    "C_dn": "path_normalized_connectivity",
+    "path_vs": "path_vs",
+    "error": "reading_error",
+    "error of the reading": "reading_error",
+    "coherence": "coherence",
+}
+"""Features of the predictors that the file has."""
+
 STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 9.0)}
 CALIBRATED = (0.11, 0.66, 2.55, 5.0, 9.0)
 NORMAL = float(stats.norm.ppf(0.975))
@@ -182,7 +191,9 @@ def test_sentences_on_means_and_scatter(cells: xr.Dataset, published: dict[float
         float(np.median(cells[name].to_numpy()[read])) for name in ("reading_error", "numerical_error")
     )
     kurtosis, size = (np.array([f(one) for one in measured]) for f in (fourth_moment, len))
-    noise = sampling_variance(kurtosis, size) + sampling_variance(printed_column(published, "kurtosis"), np.full(16, 116))
+    noise = sampling_variance(kurtosis, size) + sampling_variance(
+        printed_column(published, "kurtosis"), np.full(16, 116)
+    )
     z = np.log(scatter) / np.sqrt(noise)
     p = 2 * stats.norm.sf(np.abs(z))
     assert [content for content, one in zip(published, p, strict=True) if 16 * one < 0.05] == [5.0]
@@ -273,14 +284,14 @@ def test_sobol_indices_of_the_page() -> None:
     bases = 64
     points = stored_points(load_sobol_plan(SOBOL.with_suffix(".toml"), bases), SOBOL)
     assert bool(points["done"].all())
-    vs = points["vs"].transpose("point", "content", "seed").to_numpy()
-    mean = np.nanmean(vs, axis=2)
+    vs = np.ma.masked_invalid(points["vs"].transpose("point", "content", "seed").to_numpy())
+    mean = np.ma.masked_where(vs.count(axis=2) < 2, vs.mean(axis=2)).filled(np.nan)
     names = points["parameter"].to_numpy().tolist()
     header, rows = table_with("parameter", page=SCATTER)
     for row in rows:
         for place, content in enumerate(points["content"].to_numpy().tolist()):
             expected = []
-            for output in (mean, np.nanstd(vs, axis=2, ddof=1) / mean):
+            for output in (mean, vs.std(axis=2, ddof=1).filled(np.nan) / mean):
                 groups = output[:, place].reshape(bases, len(names) + 2)
                 groups = groups[np.isfinite(groups).all(axis=1)]
                 changed = groups[:, 1 + names.index(row[0].strip("`"))]
@@ -415,17 +426,22 @@ def test_laws_and_predictions_of_the_page(database: Path) -> None:
         assert law is not None
         assert [float(part) for part in law.groups()] == pytest.approx([a, b, c], rel=0.02, abs=1.0)
     shares = np.column_stack([bonded[:, column].mean(axis=1), bonded.mean(axis=1)])
-    check_predictors(shares[known], vs[known], contents[known])
+    measured = calcidem.load_paper_campaign().sel(seed=xr.DataArray(seeds), content=xr.DataArray(contents))
+    features = {"column share": shares[:, 0], "cemented share": shares[:, 1]} | {
+        name: measured[variable].to_numpy() for name, variable in MEASURED.items()
+    }
+    check_predictors({name: values[known] for name, values in features.items()}, vs[known], contents[known])
 
 
-def check_predictors(shares: Array, vs: Array, contents: Array) -> None:
-    """The page has scores and hits of the predictors from shares of cemented contacts."""
-    chosen = {"content alone": [], "column share": [0], "column share, cemented share": [0, 1]}
+def check_predictors(features: dict[str, Array], vs: Array, contents: Array) -> None:
+    """The page has score and hits of each set of features."""
     header, rows = table_with("features", "in interval, %")
     for row in rows:
-        if row[0] in chosen:  # not of the path or of the wave
-            inside, score = pooled(shares[:, chosen[row[0]]], vs, contents)
-            check(header, row, {"score, m/s": [score], "in interval, %": [100 * inside]})
+        names = row[0].replace("C_d,n", "C_dn").removesuffix(" (measured)").removesuffix("content alone").split(", ")
+        x = np.array([features[name] for name in names if name]).reshape(-1, vs.size).T
+        whole = np.isfinite(x).all(axis=1)
+        inside, score = pooled(x[whole], vs[whole], contents[whole])
+        check(header, row, {"score, m/s": [score], "in interval, %": [100 * inside]})
 
 
 def check_bias(errors: Array, contents: Array) -> None:
