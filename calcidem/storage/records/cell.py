@@ -299,6 +299,11 @@ class PackedResult:
     """What the process that computed it is, if it says so; its rank is the master's to fill in."""
 
     @property
+    def status(self) -> CellStatus:
+        """Outcome of the cell."""
+        return CellStatus(self.columns["status"])
+
+    @property
     def attempt(self) -> int:
         """Number of the attempt."""
         return int(self.columns["attempt"])
