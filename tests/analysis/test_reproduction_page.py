@@ -276,7 +276,6 @@ def test_sentences_on_shape(cells: xr.Dataset, published: dict[float, dict[str, 
     assert [np.ceil((NORMAL / 0.1) ** 2 * (kurtosis - 1) / 4) for kurtosis in (3, 6)] == [193, 481]
 
 
-@pytest.mark.skipif(not SOBOL.exists(), reason="the samples of the study are not there")
 def test_sobol_indices_of_the_page() -> None:
     """The samples in docs give the total indices of the page (Jansen 1999), and belong to the plan beside them."""
     from calcidem.app.studies.sensitivity.sobol import load_sobol_plan, stored_points  # noqa: PLC0415 - of this test
