@@ -22,18 +22,12 @@ _BY_ERROR_TYPE = {
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong.
-
-    Attributes
-    ----------
-    message
-        ``section.field = value: what is wrong; remedy``.
-    fields
-        The fields that it is about, as ``section.field``.
-    """
+    """One thing that is wrong."""
 
     message: str
+    """``section.field = value: what is wrong; remedy``."""
     fields: tuple[str, ...] = ()
+    """The fields that it is about, as ``section.field``."""
 
 
 class ConfigurationError(ValueError):

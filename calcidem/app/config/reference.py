@@ -22,31 +22,21 @@ _WORDS = {int: "whole number", float: "number", bool: "true or false", str: "tex
 
 @dataclass(frozen=True, slots=True)
 class KeyReference:
-    """One key of a configuration.
-
-    Attributes
-    ----------
-    section, name
-        Of the key.
-    kind
-        What is written: ``number``, ``list of numbers``, ``text``.
-    default
-        What holds where the key is left out; None if nothing does.
-    unit
-        SI, or percent; empty for numbers without one.
-    meaning
-        What it is, from the docstring of the class that has it.
-    accepted
-        What it takes, in the words with which another value is refused; empty if all that is of its kind.
-    """
+    """One key of a configuration."""
 
     section: str
     name: str
+    """Of the key."""
     kind: str
+    """What is written: ``number``, ``list of numbers``, ``text``."""
     default: Any
+    """What holds where the key is left out; None if nothing does."""
     unit: str
+    """SI, or percent; empty for numbers without one."""
     meaning: str
+    """What it is, from the docstring of the class that has it."""
     accepted: str
+    """What it takes, in the words with which another value is refused; empty if all that is of its kind."""
 
 
 @cache

@@ -34,18 +34,12 @@ _MICROMETRES = 1e6
 
 @dataclass(frozen=True, slots=True)
 class _CellData:
-    """What the script of the page reads.
-
-    Attributes
-    ----------
-    blocks
-        Compressed JSON in base64 by the id of its element: "records", "packing-0", ..., "seed-1", ...
-    remarks
-        What is left out, in sentences.
-    """
+    """What the script of the page reads."""
 
     blocks: Mapping[str, str]
+    """Compressed JSON in base64 by the id of its element: "records", "packing-0", ..., "seed-1", ..."""
     remarks: tuple[str, ...]
+    """What is left out, in sentences."""
 
 
 def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:

@@ -17,24 +17,16 @@ _MINUTE, _HOUR = 60.0, 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of a report.
-
-    Attributes
-    ----------
-    caption
-        What it shows, and how to read it.
-    header
-        Name of each column; units in brackets.
-    rows
-        Cells as text, each row as long as the header.
-    marked
-        Rows that need attention, by their place.
-    """
+    """A table of a report."""
 
     caption: str
+    """What it shows, and how to read it."""
     header: tuple[str, ...]
+    """Name of each column; units in brackets."""
     rows: tuple[tuple[str, ...], ...]
+    """Cells as text, each row as long as the header."""
     marked: frozenset[int] = frozenset()
+    """Rows that need attention, by their place."""
 
 
 def decimal(value: float | None, decimals: int = 0) -> str:

@@ -17,27 +17,18 @@ class PageAddressError(OSError):
 
 @dataclass(frozen=True, slots=True)
 class PageAddress:
-    """A socket that listens, and the secret of the page behind it.
-
-    Attributes
-    ----------
-    listener
-        The socket.
-    host
-        Its name, as it was given.
-    token
-        What opens the page.
-    port
-        Of the socket.
-    url
-        What to type into a browser.
-    """
+    """A socket that listens, and the secret of the page behind it."""
 
     listener: socket.socket
+    """The socket."""
     host: str
+    """Its name, as it was given."""
     token: str = field(repr=False)
+    """What opens the page."""
     port: int = field(init=False)
+    """Of the socket."""
     url: str = field(init=False, repr=False)
+    """What to type into a browser."""
 
     def __post_init__(self) -> None:
         """Note the port: the socket may be closed later."""

@@ -18,23 +18,17 @@ _WORD_OF_ARRAYS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellColumns:
-    """Quantities of all cells of a campaign; the place of a cell is that of its seed times contents, plus its content.
-
-    Attributes
-    ----------
-    seeds, contents
-        Ascending, (S,) and (C,); contents in percent.
-    planned
-        Whether a cell is, (S * C,).
-    values
-        Quantities by name, (S * C,): float64 with NaN where missing, or texts, "" where missing. The status of a cell
-        without an outcome is "".
-    """
+    """Quantities of all cells of a campaign, at the place of the cell's seed times contents, plus that of its content."""
 
     seeds: NDArray[np.int64]
     contents: NDArray[np.float64]
+    """Ascending, (S,) and (C,); contents in percent."""
     planned: NDArray[np.bool_]
+    """Whether a cell is, (S * C,)."""
     values: dict[str, NDArray[Any]]
+    """Quantities by name, (S * C,): float64 with NaN where missing, or texts, "" where missing. The status of a cell
+    without an outcome is "".
+    """
 
     @classmethod
     def empty(cls, rows: Mapping[str, NDArray[Any]], names: Sequence[str]) -> Self:

@@ -38,15 +38,10 @@ _LONGEST_QUEUE = 200
 
 @dataclass(eq=False)
 class Hub:
-    """Feeds of campaigns, and the browsers that listen.
-
-    Attributes
-    ----------
-    feeds
-        By the number of their campaign on the page.
-    """
+    """Feeds of campaigns, and the browsers that listen."""
 
     feeds: Sequence[CampaignFeed]
+    """By the number of their campaign on the page."""
     _listeners: set["asyncio.Queue[str | None]"] = field(default_factory=set)
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
     _ended: bool = False

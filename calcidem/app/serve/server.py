@@ -49,16 +49,11 @@ _LAST_SEED = 2**63 - 1
 
 @dataclass(frozen=True, slots=True)
 class _LiveApplication:
-    """What the addresses of the page answer, to all; see `calcidem.app.serve.server`.
-
-    Attributes
-    ----------
-    hub, movies
-        Where the answers come from.
-    """
+    """What the addresses of the page answer, to all; see `calcidem.app.serve.server`."""
 
     hub: Hub
     movies: MovieMaker
+    """Where the answers come from."""
 
     def routes(self) -> Starlette:
         """Give the application of a server."""
@@ -263,18 +258,12 @@ class _Server(uvicorn.Server):
 
 @dataclass(frozen=True, slots=True)
 class LivePage:
-    """Campaigns to show, and where.
-
-    Attributes
-    ----------
-    campaigns
-        Database and name of each; the name is None where a database has but one.
-    address
-        Socket on which to listen, and what opens the page.
-    """
+    """Campaigns to show, and where."""
 
     campaigns: Sequence[tuple[str, str | None]]
+    """Database and name of each; the name is None where a database has but one."""
     address: PageAddress
+    """Socket on which to listen, and what opens the page."""
 
     def serve(self, ready: Callable[[], None] = lambda: None, *, wait: bool = False) -> None:
         """Serve the page until SIGINT or SIGTERM.

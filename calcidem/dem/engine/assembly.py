@@ -39,21 +39,15 @@ _BLOWN_UP = 1e100  # m: far beyond any scene, yet its square does not overflow
 
 @dataclass(frozen=True, slots=True)
 class Assembly:
-    """Arrays shared by all lanes, and the histories of the contacts.
-
-    Attributes
-    ----------
-    order
-        (N,) the scene's disks in memory order: sorted along the longer side, which keeps neighbours close in memory.
-    grains, pairs, wall_pairs, walls
-        See `layout`. Here, outside the kernel, the bond forces are (M, 3, L).
-    """
+    """Arrays shared by all lanes, and the histories of the contacts."""
 
     order: Integers
+    """(N,) the scene's disks in memory order: sorted along the longer side, which keeps neighbours close in memory."""
     grains: Grains
     pairs: Pairs
     wall_pairs: WallPairs
     walls: Walls
+    """See `layout`. Here, outside the kernel, the bond forces are (M, 3, L)."""
 
 
 def aligned_zeros(shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:

@@ -21,24 +21,16 @@ _HISTORY_NUMBERS = {"shear": 1, "root": 1, "bond_force": 3}
 
 @dataclass(frozen=True, slots=True)
 class Bundles:
-    """Assignment of pairs to bundles.
-
-    Attributes
-    ----------
-    start
-        (N + 1,) first bundle of a block, stored at the block's first disk; the last entry closes the list.
-    pair
-        (B, 8) pairs in each bundle.
-    place
-        (M,) place of each pair, counted through all bundles.
-    filling
-        Bundle and place of each spare place.
-    """
+    """Assignment of pairs to bundles."""
 
     start: Integers
+    """(N + 1,) first bundle of a block, stored at the block's first disk; the last entry closes the list."""
     pair: Integers
+    """(B, 8) pairs in each bundle."""
     place: Integers
+    """(M,) place of each pair, counted through all bundles."""
     filling: tuple[Integers, ...]
+    """Bundle and place of each spare place."""
 
 
 def plan_bundles(pairs: Pairs, block: int, count: int) -> Bundles:

@@ -34,36 +34,24 @@ _SMALLEST_BLOCK = 32
 
 @dataclass(frozen=True, slots=True)
 class StepControl:
-    """Control of the time step by its limit.
-
-    Attributes
-    ----------
-    fraction
-        Chosen step over its limit.
-    per_contact
-        Steps per impact if the fraction is `SAFETY`; 0: impacts are not resolved.
-    fixed
-        True: the caller has set the step. It never changes, and a limit below it is an error.
-    next_look
-        Number of the step at which the limit is checked next.
-    stability
-        (L,) s, stability limit when it was last computed.
-    overlap
-        (2, L) m, largest and summed overlap at that time.
-    began
-        Steps and time (L,) at which the present step was chosen.
-    energy
-        (2, L) J/m, energy at the start and largest so far; NaN before the first step.
-    """
+    """Control of the time step by its limit."""
 
     fraction: float
+    """Chosen step over its limit."""
     per_contact: float
+    """Steps per impact if the fraction is `SAFETY`; 0: impacts are not resolved."""
     fixed: bool
+    """True: the caller has set the step. It never changes, and a limit below it is an error."""
     next_look: int
+    """Number of the step at which the limit is checked next."""
     stability: Floats
+    """(L,) s, stability limit when it was last computed."""
     overlap: Floats
+    """(2, L) m, largest and summed overlap at that time."""
     began: tuple[int, Floats]
+    """Steps and time (L,) at which the present step was chosen."""
     energy: Floats
+    """(2, L) J/m, energy at the start and largest so far; NaN before the first step."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,26 +36,18 @@ _SWEEPS = 6  # sweeps of Jacobi rotations; they converge quadratically
 
 
 class _Springs(NamedTuple):
-    """Contacts, each seen from one of its disks.
-
-    Attributes
-    ----------
-    disk
-        (M,) disk of each contact.
-    n
-        (M, 2) unit vector towards it.
-    normal, shear
-        (M, L) stiffnesses, N/m.
-    arm, twist
-        (M, L) arm over the disk's radius, and rotational stiffness, as `critical_time_step_of_disks` scales it.
-    """
+    """Contacts, each seen from one of its disks."""
 
     disk: Integers
+    """(M,) disk of each contact."""
     n: Floats
+    """(M, 2) unit vector towards it."""
     normal: Floats
     shear: Floats
+    """(M, L) stiffnesses, N/m."""
     arm: Floats
     twist: Floats
+    """(M, L) arm over the disk's radius, and rotational stiffness, as `critical_time_step_of_disks` scales it."""
 
     @property
     def trace(self) -> Floats:

@@ -20,18 +20,12 @@ _GROUND = 1e-9
 
 
 class ShearedPart(NamedTuple):
-    """Part of a sheared sample.
-
-    Attributes
-    ----------
-    modulus
-        Mean shear stress over mean shear strain, Pa.
-    solid
-        Area fraction of disks.
-    """
+    """Part of a sheared sample."""
 
     modulus: float
+    """Mean shear stress over mean shear strain, Pa."""
     solid: float
+    """Area fraction of disks."""
 
 
 def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
@@ -76,26 +70,18 @@ def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
 
 
 class ShearedTriangles(NamedTuple):
-    """Delaunay triangles between centres of a sheared sample; their sums give the values of a part.
-
-    Attributes
-    ----------
-    corners
-        (K, 3) disks.
-    middle
-        (K, 2) centroids, m.
-    area, solid
-        (K,) m^2; ``solid`` is the area of the disks.
-    strain, stress
-        (K,) shear strain and shear stress, times area.
-    """
+    """Delaunay triangles between centres of a sheared sample; their sums give the values of a part."""
 
     corners: Integers
+    """(K, 3) disks."""
     middle: Floats
+    """(K, 2) centroids, m."""
     area: Floats
     solid: Floats
+    """(K,) m^2; ``solid`` is the area of the disks."""
     strain: Floats
     stress: Floats
+    """(K,) shear strain and shear stress, times area."""
 
     def among(self, chosen: Flags) -> ShearedPart:
         """Part formed by the chosen triangles (K,), at least one."""

@@ -43,27 +43,19 @@ _QUIET = 1e-2  # largest free over stored energy at which impacts do not matter
 
 
 class _Instant(NamedTuple):
-    """Present motion, forces and energies of a state, in double precision and memory order.
-
-    Attributes
-    ----------
-    velocity, force
-        (N, 3, L) velocities (m/s, rad/s), and net forces (N/m) and moments (N).
-    overlap, wall_overlap
-        (M, L) and (V, L) of the listed pairs, m.
-    reaction
-        (W, 3, L) as in `layout.Walls`.
-    kinetic, stored
-        (L,) energies, J/m, see `readout.Energies`.
-    """
+    """Present motion, forces and energies of a state, in double precision and memory order."""
 
     velocity: Floats
     force: Floats
+    """(N, 3, L) velocities (m/s, rad/s), and net forces (N/m) and moments (N)."""
     overlap: Floats
     wall_overlap: Floats
+    """(M, L) and (V, L) of the listed pairs, m."""
     reaction: Floats
+    """(W, 3, L) as in `layout.Walls`."""
     kinetic: Floats
     stored: Floats
+    """(L,) energies, J/m, see `readout.Energies`."""
 
 
 def _contact_durations(

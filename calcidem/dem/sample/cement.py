@@ -92,21 +92,14 @@ class CementRule:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedCement:
-    """Cement of one sample.
-
-    Attributes
-    ----------
-    kind
-        (M,) uint8, `CementKind` of each contact.
-    centres
-        (K, 2) centres of the clusters, m.
-    content_reached
-        Content of the placed calcite, percent: the closest to the requested one with whole contacts and clusters.
-    """
+    """Cement of one sample."""
 
     kind: npt.NDArray[np.uint8]
+    """(M,) uint8, `CementKind` of each contact."""
     centres: Floats
+    """(K, 2) centres of the clusters, m."""
     content_reached: float
+    """Content of the placed calcite, percent: the closest to the requested one with whole contacts and clusters."""
 
     @property
     def bonded(self) -> Flags:
@@ -131,33 +124,22 @@ class PlacedCement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CementOrdering:
-    """Order in which the contacts and clusters of one seed are cemented.
-
-    Attributes
-    ----------
-    rule
-        Its rule.
-    p_rank
-        (M,) place of each contact in the random order of P.
-    p_content
-        (M + 1,) content of the first 0, 1, ... contacts of that order, percent.
-    first_cluster
-        (M,) first cluster that contains each contact, K if none does.
-    c_content
-        (K + 1,) content of the first 0, 1, ... clusters, percent.
-    centres
-        (K, 2) centres of the clusters, m.
-    pore_content
-        Content that fills all pores, percent.
-    """
+    """Order in which the contacts and clusters of one seed are cemented."""
 
     rule: CementRule
+    """Its rule."""
     p_rank: Integers
+    """(M,) place of each contact in the random order of P."""
     p_content: Floats
+    """(M + 1,) content of the first 0, 1, ... contacts of that order, percent."""
     first_cluster: Integers
+    """(M,) first cluster that contains each contact, K if none does."""
     c_content: Floats
+    """(K + 1,) content of the first 0, 1, ... clusters, percent."""
     centres: Floats
+    """(K, 2) centres of the clusters, m."""
     pore_content: float
+    """Content that fills all pores, percent."""
 
     @property
     def maximum_content(self) -> float:

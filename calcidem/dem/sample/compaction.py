@@ -38,35 +38,26 @@ _STRESS_TOLERANCE = 1e-3  # relative deviation of the lid's stress; ten times fi
 
 @dataclass(frozen=True, slots=True)
 class Manner:
-    """Settings for bringing disks to rest.
-
-    Attributes
-    ----------
-    steps
-        Steps between two checks of the step limit and the unbalanced-force ratio.
-    fraction
-        Step over its limit at the present overlaps.
-    skin
-        Largest gap of listed pairs over the mean radius: large for flying disks, small for disks near rest.
-    steps_per_contact
-        As in `start`: enough for impacts that damping ends, or 0.
-    apart
-        Largest overlap over smallest radius at which the next radius step may start, since a loose gas of disks never
-        balances; 0 while the lid presses.
-    halted
-        Disks are halted at every check.
-    scaled
-        Stiff disks become heavier, see `scaled_densities`. Under the lid this ends two decades of the unbalanced-force
-        ratio above rest: there contacts stop sliding, and with other masses fewer of them do.
-    """
+    """Settings for bringing disks to rest."""
 
     steps: int = 400
+    """Steps between two checks of the step limit and the unbalanced-force ratio."""
     fraction: float = 0.95
+    """Step over its limit at the present overlaps."""
     skin: float = 0.25
+    """Largest gap of listed pairs over the mean radius: large for flying disks, small for disks near rest."""
     steps_per_contact: float = 0.0
+    """As in `start`: enough for impacts that damping ends, or 0."""
     apart: float = 0.0
+    """Largest overlap over smallest radius at which the next radius step may start, since a loose gas of disks never
+    balances; 0 while the lid presses.
+    """
     halted: bool = False
+    """Disks are halted at every check."""
     scaled: bool = False
+    """Stiff disks become heavier, see `scaled_densities`. Under the lid this ends two decades of the unbalanced-force
+    ratio above rest: there contacts stop sliding, and with other masses fewer of them do.
+    """
 
 
 _HALTED = Manner(steps=100, fraction=0.9, skin=1.0, apart=1e-2, halted=True, scaled=True)

@@ -28,21 +28,14 @@ _LOOSEST = 0.3  # porosity above which packings hardly carry load
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Fault of a packing.
-
-    Attributes
-    ----------
-    key
-        Key of ``[packing]`` at the start of the text.
-    text
-        Key, value, cause and remedy.
-    refused
-        True refuses the packing; False only warns.
-    """
+    """Fault of a packing."""
 
     key: str
+    """Key of ``[packing]`` at the start of the text."""
     text: str
+    """Key, value, cause and remedy."""
     refused: bool
+    """True refuses the packing; False only warns."""
 
 
 def expected_overlap(stress: float, diameter: float, sand: Sand) -> float:

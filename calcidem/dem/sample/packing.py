@@ -85,62 +85,44 @@ class PackingRule:
 
 @dataclass(frozen=True, slots=True)
 class PackingReport:
-    """Result of packing.
-
-    Attributes
-    ----------
-    porosity
-        1 - area of the disks / (width x height of the lid).
-    coordination_number, coordination_number_without_rattlers
-        2 contacts / disks, for all disks and for those left after repeated removal of disks with fewer than 2 contacts
-        (Thornton 2000, doi:10.1680/geot.2000.50.1.43, removes them once).
-    rattlers
-        Number of removed disks.
-    wall_stress
-        Normal stress on left, right, floor and lid, Pa.
-    mean_overlap, largest_overlap
-        Overlap of touching pairs, m.
-    unbalanced_ratio
-        See `readout.unbalanced_ratio`.
-    steps, seconds
-        Time steps and wall time, s.
-    """
+    """Result of packing."""
 
     porosity: float
+    """1 - area of the disks / (width x height of the lid)."""
     coordination_number: float
     coordination_number_without_rattlers: float
+    """2 contacts / disks, for all disks and for those left after repeated removal of disks with fewer than 2 contacts
+    (Thornton 2000, doi:10.1680/geot.2000.50.1.43, removes them once).
+    """
     rattlers: int
+    """Number of removed disks."""
     wall_stress: tuple[float, float, float, float]
+    """Normal stress on left, right, floor and lid, Pa."""
     mean_overlap: float
     largest_overlap: float
+    """Overlap of touching pairs, m."""
     unbalanced_ratio: float
+    """See `readout.unbalanced_ratio`."""
     steps: int
     seconds: float
+    """Time steps and wall time, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Packing:
-    """Disks at rest in a box, with the shear forces of their contacts; compared by identity.
-
-    Attributes
-    ----------
-    x, y, radius
-        (N,) m.
-    width, height
-        Inner size of the box with the lid in place, m.
-    preload
-        Shear forces of the touching pairs.
-    report
-        Result of packing.
-    """
+    """Disks at rest in a box, with the shear forces of their contacts; compared by identity."""
 
     x: Floats
     y: Floats
     radius: Floats
+    """(N,) m."""
     width: float
     height: float
+    """Inner size of the box with the lid in place, m."""
     preload: Preload
+    """Shear forces of the touching pairs."""
     report: PackingReport
+    """Result of packing."""
 
     @property
     def pairs(self) -> Integers:
@@ -167,23 +149,15 @@ class Packing:
 
 @dataclass(frozen=True, slots=True)
 class PackingStage:
-    """Progress of packing.
-
-    Attributes
-    ----------
-    expansion_step, expansion_steps
-        Current radius step, from 1, and number of radius steps; one step more while the lid presses.
-    steps
-        Time steps so far.
-    unbalanced_ratio, target_ratio
-        Unbalanced-force ratio, and its value at rest.
-    fraction
-        Estimated part of the work done; under the lid from the logarithm of the smallest ratio so far.
-    """
+    """Progress of packing."""
 
     expansion_step: int
     expansion_steps: int
+    """Current radius step, from 1, and number of radius steps; one step more while the lid presses."""
     steps: int
+    """Time steps so far."""
     unbalanced_ratio: float
     target_ratio: float
+    """Unbalanced-force ratio, and its value at rest."""
     fraction: float
+    """Estimated part of the work done; under the lid from the logarithm of the smallest ratio so far."""

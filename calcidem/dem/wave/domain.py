@@ -29,21 +29,14 @@ _DEPTH = 6.0  # computed depth of a damping layer in mean diameters
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """Computed disks.
-
-    Attributes
-    ----------
-    packing
-        Only these disks, in the whole box.
-    pairs
-        (C,) pairs of the whole packing that lie between computed disks.
-    held
-        (N,) computed disks that touch one left out; they stay in place.
-    """
+    """Computed disks."""
 
     packing: Packing
+    """Only these disks, in the whole box."""
     pairs: Integers
+    """(C,) pairs of the whole packing that lie between computed disks."""
     held: Flags
+    """(N,) computed disks that touch one left out; they stay in place."""
 
 
 def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> Domain:

@@ -38,50 +38,43 @@ _PART_OF_PERIOD = 16  # period over the spacing of the samples that give the wid
 
 
 class ErrorParts(NamedTuple):
-    """Bounds of the independent parts of the relative error of a velocity.
-
-    Attributes
-    ----------
-    step
-        Local damping a uses velocities half a step old. This error of first order is ``dt / 2`` of the travel time
-        (docs/accuracy.md, "Order of convergence in the step"), multiplied by 1 / (1 - a), by which damping slows a wave
-        that loads contacts (benchmarks/accuracy/drawn.py). Leapfrog has ``sin(omega' dt / 2) = omega dt / 2``,
-        which shifts frequencies by ``(omega dt)^2 / 24``. The shortest waves of a pulse have about 3 f.
-    sampling
-        The smoothing before the pick spans a whole number of samples, so an asymmetric peak shifts by a part of an
-        interval. The factor is 1.5 times the largest shift found.
-    regime
-        See `_geometry_error`, and `linearity.Nonlinearity.rescaling`. The small and linear regimes also keep gaps open
-        that a pulse closes. Each would add a contact near the transmitter for half of the time (docs/accuracy.md,
-        "Amplitude of the pulse").
-    slip
-        See `_slip_error`.
-    precision
-        Rounding of single precision moves broad peaks (docs/accuracy.md, "Every setting"). It also adds 2^-24 of the
-        packing's contact forces, which scale with its overlap. The forces of the wave scale with the stroke of the
-        pulse and the received part of its amplitude.
-    noise
-        A pulse of amplitude H falls off as ``H (1 - (pi f t)^2)`` from its peak. Noise n of the same frequency adds a
-        slope of up to ``2 pi f n``, so the sum peaks at ``n / (pi f H)``. It counts if it hides the first arrival, so n
-        is at least the onset level. Chattering contacts cause it, and another step causes other noise.
-    chatter
-        See `_chatter_error`.
-    unbalanced
-        Local damping acts on the sum of all forces on a disk, including unbalanced forces of the packing. The error is
-        proportional to their ratio to the forces of the wave (docs/accuracy.md, "Amplitude of the pulse").
-    breaking
-        See `_breaking_error`.
-    """
+    """Bounds of the independent parts of the relative error of a velocity."""
 
     step: float
+    """Local damping a uses velocities half a step old. This error of first order is ``dt / 2`` of the travel time
+    (docs/accuracy.md, "Order of convergence in the step"), multiplied by 1 / (1 - a), by which damping slows a wave
+    that loads contacts (benchmarks/accuracy/drawn.py). Leapfrog has ``sin(omega' dt / 2) = omega dt / 2``, which shifts
+    frequencies by ``(omega dt)^2 / 24``. The shortest waves of a pulse have about 3 f.
+    """
     sampling: float
+    """The smoothing before the pick spans a whole number of samples, so an asymmetric peak shifts by a part of an
+    interval. The factor is 1.5 times the largest shift found.
+    """
     regime: float
+    """See `_geometry_error`, and `linearity.Nonlinearity.rescaling`. The small and linear regimes also keep gaps open
+    that a pulse closes. Each would add a contact near the transmitter for half of the time (docs/accuracy.md,
+    "Amplitude of the pulse").
+    """
     slip: float
+    """See `_slip_error`."""
     precision: float
+    """Rounding of single precision moves broad peaks (docs/accuracy.md, "Every setting"). It also adds 2^-24 of the
+    packing's contact forces, which scale with its overlap. The forces of the wave scale with the stroke of the pulse
+    and the received part of its amplitude.
+    """
     noise: float
+    """A pulse of amplitude H falls off as ``H (1 - (pi f t)^2)`` from its peak. Noise n of the same frequency adds a
+    slope of up to ``2 pi f n``, so the sum peaks at ``n / (pi f H)``. It counts if it hides the first arrival, so n is
+    at least the onset level. Chattering contacts cause it, and another step causes other noise.
+    """
     chatter: float
+    """See `_chatter_error`."""
     unbalanced: float
+    """Local damping acts on the sum of all forces on a disk, including unbalanced forces of the packing. The error is
+    proportional to their ratio to the forces of the wave (docs/accuracy.md, "Amplitude of the pulse").
+    """
     breaking: float
+    """See `_breaking_error`."""
 
 
 def error_bound(parts: ErrorParts) -> float:
@@ -119,21 +112,14 @@ def cure_of(experiment: Experiment, parts: ErrorParts, most: float) -> str:
 
 
 class NumericalError(NamedTuple):
-    """Relative numerical error of a velocity.
-
-    Attributes
-    ----------
-    expected
-        Order of magnitude, which ranks cells.
-    bound
-        Bound of the error.
-    parts
-        Bounds of its parts.
-    """
+    """Relative numerical error of a velocity."""
 
     expected: float
+    """Order of magnitude, which ranks cells."""
     bound: float
+    """Bound of the error."""
     parts: ErrorParts
+    """Bounds of its parts."""
 
 
 def estimate_error(

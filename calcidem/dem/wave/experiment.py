@@ -28,23 +28,6 @@ class Experiment:
 
     Expensive results for all batches (`domain`, `bare_scene`, `places`, limits of the step) are computed on first use
     and kept as long as the experiment.
-
-    Attributes
-    ----------
-    packing, sand, cement, cement_rule, wave, pick
-        See their classes.
-    root_seed
-        Root of all random numbers.
-    stiffness_factor
-        Multiplies the grains' shear modulus, and with it all contact forces and the confining stress, in the wave
-        stage. 1 leaves the packing unchanged; any other value is a calibration.
-    installation
-        See `scene.Bonds`.
-    early_stop
-        End a record when its reading is settled or no reading is possible any more. The reading does not change.
-    frequencies
-        (contents in percent, frequencies in Hz), interpolated linearly; None takes Table 2 of the paper. Or a function
-        of an experiment and a content, percent, that returns the frequency in Hz and is called once for each content.
     """
 
     packing: Packing
@@ -53,11 +36,21 @@ class Experiment:
     cement_rule: CementRule = field(default_factory=CementRule)
     wave: WaveRule = field(default_factory=WaveRule)
     pick: PickRule = field(default_factory=PickRule)
+    """See their classes."""
     root_seed: int = 0
+    """Root of all random numbers."""
     stiffness_factor: float = 1.0
+    """Multiplies the grains' shear modulus, and with it all contact forces and the confining stress, in the wave stage.
+    1 leaves the packing unchanged; any other value is a calibration.
+    """
     installation: Installation = "preserve"
+    """See `scene.Bonds`."""
     early_stop: bool = True
+    """End a record when its reading is settled or no reading is possible any more. The reading does not change."""
     frequencies: tuple[tuple[float, ...], tuple[float, ...]] | Callable[["Experiment", float], float] | None = None
+    """(contents in percent, frequencies in Hz), interpolated linearly; None takes Table 2 of the paper. Or a function
+    of an experiment and a content, percent, that returns the frequency in Hz and is called once for each content.
+    """
     _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:

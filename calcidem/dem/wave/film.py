@@ -13,26 +13,18 @@ from calcidem.dem.wave.recorder import WaveRecord
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WaveFilm:
-    """Motion of the computed disks in a wave.
-
-    Attributes
-    ----------
-    x, y, radius
-        (N,) m, of the disks at rest.
-    times
-        (F,) s.
-    velocity
-        (F, N) along y, the direction of the transmitter's motion, m/s.
-    record
-        Signals, identical to those of a measurement.
-    """
+    """Motion of the computed disks in a wave."""
 
     x: Floats
     y: Floats
     radius: Floats
+    """(N,) m, of the disks at rest."""
     times: Floats
+    """(F,) s."""
     velocity: Floats
+    """(F, N) along y, the direction of the transmitter's motion, m/s."""
     record: WaveRecord
+    """Signals, identical to those of a measurement."""
 
 
 def film_wave(

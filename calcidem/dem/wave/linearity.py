@@ -32,24 +32,20 @@ class Nonlinearity(NamedTuple):
     """Changes of a wave in the linear regime by Hertz's and Coulomb's laws; zero in other regimes.
 
     Each is (L,), or the value of one sample.
-
-    Attributes
-    ----------
-    share
-        Sum of ``|dF| |du|`` over the sum of ``F du`` of all contacts of disks. du is the relative displacement of two
-        disks since the start, F the force increment with constant stiffnesses. dF is its deviation from the contact
-        laws, by which contacts stiffen, open and slip. Cement is linear in either case.
-    softening
-        Largest relative loss of the sample's stiffness by slip, see `nonlinearity`.
-    rescaling
-        Work, in absolute values, of the initial shear forces that contacts would lose where the wave unloads them
-        (shear rescaling mode 1, `laws.rescale_shear`), over that of ``F du``. It scales with the loads of the packing,
-        not with the amplitude.
     """
 
     share: Floats | float = 0.0
+    """Sum of ``|dF| |du|`` over the sum of ``F du`` of all contacts of disks. du is the relative displacement of two
+    disks since the start, F the force increment with constant stiffnesses. dF is its deviation from the contact laws,
+    by which contacts stiffen, open and slip. Cement is linear in either case.
+    """
     softening: Floats | float = 0.0
+    """Largest relative loss of the sample's stiffness by slip, see `nonlinearity`."""
     rescaling: Floats | float = 0.0
+    """Work, in absolute values, of the initial shear forces that contacts would lose where the wave unloads them (shear
+    rescaling mode 1, `laws.rescale_shear`), over that of ``F du``. It scales with the loads of the packing, not with
+    the amplitude.
+    """
 
 
 def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
@@ -83,34 +79,25 @@ class _StrainedContacts(NamedTuple):
     """Contacts of listed pairs of disks in some lanes, with forces by Hertz's and Coulomb's laws; SI.
 
     As everywhere in this module, lanes are the first axis, so values common to all lanes broadcast along contacts.
-
-    Attributes
-    ----------
-    approach, slide, twist
-        (L, M) m, m and rad, see `_relative_displacements`.
-    overlap
-        (M,) before the wave, m.
-    stiffness, shear_stiffness
-        (M,) N/m, constant.
-    before, normal
-        (M,) and (L, M) normal force before the wave and now, N.
-    installed, held
-        (L, M) shear force before the wave, N: that of the packing, and the same limited by friction.
-    limit
-        (L, M) present friction limit, N.
     """
 
     approach: Floats
     slide: Floats
     twist: Floats
+    """(L, M) m, m and rad, see `_relative_displacements`."""
     overlap: Floats
+    """(M,) before the wave, m."""
     stiffness: Floats
     shear_stiffness: Floats
+    """(M,) N/m, constant."""
     before: Floats
     normal: Floats
+    """(M,) and (L, M) normal force before the wave and now, N."""
     installed: Floats
     held: Floats
+    """(L, M) shear force before the wave, N: that of the packing, and the same limited by friction."""
     limit: Floats
+    """(L, M) present friction limit, N."""
 
 
 def _strained_contacts(state: State, lanes: Integers | slice) -> _StrainedContacts:

@@ -29,54 +29,36 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Interpretation:
-    """Interpretation of a record.
-
-    Attributes
-    ----------
-    outcome, reason
-        Outcome of the sample, and the reason if there is no velocity.
-    vs
-        Shear-wave velocity by the method of `PickRule`, m/s; None if it is unreliable.
-    reading
-        Complete reading with its standard error; None if the run was unstable.
-    error
-        Numerical error; None without a reading.
-    """
+    """Interpretation of a record."""
 
     outcome: Outcome
     reason: str = ""
+    """Outcome of the sample, and the reason if there is no velocity."""
     vs: float | None = None
+    """Shear-wave velocity by the method of `PickRule`, m/s; None if it is unreliable."""
     reading: Reading | None = None
+    """Complete reading with its standard error; None if the run was unstable."""
     error: NumericalError | None = None
+    """Numerical error; None without a reading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
-    """Measurement of one sample.
-
-    Attributes
-    ----------
-    seed, content
-        Identity of the sample; requested content in percent of the sand's mass.
-    result
-        See its class.
-    frequency
-        Excitation frequency, Hz.
-    cement
-        Placed cement.
-    record
-        Section and time step.
-    seconds
-        Share of the batch's wall time, without compilation of kernels.
-    """
+    """Measurement of one sample."""
 
     seed: int
     content: float
+    """Identity of the sample; requested content in percent of the sand's mass."""
     result: Interpretation
+    """See its class."""
     frequency: float
+    """Excitation frequency, Hz."""
     cement: PlacedCement
+    """Placed cement."""
     record: WaveRecord
+    """Section and time step."""
     seconds: float
+    """Share of the batch's wall time, without compilation of kernels."""
 
     @property
     def vs(self) -> float | None:

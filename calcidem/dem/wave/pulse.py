@@ -32,18 +32,12 @@ EXCITATION = (
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
-    """One period of ``v(t) = v0 (1 - cos 2 pi f t)``, then rest (paper, section 2.2.2).
-
-    Attributes
-    ----------
-    amplitude
-        v0, m/s; the peak velocity is twice this. The paper's 5 m/s is a shock at 5 kPa, not a small strain.
-    frequency
-        f, Hz.
-    """
+    """One period of ``v(t) = v0 (1 - cos 2 pi f t)``, then rest (paper, section 2.2.2)."""
 
     amplitude: float
+    """v0, m/s; the peak velocity is twice this. The paper's 5 m/s is a shock at 5 kPa, not a small strain."""
     frequency: float
+    """f, Hz."""
 
     def __post_init__(self) -> None:
         """Refuse a pulse without motion or without end."""

@@ -110,151 +110,108 @@ _DEFAULT_RULE = PickRule()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShearArrival:
-    """The S wave in a section.
-
-    Attributes
-    ----------
-    travel_time
-        From the transmitted to the received peak, s.
-    coherence
-        Stack of the section along its line, from `LEAST_COHERENCE` to 1.
-    shifted
-        Relative change of the travel time by subtracting the P wave.
-    early
-        Relative amount by which the crest between the stations is slower than the travel time to the receiver implies.
-        Such a crest would have left before the transmitted peak. Zero if it is faster or unknown.
-    tie
-        Rms distance of the other peaks from this one, weighted by their odds of being the S wave, over the travel time;
-        see `_tie`.
-    roughness
-        Rms motion of the receiver that smoothing removes, until a period after the peak, over its amplitude.
-    path_velocity, path_scatter
-        Velocity of the crest from station to station, m/s, and its relative standard error from the scatter of the
-        stations about their line; None with fewer than `_FEWEST_STATIONS`.
-    index
-        Sample of the peak.
-    clean
-        (H, X) smoothed motion across without the P wave, up to the horizon, over v0.
-    """
+    """The S wave in a section."""
 
     travel_time: float
+    """From the transmitted to the received peak, s."""
     coherence: float
+    """Stack of the section along its line, from `LEAST_COHERENCE` to 1."""
     shifted: float
+    """Relative change of the travel time by subtracting the P wave."""
     early: float
+    """Relative amount by which the crest between the stations is slower than the travel time to the receiver implies.
+    Such a crest would have left before the transmitted peak. Zero if it is faster or unknown.
+    """
     tie: float
+    """Rms distance of the other peaks from this one, weighted by their odds of being the S wave, over the travel time;
+    see `_tie`.
+    """
     roughness: float
+    """Rms motion of the receiver that smoothing removes, until a period after the peak, over its amplitude."""
     path_velocity: float | None
     path_scatter: float | None
+    """Velocity of the crest from station to station, m/s, and its relative standard error from the scatter of the
+    stations about their line; None with fewer than `_FEWEST_STATIONS`.
+    """
     index: int
+    """Sample of the peak."""
     clean: Floats
+    """(H, X) smoothed motion across without the P wave, up to the horizon, over v0."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """Reading of a section.
-
-    Attributes
-    ----------
-    verdict
-        Reason for a missing velocity; None if there is one.
-    arrival
-        S wave; None if none was found.
-    peak, first_arrival, cross_correlation
-        Velocities by three methods, m/s: from peak to peak, from the last rise through `ONSET` before both peaks, and
-        from the lag of the best fit of the pulse. The latter two are None if they differ from the first by more than a
-        quarter of a period.
-    error
-        Relative standard error of these velocities, see `reading_error`.
-    path, path_error
-        Velocity of the crest from station to station, without receiver and transmitter, m/s, and its relative standard
-        error; None with too few stations or an error above `PickRule.largest_error`.
-    """
+    """Reading of a section."""
 
     verdict: Verdict | None
+    """Reason for a missing velocity; None if there is one."""
     arrival: ShearArrival | None = None
+    """S wave; None if none was found."""
     peak: float | None = None
     first_arrival: float | None = None
     cross_correlation: float | None = None
+    """Velocities by three methods, m/s: from peak to peak, from the last rise through `ONSET` before both peaks, and
+    from the lag of the best fit of the pulse. The latter two are None if they differ from the first by more than a
+    quarter of a period.
+    """
     error: float | None = None
+    """Relative standard error of these velocities, see `reading_error`."""
     path: float | None = None
     path_error: float | None = None
+    """Velocity of the crest from station to station, without receiver and transmitter, m/s, and its relative standard
+    error; None with too few stations or an error above `PickRule.largest_error`.
+    """
 
 
 class ReadingErrorParts(NamedTuple):
-    """Independent parts of the relative standard error of a reading, see `reading_error`.
-
-    Attributes
-    ----------
-    least
-        Error of the clearest reading.
-    p_left
-        Remainder of the P wave.
-    near_field
-        P and S wave overlap on a short path.
-    early
-        The crest left before the transmitted peak.
-    tie
-        Another peak continues the section nearly as well.
-    """
+    """Independent parts of the relative standard error of a reading, see `reading_error`."""
 
     least: float
+    """Error of the clearest reading."""
     p_left: float
+    """Remainder of the P wave."""
     near_field: float
+    """P and S wave overlap on a short path."""
     early: float
+    """The crest left before the transmitted peak."""
     tie: float
+    """Another peak continues the section nearly as well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """Peak of the receiver that may be the S wave.
-
-    Attributes
-    ----------
-    index
-        Sample of the peak.
-    travel_time
-        From the transmitted peak to this one, s.
-    decided
-        Length of record that decides whether it is the S wave, s.
-    coherence
-        Stack of the section along its line, within that length.
-    rival
-        Largest coherence of another peak within that length.
-    clean
-        (T, X) smoothed motion across without the P wave before the line, over v0.
-    """
+    """Peak of the receiver that may be the S wave."""
 
     index: int
+    """Sample of the peak."""
     travel_time: float
+    """From the transmitted peak to this one, s."""
     decided: float
+    """Length of record that decides whether it is the S wave, s."""
     coherence: float
+    """Stack of the section along its line, within that length."""
     rival: float
+    """Largest coherence of another peak within that length."""
     clean: Floats
+    """(T, X) smoothed motion across without the P wave before the line, over v0."""
 
 
 class _Prepared(NamedTuple):
-    """Smoothed section, in units of v0 and samples.
-
-    Attributes
-    ----------
-    across, along
-        (T, X) samples that a longer record does not change.
-    parts
-        (X,) places over the distance.
-    period, peak
-        Duration of the pulse and time of its peak.
-    p_peak, p_end, p_share
-        (X,) peak and end of the P wave's first swing, and its ratio of motion across to along; -1 if there is none yet.
-    """
+    """Smoothed section, in units of v0 and samples."""
 
     across: Floats
     along: Floats
+    """(T, X) samples that a longer record does not change."""
     parts: Floats
+    """(X,) places over the distance."""
     period: float
     peak: float
+    """Duration of the pulse and time of its peak."""
     p_peak: Integers
     p_end: Integers
     p_share: Floats
+    """(X,) peak and end of the P wave's first swing, and its ratio of motion across to along; -1 if there is none yet.
+    """
 
 
 def prepare(section: Section, smoothing: float) -> _Prepared:

@@ -20,104 +20,73 @@ LOOKS_APART = 2  # periods of the pulse between two checks of the nonlinearity
 
 @dataclass(frozen=True, slots=True)
 class WaveRecord:
-    """Record of one sample.
-
-    Attributes
-    ----------
-    time_step
-        Time step of the integration, s.
-    stride
-        Time steps between two samples.
-    section
-        Motion at the receiver and the stations.
-    stability_limit
-        Critical time step at the start, s.
-    steps
-        Time steps of this sample.
-    unbalanced_speed
-        See `guards.unbalanced_speed`.
-    closing_gaps
-        Number of pairs with a gap up to the stroke of the pulse, over the number of contacts; zero in the finite
-        regime, where gaps may close.
-    broken_bonds, bonds
-        Broken and initial bonds.
-    remaining_speed
-        Bound of all later velocities of the section, m/s: those of a station if it held all energy of the sample.
-    nonlinear
-        Changes by the contact laws at the end of transmission and every `LOOKS_APART` periods from then on.
-    slipped
-        Largest part of the transmitter's force during the pulse that its contacts could not have transmitted.
-    problem
-        Cause of unreliable results; empty if there is none.
-    retry
-        Problem for which the sample was recomputed with half the step; empty if it was not.
-    """
+    """Record of one sample."""
 
     time_step: float
+    """Time step of the integration, s."""
     stride: int
+    """Time steps between two samples."""
     section: Section
+    """Motion at the receiver and the stations."""
     stability_limit: float
+    """Critical time step at the start, s."""
     steps: int
+    """Time steps of this sample."""
     unbalanced_speed: float = 0.0
+    """See `guards.unbalanced_speed`."""
     closing_gaps: float = 0.0
+    """Number of pairs with a gap up to the stroke of the pulse, over the number of contacts; zero in the finite regime,
+    where gaps may close.
+    """
     broken_bonds: int = 0
     bonds: int = 0
+    """Broken and initial bonds."""
     remaining_speed: float = np.inf
+    """Bound of all later velocities of the section, m/s: those of a station if it held all energy of the sample."""
     nonlinear: tuple[Nonlinearity, ...] = ()
+    """Changes by the contact laws at the end of transmission and every `LOOKS_APART` periods from then on."""
     slipped: float = 0.0
+    """Largest part of the transmitter's force during the pulse that its contacts could not have transmitted."""
     problem: str = ""
+    """Cause of unreliable results; empty if there is none."""
     retry: str = ""
+    """Problem for which the sample was recomputed with half the step; empty if it was not."""
 
 
 @dataclass(slots=True)
 class Recorder:
-    """Batch of samples crossed by a pulse, advanced chunk by chunk.
-
-    Attributes
-    ----------
-    state
-        Newly started state; each sample has a lane.
-    pulse
-        Motion of the transmitter.
-    stride
-        Time steps between two samples of the signals.
-    listeners, places
-        Disks with recorded mean velocities, in memory order, for each station and last for the receiver, and their
-        paths, see `Section.places`.
-    driven_disks
-        Disks with prescribed motion, in memory order.
-    samples
-        Number of samples; further lanes are ignored.
-    longest
-        Time after which a record ends in any case, s.
-    unbalanced_speed
-        (L,) see `WaveRecord`.
-    closing_gaps
-        See `WaveRecord`.
-    breakable
-        See `guards.problems_of`.
-    counts
-        (L, 2, X, S) motion across and along so far, see `Section`.
-    nonlinear, slipped, bonds, broken
-        See `WaveRecord`; ``nonlinear`` for each sample, the others for each lane; ``broken`` counts broken bonds.
-    """
+    """Batch of samples crossed by a pulse, advanced chunk by chunk."""
 
     state: State
+    """Newly started state; each sample has a lane."""
     pulse: Pulse
+    """Motion of the transmitter."""
     stride: int
+    """Time steps between two samples of the signals."""
     listeners: tuple[Integers, ...]
     places: tuple[float, ...]
+    """Disks with recorded mean velocities, in memory order, for each station and last for the receiver, and their
+    paths, see `Section.places`.
+    """
     driven_disks: Integers
+    """Disks with prescribed motion, in memory order."""
     samples: int
+    """Number of samples; further lanes are ignored."""
     longest: float
+    """Time after which a record ends in any case, s."""
     unbalanced_speed: Floats
+    """(L,) see `WaveRecord`."""
     closing_gaps: float
+    """See `WaveRecord`."""
     breakable: float = 0.0
+    """See `guards.problems_of`."""
     counts: Counts = field(init=False)
+    """(L, 2, X, S) motion across and along so far, see `Section`."""
     nonlinear: list[list[Nonlinearity]] = field(init=False)
     slipped: Floats = field(init=False)
     bonds: Integers = field(init=False)
     broken: Integers = field(init=False)
+    """See `WaveRecord`; ``nonlinear`` for each sample, the others for each lane; ``broken`` counts broken bonds."""
 
     def __post_init__(self) -> None:
         """Initialize the results."""

@@ -27,30 +27,21 @@ class Section:
     """Velocities at places on the path, across the path (y) and along it (x), in multiples of `RESOLUTION`.
 
     Live and stored readings use the same integers, so both give the same bits.
-
-    Attributes
-    ----------
-    sampling_interval
-        Time between two samples, s.
-    start_time
-        Time of the first sample after the pulse began, s.
-    frequency
-        Frequency of the pulse ``v0 (1 - cos 2 pi f t)``, Hz.
-    amplitude
-        v0, m/s.
-    places
-        (X,) path from the transmitter to each station, and last to the receiver, m.
-    across, along
-        (T, X) velocities over ``amplitude * RESOLUTION``, positive as the pulse and away from the transmitter.
     """
 
     sampling_interval: float
+    """Time between two samples, s."""
     start_time: float
+    """Time of the first sample after the pulse began, s."""
     frequency: float
+    """Frequency of the pulse ``v0 (1 - cos 2 pi f t)``, Hz."""
     amplitude: float
+    """v0, m/s."""
     places: tuple[float, ...]
+    """(X,) path from the transmitter to each station, and last to the receiver, m."""
     across: Counts
     along: Counts
+    """(T, X) velocities over ``amplitude * RESOLUTION``, positive as the pulse and away from the transmitter."""
 
     @property
     def distance(self) -> float:

@@ -22,18 +22,12 @@ _MARGINS = (0.15, 0.2, 0.25)
 
 
 class StaticSpeed(NamedTuple):
-    """Speed of long shear waves.
-
-    Attributes
-    ----------
-    speed
-        m/s.
-    error
-        Relative uncertainty by the boundary conditions and by the size of the inner part.
-    """
+    """Speed of long shear waves."""
 
     speed: float
+    """m/s."""
     error: float
+    """Relative uncertainty by the boundary conditions and by the size of the inner part."""
 
 
 def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:

@@ -18,19 +18,13 @@ _LEFT_OUT = 0.1
 
 
 class StiffnessField(NamedTuple):
-    """Shear modulus in square windows.
-
-    Attributes
-    ----------
-    x, y
-        (X,), (Y,) centres of the windows, m, a quarter of a window apart.
-    modulus
-        (Y, X) mean shear stress over mean shear strain of each window, Pa; NaN where their signs differ.
-    """
+    """Shear modulus in square windows."""
 
     x: Floats
     y: Floats
+    """(X,), (Y,) centres of the windows, m, a quarter of a window apart."""
     modulus: Floats
+    """(Y, X) mean shear stress over mean shear strain of each window, Pa; NaN where their signs differ."""
 
 
 def stiffness_field(experiment: Experiment, bonded: Flags, window: float) -> StiffnessField:
