@@ -18,7 +18,7 @@ _WORD_OF_ARRAYS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellColumns:
-    """Quantities of all cells of a campaign, at the place of the cell's seed times contents, plus that of its content."""
+    """Quantities of all cells of a campaign; a cell's place is that of its seed times contents, plus its content's."""
 
     seeds: NDArray[np.int64]
     contents: NDArray[np.float64]
