@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from types import TracebackType
 from typing import Self
 
 from calcidem.storage.errors import QueryError
@@ -24,13 +23,7 @@ STALE_AFTER = timedelta(minutes=5)
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The cells of a query; None means no restriction.
-
-    Raises
-    ------
-    QueryError
-        For an unknown status.
-    """
+    """The cells of a query; None means no restriction. `QueryError` for an unknown status."""
 
     seeds: tuple[int, ...] | None
     """Given as one or a collection, as are the others."""
@@ -119,7 +112,5 @@ class Closable(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()

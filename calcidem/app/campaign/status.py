@@ -86,13 +86,7 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class CampaignStatus:
-    """How far a campaign is.
-
-    Attributes
-    ----------
-    name, hash, seeds
-        Of the campaign.
-    """
+    """How far a campaign is."""
 
     name: str
     hash: str

@@ -106,18 +106,8 @@ class CellKey:
 class CellResult:
     """Outcome of one cell with the numbers that say how far it can be trusted.
 
-    The annotations of its fields are the catalogue of quantities: unit, meaning, origin and bounds of each. More than
-    these say:
-
-    Attributes
-    ----------
-    numerical_error, vs_error, path_departure : float or None
-        Derived, see `calcidem.storage.records.error_budget`.
-
-    Raises
-    ------
-    ValueError
-        If status and numbers disagree, or a number is NaN, infinite or out of bounds.
+    The annotations of its fields are the catalogue of quantities: unit, meaning, origin and bounds of each.
+    `ValueError` if status and numbers disagree, or a number is NaN, infinite or out of bounds.
     """
 
     key: CellKey

@@ -127,13 +127,7 @@ class PathFeatures:
 
 @dataclass(frozen=True, slots=True)
 class GraphSummary:
-    """What the contact graph of a cell is like as a whole.
-
-    Raises
-    ------
-    ValueError
-        If a number is negative, or there are more cemented contacts than contacts.
-    """
+    """What the contact graph of a cell is like as a whole; `ValueError` for numbers that contradict each other."""
 
     graph_contacts: Annotated[int, _graph("contacts between grains")]
     graph_bonded_contacts: Annotated[int, _graph("cemented contacts between grains")]
