@@ -86,15 +86,3 @@ def _null_statistics(n: int) -> NDArray[np.float64]:
     null = np.sort(np.concatenate(parts))
     null.flags.writeable = False
     return null
-
-
-def jarque_bera_power(n: int, skewness: float, level: float = 0.05, samples: int = 4000) -> float:
-    """Return the share of samples of n values of a skewed distribution that the asymptotic test rejects.
-
-    They are drawn from a gamma distribution of this non-negative skewness with the kurtosis 3 + 1.5 skewness^2. For 0
-    it is normal, and the result is the share of false alarms. The standard error of the share is at most
-    0.5 / sqrt(samples).
-    """
-    generator = np.random.default_rng([_SIMULATION_SEED, n])
-    drawn = generator.gamma(4 / skewness**2, size=(samples, n)) if skewness else generator.normal(size=(samples, n))
-    return float(np.mean(stats.jarque_bera(drawn, axis=1).pvalue < level))

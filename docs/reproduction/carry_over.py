@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from variance import variance_parts
 
 from calcidem.analysis.fits import PowerLawFit, fit_power_law
-from calcidem.analysis.sensitivity import variance_parts
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.studies.sensitivity.plan import REFERENCE, Variant, load_plan
 from calcidem.storage.errors import UnknownCampaignError

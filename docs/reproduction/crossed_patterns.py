@@ -9,8 +9,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from variance import variance_parts
 
-from calcidem.analysis.sensitivity import variance_parts
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.sample.cement import CementOrdering

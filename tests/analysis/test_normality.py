@@ -10,7 +10,6 @@ from calcidem.analysis.normality import (
     _null_statistics,
     jarque_bera,
     jarque_bera_from_moments,
-    jarque_bera_power,
     kurtosis,
     skewness,
 )
@@ -101,11 +100,3 @@ def test_values_that_do_not_vary_have_no_test(values: list[float]) -> None:
 def test_two_values_never_speak_against_normality() -> None:
     """All pairs have the same statistic, so the small-sample p is one; the asymptotic one cannot know."""
     assert jarque_bera(np.array([1.0, 2.0])).p_small_sample == 1.0
-
-
-def test_power_is_the_share_of_skewed_samples_that_are_found() -> None:
-    """Of 116 values with a skewness of 0.5 the test finds about 38 %, of 1,000 nearly all; of normal ones 5 %."""
-    # Standard errors of 2,000 samples are 0.011 and 0.005.
-    assert jarque_bera_power(116, 0.5, samples=2000) == pytest.approx(0.385, abs=0.035)
-    assert jarque_bera_power(116, 0.0, samples=2000) == pytest.approx(0.047, abs=0.015)
-    assert jarque_bera_power(1000, 0.5, samples=300) > 0.99

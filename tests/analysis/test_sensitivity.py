@@ -1,10 +1,10 @@
-"""Comparison of variants, and the division of a variance between two causes."""
+"""Comparison of variants."""
 
 import numpy as np
 import pytest
 import xarray as xr
 
-from calcidem.analysis.sensitivity import paired_changes, variance_parts
+from calcidem.analysis.sensitivity import paired_changes
 
 
 def velocities(values: np.ndarray, contents: tuple[float, ...] = (5.0,)) -> xr.DataArray:
@@ -45,34 +45,3 @@ def test_interval_covers_the_true_ratio_of_independent_samples() -> None:
         (change,) = paired_changes(velocities(pair[0]), velocities(pair[1]))
         held += change.deviation_ratio_interval.contains(1.5)
     assert held >= 33
-
-
-def test_variance_parts_recover_what_a_table_was_made_of() -> None:
-    """Rows of sd 3, columns of sd 10 and a rest of sd 5 come back from a large table, and sum up."""
-    generator = np.random.default_rng(4)
-    table = (
-        500.0
-        + generator.normal(0.0, 3.0, (200, 1))
-        + generator.normal(0.0, 10.0, (1, 200))
-        + generator.normal(0.0, 5.0, (200, 200))
-    )
-    parts = variance_parts(table)
-    assert parts.deviations == pytest.approx((3.0, 10.0, 5.0), rel=0.15)
-    assert parts.total == pytest.approx(sum(d**2 for d in parts.deviations))
-
-
-def test_an_additive_table_has_no_rest() -> None:
-    """If each value is its row's part plus its column's, nothing is left over."""
-    table = np.add.outer([1.0, 4.0, 2.0], [10.0, 30.0, 80.0, 20.0])
-    parts = variance_parts(table)
-    assert parts.rest == pytest.approx(0.0, abs=1e-9)
-    assert parts.first == pytest.approx(np.var([1.0, 4.0, 2.0], ddof=1))
-    assert parts.second == pytest.approx(np.var([10.0, 30.0, 80.0, 20.0], ddof=1))
-
-
-def test_gaps_and_small_tables_are_refused() -> None:
-    """A variance cannot be divided with a value missing or with one row."""
-    with pytest.raises(ValueError, match="complete table"):
-        variance_parts(np.array([[1.0, np.nan], [2.0, 3.0]]))
-    with pytest.raises(ValueError, match="complete table"):
-        variance_parts(np.array([[1.0, 2.0]]))
