@@ -420,9 +420,10 @@ def _problem_of(error: Exception) -> str:
 def _with_possible_keys(rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
     """Leave out rows whose seed or content no cell can have: they may be those of any cell."""
     found = list(rows)
-    contents = {content for content in {row[2] for row in found} if is_possible(canonical_content, content)}
-    if {type(row[1]) for row in found} != {int} or not all(row[1] >= 0 and row[2] in contents for row in found):
-        found = [row for row in found if row[2] in contents and is_possible(checked_seed, row[1])]
+    seeds, contents = [row[1] for row in found], {row[2] for row in found}
+    possible = {content for content in contents if is_possible(canonical_content, content)}
+    if possible != contents or set(map(type, seeds)) != {int} or min(seeds) < 0:
+        found = [row for row in found if row[2] in possible and is_possible(checked_seed, row[1])]
     return found
 
 
@@ -464,22 +465,24 @@ class _Outcomes:
         """Places of rows whose checksums do not fit, each with a clause that says which."""
         for table, first, names in self._parts:
             covered = dict(zip(names, columns[first + 1 : first + 1 + len(names)], strict=True))
-            checksums = row_checksums(table, covered | {"seed": columns[1], "content": columns[2]})
+            checksums: list[int | None] = [*row_checksums(table, covered | {"seed": columns[1], "content": columns[2]})]
+            if None in columns[3]:  # cells without an outcome have no checksum
+                checksums = [None if cell is None else own for cell, own in zip(columns[3], checksums, strict=True)]
             if columns[first] == tuple(checksums):
                 continue
             what = "its numbers were changed after they" if table is RESULT else "its attempt was changed after it"
-            for place, (outcome, stored, now) in enumerate(zip(columns[3], columns[first], checksums, strict=True)):
-                if outcome is not None and stored != now:
+            for place, (stored, now) in enumerate(zip(columns[first], checksums, strict=True)):
+                if stored != now:
                     yield place, f"{what} had been stored"
 
     def judge(self, rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
         """Columns of the rows; of a damaged one nothing is left but its key, and as its reason what is damaged."""
         found = _with_possible_keys(rows)
-        damage: dict[int, str] = {}
-        for place, row in enumerate(found):
-            if len(row) < len(self.columns):
-                damage[place] = "the database can't read it"
-                found[place] = (*row, *[None] * (len(self.columns) - len(row)))
+        damage = {}
+        if min(map(len, found), default=0) < len(self.columns):
+            unread = [place for place, row in enumerate(found) if len(row) < len(self.columns)]
+            damage = dict.fromkeys(unread, "the database can't read it")
+            found = [(*row, *[None] * (len(self.columns) - len(row))) for row in found]
         columns: list[Any] = list(zip(*found, strict=True))
         for place, clause in self._changed(columns) if columns else ():
             damage.setdefault(place, clause)
