@@ -4,13 +4,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from calcidem.analysis.doubt import _bias_of_failed, is_in_doubt
-from calcidem.app.campaign.diagnosis import _explain_refusal, _find_remedies, _judged_packing, diagnose
+from calcidem.app.campaign.diagnosis import (
+    _better_values,
+    _explain_refusal,
+    _judged_packing,
+    _try_values,
+    _with_values,
+    diagnose,
+)
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.campaign.stored_packing import packing_record
@@ -90,38 +98,26 @@ def section(experiment: Experiment) -> Section:
 def test_every_unread_cell_has_its_number_a_remedy_and_a_picture(
     unread: Path, tmp_path: Path, invoke: Callable[..., str]
 ) -> None:
-    """The command looks at the packing first, says of each cell what refused it, draws it, and stores nothing."""
+    """The command looks at the packing first, says what refused a cell and what gives Vs, draws it, stores nothing."""
     before = unread.read_bytes()
-    said = invoke("diagnose", unread, "--out", tmp_path)
-    assert f"{len(SEEDS)} at {CONTENT:g} %" in said
+    said = invoke("diagnose", unread, "--seed", 1, "--out", tmp_path)
     words = " ".join(said.split())
     with open_campaign(unread) as campaign:
-        cells = campaign.diagnose()
-        for cell in cells:
-            assert f"seed {cell.key.seed}, {CONTENT:g} %: no arrival, {cell.reason}" in said
-            assert cell.finding in words
-            assert f"{cell.reading.error:.1%}; {campaign.config['pick']['largest_error']:.1%} is allowed" in words
-            assert str(cell.remedies[0]) == 'wave.frequency = "auto"'
-            assert all(str(remedy) in said for remedy in cell.remedies)
-            assert (tmp_path / f"seed{cell.key.seed}_content{CONTENT:g}_diagnosis.png").stat().st_size > 10_000
-    assert [cell.key.seed for cell in cells] == [*SEEDS]
-    assert 0 < said.index("Look at the packing first: Porosity") < said.index("seed 1,")
-    assert unread.read_bytes() == before
-
-
-def test_remedies_are_added_until_there_is_a_velocity(unread: Path, invoke: Callable[..., str]) -> None:
-    """With 2.5 wavelengths on the path a cell is read, as the changed experiment measures it, and that is said."""
-    before = unread.read_bytes()
-    said = invoke("diagnose", unread, "--seed", 1, "--try")
-    with open_campaign(unread) as campaign:
         (cell,) = campaign.diagnose(seed=1)
-        ((remedy, vs, reason),) = cell.try_remedies()
-        (expected,) = measure(remedy.apply(campaign.experiment()), CONTENT, (1,))
-    assert len(cell.remedies) > 1
-    assert vs == expected.vs is not None
-    assert cell.expected[0] < vs < cell.expected[1]
-    assert not reason
-    assert f"tried: Vs {vs:.0f} m/s" in said
+        (expected,) = measure(_with_values(campaign.experiment(), cell.remedies), CONTENT, (1,))
+        allowed = campaign.config["pick"]["largest_error"]
+    assert f"{len(SEEDS)} at {CONTENT:g} %" in said
+    assert f"seed 1, {CONTENT:g} %: no arrival, {cell.reason}" in words
+    assert cell.finding in words
+    assert (
+        0 < said.index("Look at the packing first: Porosity") < words.index(f"{cell.reading.error:.1%}; {allowed:.1%}")
+    )
+    assert cell.remedies == {"wave.frequency": "auto"}
+    assert cell.vs == expected.vs
+    assert cell.expected[0] < expected.vs < cell.expected[1]
+    assert f"Vs is {expected.vs:.0f} m/s with" in said
+    assert 'wave.frequency = "auto"' in said
+    assert (tmp_path / f"seed1_content{CONTENT:g}_diagnosis.png").stat().st_size > 10_000
     assert unread.read_bytes() == before
 
 
@@ -133,12 +129,11 @@ def test_a_record_that_is_too_short_becomes_long_enough(
     short = replace(small_configuration, campaign=plan, wave=replace(small_configuration.wave, slowest=2000.0))
     with open_campaign(store_campaign(tmp_path / "short.db", short, small_packing)) as campaign:
         (cell,) = campaign.diagnose()
-        ((remedy, vs, _),) = cell.try_remedies()
     assert cell.reading.verdict is Verdict.TOO_SHORT
     assert f"the record ends at {1e3 * cell.section.duration:.3g} ms" in cell.finding
-    assert remedy.name == "wave.slowest"
+    assert list(cell.remedies) == ["wave.slowest"]
     (expected,) = measure(small_configuration.experiment(small_packing), CONTENT, (1,))
-    assert vs == expected.vs
+    assert cell.vs == expected.vs
 
 
 def test_sections_that_were_not_stored_are_computed_again(
@@ -148,12 +143,12 @@ def test_sections_that_were_not_stored_are_computed_again(
     bare = store_campaign(tmp_path / "bare.db", slow_pulse, small_packing, store_sections=False)
     with open_campaign(unread) as full, open_campaign(bare) as campaign:
         (one,), (other,) = diagnose(full.store, Selection(2)), campaign.diagnose(seed=2)
-    assert (other.finding, other.remedies) == (one.finding, one.remedies)
+    assert (other.finding, other.remedies, other.vs) == (one.finding, one.remedies, one.vs)
     assert np.array_equal(other.section.across, one.section.across)
 
 
-def test_each_verdict_has_its_number_and_a_remedy_for_it(experiment: Experiment, section: Section) -> None:
-    """A section made silent, cut, or put out of order says by how much, and what changes that."""
+def test_each_verdict_has_its_number(experiment: Experiment, section: Section) -> None:
+    """A section made silent, cut, or put out of order says by how much."""
     quiet = replace(section, across=section.across.copy())
     quiet.across[:, -1] //= 1000
     arrival = read_section(section).arrival
@@ -163,41 +158,54 @@ def test_each_verdict_has_its_number_and_a_remedy_for_it(experiment: Experiment,
     mixed = replace(section, across=np.roll(section.across, 40, axis=0)[:, order])
     mixed.across[:, -1] = section.across[:, -1]
     strict = replace(experiment, pick=replace(experiment.pick, largest_error=1e-3))
-    known = {f"{key.section}.{key.name}" for key in key_references()}
-    silent, lost = (replace(section, across=section.across.copy()) for _ in range(2))
-    silent.across[:] //= 10000
-    lost.across[:, -2:] //= 1000
-    speed = section.distance * section.frequency / WAVELENGTHS
     cases = (
-        (experiment, silent, Verdict.SILENT, "0.1% is needed", "wave.transmitter_half_width"),
-        (experiment, lost, Verdict.SILENT, "0.1% is needed", "wave.damping"),
-        (experiment, quiet, Verdict.SILENT, "0.1% is needed", "wave.listening_depth"),
-        (experiment, cut, Verdict.TOO_SHORT, f"the record ends at {1e3 * cut.duration:.3g} ms", "wave.slowest"),
-        (experiment, mixed, Verdict.NO_LINE, f"{LEAST_COHERENCE:g} is needed", "wave.listening_depth"),
-        (strict, section, Verdict.UNCERTAIN, "0.1% is allowed", "wave.listening_depth"),
+        (experiment, quiet, Verdict.SILENT, "0.1% is needed"),
+        (experiment, cut, Verdict.TOO_SHORT, f"the record ends at {1e3 * cut.duration:.3g} ms"),
+        (experiment, mixed, Verdict.NO_LINE, f"{LEAST_COHERENCE:g} is needed"),
+        (strict, section, Verdict.UNCERTAIN, "0.1% is allowed"),
     )
     assert {verdict for _, _, verdict, *_ in cases} == set(Verdict)
-    for used, recorded, verdict, words, name in cases:
+    for used, recorded, verdict, words in cases:
         reading = read_section(recorded, used.pick)
         assert reading.verdict is verdict
         assert words in _explain_refusal(used, recorded, reading, None)
-        remedies = tuple(_find_remedies(used, recorded, verdict, speed))
-        assert remedies[0].name == name
-        assert {remedy.name for remedy in remedies} <= known
-        assert all(remedy.apply(used) != used for remedy in remedies)
 
 
-def test_wavelengths_on_the_path_decide_about_the_frequency(experiment: Experiment, section: Section) -> None:
-    """Too long and too short waves ask for another frequency, and where grains transmit none, for a wider box."""
-    usual = section.distance * section.frequency / WAVELENGTHS
-    for speed, other in ((usual, False), (2.0 * usual, True), (0.5 * usual, True)):
-        remedies = _find_remedies(experiment, section, Verdict.UNCERTAIN, speed)
-        assert ('wave.frequency = "auto"' in map(str, remedies)) == other
-    near = replace(section, places=tuple(0.3 * place for place in section.places))
-    found = [remedy.name for remedy in _find_remedies(experiment, near, None, usual)]
-    assert found == ["packing.width", "wave.frequency"]
-    with pytest.raises(ValueError, match="another packing"):
-        next(_find_remedies(experiment, near, None, usual)).apply(experiment)
+def test_values_to_try_are_keys_that_change_the_experiment(experiment: Experiment, section: Section) -> None:
+    """Each exists; the frequency is among them if the path departs from 2.5 wavelengths, a weaker bound if it helps."""
+    speed = section.distance * section.frequency / WAVELENGTHS
+    strict = replace(experiment, pick=replace(experiment.pick, largest_error=1e-3))
+    better = _better_values(strict, section, read_section(section), 2.0 * speed)
+    assert {"wave.frequency", "wave.listening_depth", "wave.damping", "pick.largest_error"} <= set(better)
+    assert set(better) <= {f"{key.section}.{key.name}" for key in key_references()}
+    assert all(_with_values(strict, {name: value}) != strict for name, value in better.items())
+    usual = _better_values(experiment, section, read_section(section), speed)
+    assert not {"wave.frequency", "pick.largest_error"} & set(usual)
+
+
+def test_reasons_name_the_next_value(monkeypatch: pytest.MonkeyPatch, experiment: Experiment) -> None:
+    """A value that a reason names is added; one that stays in vain is dropped; the trials end with a sure velocity."""
+    tried: list[tuple[float, float, str]] = []
+
+    def measured(used: Experiment, content: float, seeds: list[int]) -> tuple[object]:
+        assert (content, seeds) == (CONTENT, [1])
+        tried.append((used.wave.damping, used.wave.amplitude, used.wave.regime))
+        if used.wave.damping == experiment.wave.damping:
+            reason = "lower amplitude"
+        else:
+            reason = "" if used.wave.regime == "finite" else "choose regime = 'finite'"
+        return (SimpleNamespace(vs=None if reason else 300.0, result=SimpleNamespace(reason=reason)),)
+
+    monkeypatch.setattr("calcidem.app.campaign.diagnosis.measure", measured)
+    cell = SimpleNamespace(reason="lower amplitude", key=SimpleNamespace(content=CONTENT, seed=1))
+    *_, (values, vs, reason) = _try_values(experiment, cell, {"wave.damping": 0.1}, (200.0, 400.0))
+    assert (values, vs, reason) == ({"wave.damping": 0.1, "wave.regime": "finite"}, 300.0, "")
+    amplitude = experiment.wave.amplitude
+    assert [one[1] for one in tried] == pytest.approx(
+        [0.1 * amplitude, 0.01 * amplitude, 1e-3 * amplitude] + 2 * [amplitude]
+    )
+    far = list(_try_values(experiment, cell, {"wave.damping": 0.1}, (310.0, 400.0)))
+    assert far[-1][1:] == (300.0, "not as expected")
 
 
 def test_a_large_numerical_error_says_its_bound(experiment: Experiment, section: Section) -> None:
@@ -292,10 +300,8 @@ def test_the_first_natural_edit_is_understood(tmp_path: Path, invoke: Callable[.
         assert len(diagnoses) == sum(
             campaign.status_counts().get((c, CellStatus.NO_ARRIVAL), 0) for c in campaign.record.contents
         )
-        assert all(cell.reason and cell.remedies and cell.finding for cell in diagnoses)
+        assert all(cell.reason and cell.finding for cell in diagnoses)
+        for cell in (cell for cell in diagnoses[:3] if cell.remedies):
+            (found,) = measure(_with_values(campaign.experiment(), cell.remedies), cell.key.content, (cell.key.seed,))
+            assert cell.vs == found.vs
         assert len(list((tmp_path / "pictures").iterdir())) == len(diagnoses)
-        for cell in diagnoses[:3]:
-            experiment = campaign.experiment()
-            for remedy, vs, _ in cell.try_remedies():
-                experiment = remedy.apply(experiment)
-                assert vs == measure(experiment, cell.key.content, (cell.key.seed,))[0].vs

@@ -1,13 +1,12 @@
-"""Why cells have no velocity: the number that refused each, its section, and the remedies that this supports.
+"""Why cells have no velocity: the number that refused each, its section, and values that give one.
 
-The wave is followed from the transmitter along the path to the receiver. Each remedy is for a place where it is lost.
-Where the numbers of a run were at fault, not its wave, the stored reason has the remedy. Nothing is written to the
-database. A section that is not stored is computed again: the same seed and content give the same bits.
+A value is a remedy only after the wave was computed with it in this sample and had a velocity that the static stiffness
+lets expect. A section that is not stored is computed again: the same seed and content give the same bits.
 """
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +24,7 @@ from calcidem.dem.wave.measurement import LARGEST_BOUND, measure
 from calcidem.dem.wave.reading import (
     LEAST_COHERENCE,
     SILENCE,
+    PickRule,
     Reading,
     Verdict,
     find_candidates,
@@ -40,73 +40,80 @@ from calcidem.storage.store import Selection
 if TYPE_CHECKING:
     from matplotlib.figure import Figure  # takes a second, which only those wait for who draw
 
-_EXPECTED = (0.5, 1.5)  # slowest and fastest Vs over the static speed of a sample
-_AS_GOOD = 1.5  # ratio of two numbers of wavelengths on the path with which sections are read as well
-_CUT_OFF = 0.8  # part of the cut-off frequency up to which grains transmit a wave
-_FADED = 10.0  # motion of the last station over `SILENCE`, below which the path took the wave, not the receiver
+_Values = dict[str, Any]  # ``section.key`` and its value
 
+_EXPECTED = (0.6, 1.5)  # slowest Vs over the static speed times sqrt(1 - damping), and fastest over the static speed
+_SURE = 1.2  # ratio to both bounds from which on no other trial is made
+_AS_GOOD = 0.2  # logarithm of the ratio of two numbers of wavelengths on the path with which sections are read as well
+_FEWER = 0.1  # logarithm of a ratio of velocities that is worth one value less
+_MOST_NAMED = 3  # values that are added because the reason of a trial names them
 
-@dataclass(frozen=True, slots=True)
-class Remedy:
-    """A value of the configuration to try.
+_WHY = {
+    "wave.slowest": "the record ended before the slowest wave that is expected",
+    "wave.frequency": f"{WAVELENGTHS:g} wavelengths on the path: with fewer P and S wave are one, shorter waves fade",
+    "wave.receiver_half_width": "few grains at the receiver swung by themselves",
+    "wave.listening_depth": "few grains at the receiver swung by themselves",
+    "wave.transmitter_half_width": "the wave spread from few grains",
+    "wave.damping": "the amplitude fell along the path; Vs rises with less damping",
+    "pick.largest_error": "the velocity is known no better",
+}
+"""What a value shows that gives a velocity; others are named by the reason."""
 
-    Attributes
-    ----------
-    name, value
-        ``section.key`` and its new value.
-    why
-        What the section shows.
-    """
-
-    name: str
-    value: float | str
-    why: str
-
-    def __str__(self) -> str:
-        """As a configuration has it."""
-        return f"{self.name} = {written(self.value)}"
-
-    def apply(self, experiment: Experiment) -> Experiment:
-        """Experiment with this value; `ValueError` where it is impossible, or needs another packing."""
-        section, key = self.name.split(".")
-        if section != "wave":
-            raise ValueError(f"{self.name}: it makes another packing, and so other samples")
-        changed: dict[str, Any] = {key: self.value}
-        if key == "frequency":
-            return replace(experiment, frequencies=suitable_frequency)
-        return replace(experiment, wave=replace(experiment.wave, **changed))
+_NAMED = {
+    "the record ends": ("wave.slowest", 0.5),
+    "raise amplitude": ("wave.amplitude", 10.0),
+    "stronger pulse": ("wave.amplitude", 10.0),
+    "amplitude": ("wave.amplitude", 0.1),
+    "'finite'": ("wave.regime", "finite"),
+    "'float64'": ("wave.precision", "float64"),
+    "step_fraction": ("wave.step_fraction", 0.5),
+    "samples_per_period": ("wave.samples_per_period", 2.0),
+    "pick.method": ("pick.method", "peak"),
+}
+"""Words of a reason, the key that they name, and its value or a factor on it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """Why a cell has no velocity, and remedies.
+    """Why a cell has no velocity, and what gives it one.
 
     Attributes
     ----------
     key, status, reason
         The cell, its outcome, and the reason.
-    packing
-        Description of the packing, if all cells of this content failed; else empty.
     finding
-        The number that refused it, and other measurements, in sentences.
-    remedies
-        In the order in which they are added to one another.
+        The packing, if all cells of this content failed; the number that refused it, other measurements, and what was
+        tried in vain, in sentences.
+    remedies, vs
+        Values of the configuration that together give a velocity, and this, m/s; none and None without any.
     experiment, section, reading
         What it was measured with, and what was recorded and read.
     expected
-        Slowest and fastest S wave that the static stiffness of the sample lets expect, m/s; None if it has none.
+        Slowest and fastest S wave that the static stiffness of the sample lets expect, m/s.
     """
 
     key: CellKey
     status: CellStatus
     reason: str
-    packing: str
     finding: str
-    remedies: tuple[Remedy, ...]
+    remedies: _Values
+    vs: float | None
     experiment: Experiment
     section: Section
     reading: Reading
-    expected: tuple[float, float] | None
+    expected: tuple[float, float]
+
+    def describe_remedies(self) -> Iterator[str]:
+        """Vs, each value that gives it as a configuration has it, and what this shows."""
+        if self.vs is not None:
+            yield f"Vs is {self.vs:.0f} m/s with"
+        for name, value in self.remedies.items():
+            yield f"{name} = {written(value)}".ljust(36) + _WHY.get(name, "a reason asks for it")
+
+    def as_row(self) -> dict[str, Any]:
+        """What is said of the cell, for tables."""
+        said = {"status": str(self.status), "reason": self.reason, "finding": self.finding, "vs": self.vs}
+        return asdict(self.key) | said | {"remedies": "; ".join(self.describe_remedies())}
 
     def draw(self) -> "Figure":
         """Picture of the section with the line of each candidate, and its velocity spectrum."""
@@ -114,68 +121,126 @@ class Diagnosis:
 
         return draw_diagnosis(self)
 
-    def try_remedies(self) -> Iterator[tuple[Remedy, float | None, str]]:
-        """Add the remedies to one another until Vs is as expected; give Vs, m/s, and why it is none, or unexpected."""
-        experiment, (low, high) = self.experiment, self.expected or (0.0, math.inf)
-        for remedy in self.remedies:
-            try:
-                experiment = remedy.apply(experiment)
-                (found,) = measure(experiment, self.key.content, [self.key.seed])
-            except (ValueError, SettlingError) as error:
-                yield remedy, None, str(error)
-                return
-            if found.vs is not None and low <= found.vs <= high:
-                yield remedy, found.vs, ""
-                return
-            yield remedy, found.vs, found.result.reason or "not as expected"
 
+def diagnose(store: Store, selection: Selection) -> Iterator[Diagnosis]:
+    """Say of the selected cells without a velocity why they have none, and what gives them one.
 
-def diagnose(store: Store, selection: Selection) -> tuple[Diagnosis, ...]:
-    """Say of the selected cells without a velocity why they have none, and what may help.
-
-    `UnknownCellError` if there is no such content; `CampaignMismatchError` if a cell has to be computed again, and was
-    computed with another version of the physics; `StoreError` if the campaign lacks what its cells are computed from.
+    Each is computed again up to some twenty times. `UnknownCellError` if there is no such content;
+    `CampaignMismatchError` for another version of the physics; `StoreError` if the campaign lacks its packing.
     """
     experiment = lru_cache(lambda index: stored_experiment(store, index))
     readable = {content for content, status in store.status_counts() if status is CellStatus.DONE}
-    cells = list(store.results(Selection(selection.seeds, selection.contents, UNREAD), with_arrays=True))
-    if any(cell.section is None for cell in cells):
+    for cell in list(store.results(Selection(selection.seeds, selection.contents, UNREAD), with_arrays=True)):
         refuse_other_physics(store.record)
-    return tuple(_diagnose(cell, experiment(cell.packing_index), cell.key.content in readable) for cell in cells)
+        yield _diagnose(cell, experiment(cell.packing_index), cell.key.content in readable)
 
 
 def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -> Diagnosis:
     """Diagnose one cell; ``others_are_read`` tells whether its content has velocities."""
-    if cell.section is None:
-        section = measure(experiment, cell.key.content, [cell.key.seed])[0].record.section
-    else:
-        section = section_of(cell.section)
-    reading, speed, expected = read_section(section, experiment.pick), math.nan, None
-    verdict, finding = reading.verdict, _explain_refusal(experiment, section, reading, cell.error_bound)
-    if cell.status is CellStatus.UNSTABLE:
-        verdict, finding = None, "A guard ended the run."
+    if (stored := cell.section) is None:
+        (found,) = measure(experiment, cell.key.content, [cell.key.seed])
+    section = found.record.section if stored is None else section_of(stored)
+    reading, finding, distance = read_section(section, experiment.pick), [], section.distance
+    if not others_are_read:
+        finding.append(f"All cells failed. Look at the packing first: {_judged_packing(experiment)}")
+    if cell.status is not CellStatus.UNSTABLE:
+        finding.append(_explain_refusal(experiment, section, reading, cell.error_bound))
     try:
-        speed = static_speed(experiment, experiment.ordering(cell.key.seed).at(cell.key.content).bonded).speed
+        speed, uneven = static_speed(experiment, experiment.ordering(cell.key.seed).at(cell.key.content).bonded)
     except (ValueError, SettlingError):
-        finding += " The sample has no static stiffness."
+        speed, expected = math.nan, (0.0, math.inf)
+        finding.append("The sample has no static stiffness.")
     else:
-        expected = _EXPECTED[0] * speed, _EXPECTED[1] * speed
-        finding += (
-            f" By static stiffness long waves have {speed:.0f} m/s, so that {expected[0]:.0f} to {expected[1]:.0f} m/s "
-            f"are expected, and {section.frequency * section.distance / speed:.2g} wavelengths on the path of "
-            f"{1e3 * section.distance:.1f} mm; {1e3 * section.duration:.3g} ms were recorded."
+        expected = _EXPECTED[0] * speed * math.sqrt(1.0 - experiment.wave.damping), _EXPECTED[1] * speed
+        finding.append(
+            f"By static stiffness long waves have {speed:.0f} m/s (+-{uneven:.0%}) and S waves {expected[0]:.0f} to "
+            f"{expected[1]:.0f} m/s: {section.frequency * distance / speed:.2g} wavelengths on the path of "
+            f"{1e3 * distance:.1f} mm. {1e3 * section.duration:.3g} ms were recorded."
         )
-    remedies = tuple(_find_remedies(experiment, section, verdict, speed))
-    known = cell.key, cell.status, cell.reason, "" if others_are_read else _judged_packing(experiment)
-    return Diagnosis(*known, finding, remedies, experiment, section, reading, expected)
+    better = _better_values(experiment, section, reading, speed)
+    trials = list(_try_values(experiment, cell, better, expected))
+    good = [(vs, values) for values, vs, reason in trials if vs is not None and not reason]
+    vs, remedies = min(good, key=lambda it: abs(math.log(it[0] / speed)) + _FEWER * len(it[1]), default=(None, {}))
+    if vs is None:
+        read = ", ".join(f"{vs:.0f}" for _, vs, _ in trials if vs is not None)
+        finding.append(f"No trial of {', '.join(better)}, alone or together, gives a velocity as expected.")
+        finding.append(f"They read {read} m/s: another path or wave." if read else "No wave crosses it on one line.")
+        finding.append("Larger boxes have fewer such samples.")
+    known = cell.key, cell.status, cell.reason, " ".join(finding)
+    return Diagnosis(*known, remedies, vs, experiment, section, reading, expected)
+
+
+def _better_values(experiment: Experiment, section: Section, reading: Reading, speed: float) -> _Values:
+    """Values that better the record; ``speed`` is the static speed of the sample, m/s, NaN if it has none."""
+    wave, packing, better = experiment.wave, experiment.packing, dict[str, Any]()
+    if wave.slowest > _EXPECTED[0] * speed:
+        better["wave.slowest"] = float(f"{min(0.5 * wave.slowest, 0.45 * speed):.2g}")
+    if abs(math.log(section.frequency * section.distance / speed / WAVELENGTHS)) > _AS_GOOD:
+        better["wave.frequency"] = "auto"
+    for key, largest in (
+        ("receiver_half_width", 0.4 * packing.height),
+        ("listening_depth", 0.28 * packing.width),
+        ("transmitter_half_width", 0.47 * packing.height),
+    ):
+        value = float(f"{min(2.0 * getattr(wave, key), largest):.2g}")
+        if value > getattr(wave, key):
+            better[f"wave.{key}"] = value
+    if wave.damping > 0.0:
+        better["wave.damping"] = 0.5 * wave.damping
+    if experiment.pick.largest_error < (reading.error or 0.0) < PickRule().largest_error:
+        better["pick.largest_error"] = PickRule().largest_error
+    return better
+
+
+def _try_values(
+    experiment: Experiment, cell: CellResult, better: _Values, expected: tuple[float, float]
+) -> Iterator[tuple[_Values, float | None, str]]:
+    """Try values alone, then together, until Vs, m/s, is surely as expected; a value that a reason names is added."""
+    given, items = dict[str, Any](), list(better.items())
+    together = (items[:number] for number in range(2, len(items) + 1))
+    for chosen in ([], *([one] for one in items), *together):
+        values, reason, vs = given | dict(chosen), cell.reason if not chosen else "", None
+        for _ in range(_MOST_NAMED + 1):
+            if not reason:
+                try:
+                    (found,) = measure(_with_values(experiment, values), cell.key.content, [cell.key.seed])
+                    vs, reason = found.vs, found.result.reason
+                except (ValueError, SettlingError) as error:
+                    vs, reason = None, str(error)
+                if vs is not None and not expected[0] <= vs <= expected[1]:
+                    reason = "not as expected"
+                yield values, vs, reason
+                if vs is not None and expected[0] * _SURE <= vs <= expected[1] / _SURE:
+                    return
+            if not (named := [change for words, change in _NAMED.items() if words in reason]):
+                break
+            name, change = min(named, key=lambda one: one[0] in values)  # first those that were not tried
+            section, key = name.split(".")
+            old = values.get(name, getattr(getattr(experiment, section), key))
+            new = change if isinstance(change, str) else type(old)(float(f"{change * old:.2g}"))
+            values, reason = values | {name: new}, ""
+        else:
+            del values[name]  # it was in vain
+        given = given if chosen else values
+
+
+def _with_values(experiment: Experiment, values: _Values) -> Experiment:
+    """Experiment with these values; `ValueError` where they are impossible."""
+    for name, value in values.items():
+        section, key = name.split(".")
+        changed: _Values = {"frequencies": suitable_frequency}
+        if key != "frequency":
+            changed = {section: replace(getattr(experiment, section), **{key: value})}
+        experiment = replace(experiment, **changed)
+    return experiment
 
 
 def _judged_packing(experiment: Experiment) -> str:
     """What a packing is like, and what is wrong with it, in sentences."""
-    report, radius = experiment.packing.report, float(np.mean(experiment.packing.radius))
+    report, overlap = experiment.packing.report, experiment.packing.report.largest_overlap
     text = (
         f"Porosity {report.porosity:.3f}; {report.coordination_number_without_rattlers:.2f} contacts per disk without "
-        f"rattlers; largest overlap {report.largest_overlap / radius:.2g} of the mean radius; stress "
+        f"rattlers; largest overlap {overlap / np.mean(experiment.packing.radius):.2g} of the mean radius; stress "
         f"{max(report.wall_stress) / 1e3:.3g} kPa."
     )
     return " ".join([text, *(f"packing.{fault.text}." for fault in judge_disks(experiment.packing, experiment.sand))])
@@ -202,32 +267,3 @@ def _explain_refusal(experiment: Experiment, section: Section, reading: Reading,
     if bound is not None and bound > LARGEST_BOUND:
         return f"The bound of the numerical error is {bound:.1%}; {LARGEST_BOUND:.0%} is allowed."
     return f"The {pick.method.replace('_', ' ')} is more than a quarter of a period from the stacked arrival."
-
-
-def _find_remedies(experiment: Experiment, section: Section, verdict: Verdict | None, speed: float) -> Iterator[Remedy]:
-    """Follow the wave to where it is lost; ``speed`` is the static speed of the sample, m/s, NaN if it has none."""
-    wave, packing, silent = experiment.wave, experiment.packing, verdict is Verdict.SILENT
-    motion = section.across.max(axis=0, initial=0) * RESOLUTION
-    if silent and motion[0] < SILENCE:
-        yield Remedy("wave.transmitter_half_width", 2.0 * wave.transmitter_half_width, "the first station is at rest")
-    waves = section.frequency * section.distance / speed
-    few, many = waves < WAVELENGTHS / _AS_GOOD, waves > WAVELENGTHS * _AS_GOOD and verdict is not None
-    late = wave.slowest > _EXPECTED[0] * speed
-    if (late and silent) or (verdict is Verdict.TOO_SHORT and (late or not few)):
-        value = float(f"{min(0.5 * wave.slowest, 0.9 * _EXPECTED[0] * speed):.2g}")
-        yield Remedy("wave.slowest", value, "the record ends before the slowest wave that is expected")
-    # A chain of disks transmits up to V / (pi d).
-    most = _CUT_OFF * section.distance / (2.0 * math.pi * float(np.mean(packing.radius)))
-    if few and most < WAVELENGTHS / _AS_GOOD:
-        value = float(f"{packing.width * WAVELENGTHS / most:.2g}")
-        yield Remedy("packing.width", value, f"grains transmit at most {most:.1f} wavelengths on this path")
-    if few or many:
-        why = "P and S wave are one" if few else "grains hardly transmit these"
-        yield Remedy("wave.frequency", "auto", f"{WAVELENGTHS:g} instead of {waves:.2g} wavelengths on the path: {why}")
-    if silent and motion[-2] < _FADED * SILENCE and wave.damping > 0.0:
-        yield Remedy("wave.damping", 0.5 * wave.damping, "the amplitude falls along the path; Vs rises with less")
-    elif verdict is not None:
-        for key, largest in (("listening_depth", 0.28 * packing.width), ("receiver_half_width", 0.4 * packing.height)):
-            value = float(f"{min(2.0 * getattr(wave, key), largest):.2g}")
-            if value > getattr(wave, key):
-                yield Remedy(f"wave.{key}", value, "few grains at the receiver swing by themselves")

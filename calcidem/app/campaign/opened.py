@@ -487,18 +487,17 @@ class Campaign(Closable):
     def diagnose(
         self, *, seed: int | Collection[int] | None = None, content: float | Collection[float] | None = None
     ) -> tuple[Diagnosis, ...]:
-        """Say of cells without a velocity why they have none, and which values may give them one.
+        """Say of cells without a velocity why they have none, and which values give them one.
 
-        See `calcidem.app.campaign.diagnosis.diagnose`; each has ``draw()``, a picture of its section, and
-        ``try_remedies()``, which computes it again with other values.
+        See `calcidem.app.campaign.diagnosis.diagnose`; each has ``draw()``, a picture of its section.
 
         Examples
         --------
         >>> campaign = open_campaign("quick.db")
         >>> for cell in campaign.diagnose(content=9.0):  # all of 9 % have a velocity
-        ...     print(cell.key, cell.reason, *cell.remedies)
+        ...     print(cell.key, cell.reason, cell.remedies, cell.vs)
         """
-        return diagnose(self.store, Selection(seed, content))
+        return tuple(diagnose(self.store, Selection(seed, content)))
 
     def content_hash(self, packing_index: int = 0) -> str | None:
         """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.
