@@ -13,10 +13,10 @@ from scipy.stats import norm
 from calcidem.analysis.doubt import _bias_of_failed, is_in_doubt
 from calcidem.app.campaign.diagnosis import (
     _better_values,
+    _experiment_with,
     _explain_refusal,
     _judged_packing,
     _try_values,
-    _with_values,
     diagnose,
 )
 from calcidem.app.campaign.opened import open_campaign
@@ -104,7 +104,7 @@ def test_every_unread_cell_has_its_number_a_remedy_and_a_picture(
     words = " ".join(said.split())
     with open_campaign(unread) as campaign:
         (cell,) = campaign.diagnose(seed=1)
-        (expected,) = measure(_with_values(campaign.experiment(), cell.remedies), CONTENT, (1,))
+        (expected,) = measure(_experiment_with(campaign.experiment(), cell.remedies), CONTENT, (1,))
         allowed = campaign.config["pick"]["largest_error"]
     assert f"{len(SEEDS)} at {CONTENT:g} %" in said
     assert f"seed 1, {CONTENT:g} %: no arrival, {cell.reason}" in words
@@ -178,7 +178,7 @@ def test_values_to_try_are_keys_that_change_the_experiment(experiment: Experimen
     better = _better_values(strict, section, read_section(section), 2.0 * speed)
     assert {"wave.frequency", "wave.listening_depth", "wave.damping", "pick.largest_error"} <= set(better)
     assert set(better) <= {f"{key.section}.{key.name}" for key in key_references()}
-    assert all(_with_values(strict, {name: value}) != strict for name, value in better.items())
+    assert all(_experiment_with(strict, {name: value}) != strict for name, value in better.items())
     usual = _better_values(experiment, section, read_section(section), speed)
     assert not {"wave.frequency", "pick.largest_error"} & set(usual)
 
@@ -302,6 +302,8 @@ def test_the_first_natural_edit_is_understood(tmp_path: Path, invoke: Callable[.
         )
         assert all(cell.reason and cell.finding for cell in diagnoses)
         for cell in (cell for cell in diagnoses[:3] if cell.remedies):
-            (found,) = measure(_with_values(campaign.experiment(), cell.remedies), cell.key.content, (cell.key.seed,))
+            (found,) = measure(
+                _experiment_with(campaign.experiment(), cell.remedies), cell.key.content, (cell.key.seed,)
+            )
             assert cell.vs == found.vs
         assert len(list((tmp_path / "pictures").iterdir())) == len(diagnoses)

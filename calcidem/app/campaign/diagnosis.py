@@ -40,7 +40,7 @@ from calcidem.storage.store import Selection
 if TYPE_CHECKING:
     from matplotlib.figure import Figure  # takes a second, which only those wait for who draw
 
-_Values = dict[str, Any]  # ``section.key`` and its value
+_NewValues = dict[str, Any]  # ``section.key`` and its value
 
 _EXPECTED = (0.6, 1.5)  # slowest Vs over the static speed times sqrt(1 - damping), and fastest over the static speed
 _SURE = 1.2  # ratio to both bounds from which on no other trial is made
@@ -63,7 +63,7 @@ _NAMED = {
     "the record ends": ("wave.slowest", 0.5),
     "raise amplitude": ("wave.amplitude", 10.0),
     "stronger pulse": ("wave.amplitude", 10.0),
-    "amplitude": ("wave.amplitude", 0.1),
+    "r amplitude": ("wave.amplitude", 0.1),  # lower amplitude; step_fraction or amplitude
     "'finite'": ("wave.regime", "finite"),
     "'float64'": ("wave.precision", "float64"),
     "step_fraction": ("wave.step_fraction", 0.5),
@@ -96,7 +96,7 @@ class Diagnosis:
     status: CellStatus
     reason: str
     finding: str
-    remedies: _Values
+    remedies: _NewValues
     vs: float | None
     experiment: Experiment
     section: Section
@@ -170,7 +170,7 @@ def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -
     return Diagnosis(*known, remedies, vs, experiment, section, reading, expected)
 
 
-def _better_values(experiment: Experiment, section: Section, reading: Reading, speed: float) -> _Values:
+def _better_values(experiment: Experiment, section: Section, reading: Reading, speed: float) -> _NewValues:
     """Values that better the record; ``speed`` is the static speed of the sample, m/s, NaN if it has none."""
     wave, packing, better = experiment.wave, experiment.packing, dict[str, Any]()
     if wave.slowest > _EXPECTED[0] * speed:
@@ -186,15 +186,15 @@ def _better_values(experiment: Experiment, section: Section, reading: Reading, s
         if value > getattr(wave, key):
             better[f"wave.{key}"] = value
     if wave.damping > 0.0:
-        better["wave.damping"] = 0.5 * wave.damping
+        better["wave.damping"] = float(f"{0.5 * wave.damping:.2g}")
     if experiment.pick.largest_error < (reading.error or 0.0) < PickRule().largest_error:
         better["pick.largest_error"] = PickRule().largest_error
     return better
 
 
 def _try_values(
-    experiment: Experiment, cell: CellResult, better: _Values, expected: tuple[float, float]
-) -> Iterator[tuple[_Values, float | None, str]]:
+    experiment: Experiment, cell: CellResult, better: _NewValues, expected: tuple[float, float]
+) -> Iterator[tuple[_NewValues, float | None, str]]:
     """Try values alone, then together, until Vs, m/s, is surely as expected; a value that a reason names is added."""
     given, items = dict[str, Any](), list(better.items())
     together = (items[:number] for number in range(2, len(items) + 1))
@@ -203,7 +203,7 @@ def _try_values(
         for _ in range(_MOST_NAMED + 1):
             if not reason:
                 try:
-                    (found,) = measure(_with_values(experiment, values), cell.key.content, [cell.key.seed])
+                    (found,) = measure(_experiment_with(experiment, values), cell.key.content, [cell.key.seed])
                     vs, reason = found.vs, found.result.reason
                 except (ValueError, SettlingError) as error:
                     vs, reason = None, str(error)
@@ -224,11 +224,11 @@ def _try_values(
         given = given if chosen else values
 
 
-def _with_values(experiment: Experiment, values: _Values) -> Experiment:
+def _experiment_with(experiment: Experiment, values: _NewValues) -> Experiment:
     """Experiment with these values; `ValueError` where they are impossible."""
     for name, value in values.items():
         section, key = name.split(".")
-        changed: _Values = {"frequencies": suitable_frequency}
+        changed: _NewValues = {"frequencies": suitable_frequency}
         if key != "frequency":
             changed = {section: replace(getattr(experiment, section), **{key: value})}
         experiment = replace(experiment, **changed)
