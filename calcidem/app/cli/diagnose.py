@@ -10,8 +10,6 @@ from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, Onl
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable
 
-_WIDTH = 110  # columns
-
 
 def diagnose_command(
     database: Database,
@@ -43,7 +41,7 @@ def diagnose_command(
         typer.echo(f"Campaign {store.record.name}. Without velocity: {words or 'none'}. Repeating does not help.")
         for one in found:
             head = f"\nseed {one.key.seed}, {one.key.content:g} %: {one.status.replace('_', ' ')}, {one.reason}"
-            lines = head, *textwrap.wrap(one.finding, _WIDTH), *one.describe_remedies()
+            lines = head, *textwrap.wrap(one.finding, 110), *one.describe_remedies()
             typer.echo(printable("\n  ".join(lines)))
             if out is not None:
                 from calcidem.analysis.figures.style import save
