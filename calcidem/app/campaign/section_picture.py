@@ -79,9 +79,9 @@ def _draw_spectrum(axes: Axes, section: Section, smoothing: float, found: list[f
 
 def _draw_line(panels: tuple[Axes, Axes], section: Section, peak: tuple[float, float], name: str, color: str) -> None:
     """Draw the line of a travel time, s, through the traces, and its coherence in the spectrum."""
-    begin, end, shift = 0.5 / section.frequency, MM * section.distance, 12 if name == "remedy" else 3
+    begin, end, shift = 0.5 / section.frequency, MM * section.distance, -11 if name == "remedy" else 3
     arrived, velocity, dashes = MS * (begin + peak[0]), section.distance / peak[0], "--" if color == style.GREY else "-"
     panels[0].plot([MS * begin, arrived], [0.0, end], color=color, linewidth=1.0, linestyle=dashes)
     panels[1].plot(velocity, peak[1], "o", markersize=4.0, color=color, zorder=4.0)
-    for axes, point in zip(panels, ((arrived, 1.07 * end), (velocity, peak[1])), strict=True):
+    for axes, point in zip(panels, ((arrived, 1.1 * end), (velocity, peak[1])), strict=True):
         axes.annotate(name, point, (0, shift), textcoords="offset points", ha="center", fontsize=8.0, color=color)
