@@ -166,7 +166,6 @@ def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -
         finding.append(f"No trial of {', '.join(better)}, alone or together, gives a velocity as expected.")
         last = f"All together: {trials[-1][2]}." if trials else ""
         finding.append(f"They read {read} m/s: another path or wave." if read else last)
-        finding += ["Larger boxes have fewer such samples."] * others_are_read
     known = cell.key, cell.status, cell.reason, " ".join(finding)
     return Diagnosis(*known, remedies, vs, experiment, section, reading, expected)
 
