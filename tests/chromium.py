@@ -94,9 +94,9 @@ class Chromium:
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
-    def wait_for(self, condition: str) -> None:
-        """Wait until an expression is true in the page."""
-        end = time.monotonic() + _PATIENCE
+    def wait_for(self, condition: str, patience: float = _PATIENCE) -> None:
+        """Wait until an expression is true in the page, at most so many seconds."""
+        end = time.monotonic() + patience
         while not self.evaluate(f"Boolean({condition})"):
             assert time.monotonic() < end, f"this did not come true: {condition}"
             time.sleep(0.02)

@@ -114,7 +114,7 @@ def test_a_cell_shows_sample_forces_record_and_movie(browser: Chromium, live: Li
     browser.click_on("#forces")
     assert browser.evaluate("document.querySelector('#sample canvas').toDataURL()") != before
     browser.click_on("#more button")
-    browser.wait_for("document.querySelector('#more img')?.naturalWidth > 200")
+    browser.wait_for("document.querySelector('#more img')?.naturalWidth > 200", patience=300.0)  # of lowest priority
 
 
 def test_the_other_campaign_can_be_chosen(browser: Chromium, live: Live) -> None:
