@@ -18,7 +18,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableErr
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure, load_arrival, published_velocities
 from calcidem.analysis.figures.relations import _law_text, _symbol
-from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
+from calcidem.analysis.figures.samples import _round_length, draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import _received_peak_index
 from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range
 from calcidem.app.campaign.opened import open_campaign
@@ -127,7 +127,7 @@ def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> Non
 @pytest.mark.parametrize(("width", "length"), [(100.0, 20.0), (22.0, 5.0), (4.5, 1.0), (0.04, 0.01), (1500.0, 200.0)])
 def test_a_scale_bar_has_a_round_length(width: float, length: float) -> None:
     """It is 1, 2 or 5 times a power of ten, and at most a quarter of the picture."""
-    assert style._round_length(width) == pytest.approx(length)
+    assert _round_length(width) == pytest.approx(length)
 
 
 def test_fine_grains_are_drawn_as_coarse_ones(analysis: CampaignAnalysis) -> None:
