@@ -75,33 +75,25 @@ _NAMED = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """Why a cell has no velocity, and what gives it one.
-
-    Attributes
-    ----------
-    key, status, reason
-        The cell, its outcome, and the reason.
-    finding
-        The packing, if all cells of this content failed; the number that refused it, other measurements, and what was
-        tried in vain, in sentences.
-    remedies, vs
-        Values of the configuration that together give a velocity, and this, m/s; none and None without any.
-    experiment, section, reading
-        What it was measured with, and what was recorded and read.
-    expected
-        Slowest and fastest S wave that the static stiffness of the sample lets expect, m/s.
-    """
+    """Why a cell has no velocity, and what gives it one."""
 
     key: CellKey
     status: CellStatus
     reason: str
+    """The cell, its outcome, and the reason."""
     finding: str
+    """The packing, if all cells of this content failed; the number that refused it, other measurements, and what was
+    tried in vain, in sentences.
+    """
     remedies: _NewValues
     vs: float | None
+    """Values of the configuration that together give a velocity, and this, m/s; none and None without any."""
     experiment: Experiment
     section: Section
     reading: Reading
+    """What it was measured with, and what was recorded and read."""
     expected: tuple[float, float]
+    """Slowest and fastest S wave that the static stiffness of the sample lets expect, m/s."""
 
     def describe_remedies(self) -> Iterator[str]:
         """Vs, each value that gives it as a configuration has it, and what this shows."""

@@ -59,50 +59,33 @@ _GENTLE = 0.01  # stroke of the pulse over the overlap
 
 @dataclass(frozen=True, slots=True)
 class OwnDisks:
-    """Disks in a file, which replace the packing.
-
-    Attributes
-    ----------
-    file
-        As the configuration names it.
-    width, height
-        Of the box, m: up to the rightmost disk, and as high as the disks are expected to stand at rest.
-    diameters
-        Smallest, mean and largest, m.
-    count
-        Number of the disks.
-    """
+    """Disks in a file, which replace the packing."""
 
     file: str
+    """As the configuration names it."""
     width: float
     height: float
+    """Of the box, m: up to the rightmost disk, and as high as the disks are expected to stand at rest."""
     diameters: tuple[float, float, float]
+    """Smallest, mean and largest, m."""
     count: int
+    """Number of the disks."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnSand:
-    """A sand, as a person describes it.
-
-    Attributes
-    ----------
-    grain_size
-        Mean diameter, m.
-    stress
-        Vertical confining stress, Pa.
-    mineral
-        Key of `MINERALS`.
-    contents
-        Calcite contents, percent of the sand's mass.
-    disks
-        Its disks, where they are given.
-    """
+    """A sand, as a person describes it."""
 
     grain_size: float
+    """Mean diameter, m."""
     stress: float
+    """Vertical confining stress, Pa."""
     mineral: str
+    """Key of `MINERALS`."""
     contents: Sequence[float]
+    """Calcite contents, percent of the sand's mass."""
     disks: OwnDisks | None = None
+    """Its disks, where they are given."""
 
     @property
     def box(self) -> tuple[float, float]:

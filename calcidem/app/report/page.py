@@ -52,30 +52,21 @@ _LEAST_FOR_CELLS = 200_000
 
 @dataclass(frozen=True, slots=True)
 class _Picture:
-    """A figure in a page.
-
-    Attributes
-    ----------
-    name, title, caption
-        As in the registry.
-    source
-        The picture itself: a data URI, or what is in the block `packed`; empty where there is none.
-    inches, ratio
-        Width for which its letters were chosen, and width over height.
-    reason
-        Why there is none.
-    pictorial
-        Whether it shows grains, whose colours stay as they are on dark screens.
-    """
+    """A figure in a page."""
 
     name: str
     title: str
     caption: str
+    """As in the registry."""
     source: str = ""
+    """The picture itself: a data URI, or what is in the block `packed`; empty where there is none."""
     inches: float = 0.0
     ratio: float = 1.0
+    """Width for which its letters were chosen, and width over height."""
     reason: str = ""
+    """Why there is none."""
     pictorial: bool = False
+    """Whether it shows grains, whose colours stay as they are on dark screens."""
 
     @property
     def packed(self) -> str:
@@ -85,26 +76,18 @@ class _Picture:
 
 @dataclass(frozen=True, slots=True)
 class _PageSection:
-    """A part of the page.
-
-    Attributes
-    ----------
-    anchor, title
-        Name in links, and heading.
-    text
-        Paragraphs.
-    tables, pictures
-        In the order in which they are shown, tables after pictures.
-    folded
-        Tables that open on a click.
-    """
+    """A part of the page."""
 
     anchor: str
     title: str
+    """Name in links, and heading."""
     text: tuple[str, ...] = ()
+    """Paragraphs."""
     tables: tuple[Table, ...] = ()
     pictures: tuple[_Picture, ...] = ()
+    """In the order in which they are shown, tables after pictures."""
     folded: tuple[Table, ...] = ()
+    """Tables that open on a click."""
 
 
 def write_report(

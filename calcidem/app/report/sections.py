@@ -42,21 +42,15 @@ TABLES: Mapping[str, Callable[[CampaignAnalysis], Table | None]] = {
 
 @dataclass(frozen=True, slots=True)
 class SectionPlan:
-    """What stands in a section of the page.
-
-    Attributes
-    ----------
-    anchor, title
-        Name in links, and heading.
-    figures, tables, folded
-        Names of `CAMPAIGN_FIGURES` and of `TABLES`, in their order; folded tables open on a click.
-    """
+    """What stands in a section of the page."""
 
     anchor: str
     title: str
+    """Name in links, and heading."""
     figures: tuple[str, ...] = ()
     tables: tuple[str, ...] = ()
     folded: tuple[str, ...] = ()
+    """Names of `CAMPAIGN_FIGURES` and of `TABLES`, in their order; folded tables open on a click."""
 
 
 PAGE_SECTIONS = (

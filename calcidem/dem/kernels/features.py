@@ -11,70 +11,51 @@ ABREAST = 8
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Switches that are constants during compilation, so a scene pays only for what it needs.
-
-    Attributes
-    ----------
-    lanes
-        Samples advanced side by side, one of `LANE_COUNTS`.
-    finite
-        Normals and overlaps follow the displacements; otherwise they are those of the reference geometry.
-    linear
-        Small displacement with constant stiffness: Hertz contacts are replaced by their tangent at the
-        reference overlap. Contacts neither slip nor open, and bonds do not break. Forces are changes from the
-        reference state. No contact has a history.
-    rotation
-        Disks turn.
-    bonds
-        Some pairs are cemented.
-    linear_group
-        Cemented pairs carry the linear group of 'linearpbond' beside the bond.
-    breakage
-        Bonds are checked against their strengths.
-    slip
-        Shear forces are checked against Coulomb friction.
-    rescaling
-        Shear rescaling mode 1 (see `laws.rescale_shear`).
-    damping
-        Local damping.
-    servo
-        Some walls are moved to hold a force.
-    search
-        The pair list is checked and renewed.
-    recording
-        A wall is driven, and signals are recorded.
-    driven
-        Some disks move with the drive of the recording.
-    loads
-        Constant external forces act on some disks.
-    account
-        Work and losses are summed for an energy balance.
-    bundles
-        Eight pairs of one sample are computed at once, unless the order of an account forbids it; bits are the same.
-        This pays from some hundred disks on.
-    midpoint
-        The shear stiffness of a step is that of its middle instead of its end. Then contacts that stick during loading
-        are of second order in the step. Impacts need it; loaded contacts that a wave meets do not.
-    """
+    """Switches that are constants during compilation, so a scene pays only for what it needs."""
 
     lanes: int = 1
+    """Samples advanced side by side, one of `LANE_COUNTS`."""
     finite: bool = True
+    """Normals and overlaps follow the displacements; otherwise they are those of the reference geometry."""
     linear: bool = False
+    """Small displacement with constant stiffness: Hertz contacts are replaced by their tangent at the reference
+    overlap. Contacts neither slip nor open, and bonds do not break. Forces are changes from the reference state. No
+    contact has a history.
+    """
     rotation: bool = True
+    """Disks turn."""
     bonds: bool = False
+    """Some pairs are cemented."""
     linear_group: bool = False
+    """Cemented pairs carry the linear group of 'linearpbond' beside the bond."""
     breakage: bool = False
+    """Bonds are checked against their strengths."""
     slip: bool = True
+    """Shear forces are checked against Coulomb friction."""
     rescaling: bool = True
+    """Shear rescaling mode 1 (see `laws.rescale_shear`)."""
     damping: bool = True
+    """Local damping."""
     servo: bool = False
+    """Some walls are moved to hold a force."""
     search: bool = False
+    """The pair list is checked and renewed."""
     recording: bool = False
+    """A wall is driven, and signals are recorded."""
     driven: bool = False
+    """Some disks move with the drive of the recording."""
     loads: bool = True
+    """Constant external forces act on some disks."""
     account: bool = False
+    """Work and losses are summed for an energy balance."""
     bundles: bool = False
+    """Eight pairs of one sample are computed at once, unless the order of an account forbids it; bits are the same.
+    This pays from some hundred disks on.
+    """
     midpoint: bool = False
+    """The shear stiffness of a step is that of its middle instead of its end. Then contacts that stick during loading
+    are of second order in the step. Impacts need it; loaded contacts that a wave meets do not.
+    """
 
     def __post_init__(self) -> None:
         """Refuse combinations that contradict each other."""

@@ -40,48 +40,31 @@ RECEIVED, LISTENED = range(2)
 
 
 class Grains(NamedTuple):
-    """Disks, shared by all lanes.
-
-    Attributes
-    ----------
-    radius
-        (N,) m.
-    inverse_mass
-        (N,) 1/kg; zero for a disk that is held and keeps its velocity.
-    inverse_inertia
-        (N,) 1/(kg m^2); zero for a disk that may not turn.
-    damping
-        (N,) local damping factor alpha.
-    friction
-        (N,) friction coefficient; a contact takes the smaller of its two ends.
-    load
-        (N, 3) constant external force x, y (N/m) and moment (N).
-    shear_ratio
-        Hertz-Mindlin k_s / k_n = 2 (1 - nu) / (2 - nu) of their material.
-    """
+    """Disks, shared by all lanes."""
 
     radius: Floats
+    """(N,) m."""
     inverse_mass: Floats
+    """(N,) 1/kg; zero for a disk that is held and keeps its velocity."""
     inverse_inertia: Floats
+    """(N,) 1/(kg m^2); zero for a disk that may not turn."""
     damping: Floats
+    """(N,) local damping factor alpha."""
     friction: Floats
+    """(N,) friction coefficient; a contact takes the smaller of its two ends."""
     load: Floats
+    """(N, 3) constant external force x, y (N/m) and moment (N)."""
     shear_ratio: float
+    """Hertz-Mindlin k_s / k_n = 2 (1 - nu) / (2 - nu) of their material."""
 
 
 class Motion(NamedTuple):
-    """Motion of the disks, lane by lane. Components are x, y and rotation.
-
-    Attributes
-    ----------
-    displacement
-        (3 N, L) m, m, rad, measured from the reference positions.
-    velocity
-        (3 N, L) m/s, m/s, rad/s at the half step before the displacement.
-    """
+    """Motion of the disks, lane by lane. Components are x, y and rotation."""
 
     displacement: Floats
+    """(3 N, L) m, m, rad, measured from the reference positions."""
     velocity: Floats
+    """(3 N, L) m/s, m/s, rad/s at the half step before the displacement."""
 
 
 class Pairs(NamedTuple):
@@ -92,214 +75,144 @@ class Pairs(NamedTuple):
     block of disks, and a disk is given by the row where its record begins. A record has four numbers (`records`).
     Displacements, velocities, origins and sums of forces are records, (4 N, 1), as are three constants of `Grains`:
     inverse mass with inverse inertia, damping and load.
-
-    Attributes
-    ----------
-    start
-        (N + 1,) the pairs of first disk i are start[i] to start[i + 1] - 1.
-    first, second
-        (M,) the two disks.
-    geometry
-        (M, 8) at the start: normal x and y from the first to the second disk, distance of the centres, overlap, x and y
-        from the first centre to the second, arms from the first and the second centre to the contact.
-    hertz
-        (M,) coefficient h_n of F_n = h_n overlap^1.5, N/m^2.5.
-    mindlin
-        (M,) coefficient of k_s = 1.5 h_n (k_s / k_n) overlap^0.5, N/m^1.5.
-    tangent
-        (M, 2) normal and shear stiffness at the reference overlap, for the linear regime, N/m.
-    friction
-        (M,) friction coefficient.
-    bond
-        (M, 3) stiffness of the parallel bond: normal and shear (N/m), rotation (N m).
-    linear
-        (M, 3) linear group: normal stiffness, shear stiffness (N/m), reference overlap (m).
-    strength
-        (M, 4) tensile strength and cohesion times the area of the bond (N/m), tangent of the friction angle, tension at
-        the rim times that area over bending moment (1/m).
-    cemented
-        (M,) bit l: the pair of lane l is cemented.
-    intact
-        (M,) bit l: its bond is not broken.
-    shear
-        (M, L) shear force of the frictional part on the second disk, N/m.
-    root
-        (M, L) square root of the previous overlap (1e-15 where there was none), for shear rescaling and stiffnesses in
-        the middle of a step.
-    bond_force
-        (3 M, L) normal force (compression positive), shear force (N/m) and moment (N) of the bond.
-    radii
-        Bundles only: (B, 2, 8) of the two disks, m.
     """
 
     start: Integers
+    """(N + 1,) the pairs of first disk i are start[i] to start[i + 1] - 1."""
     first: Integers
     second: Integers
+    """(M,) the two disks."""
     geometry: Floats
+    """(M, 8) at the start: normal x and y from the first to the second disk, distance of the centres, overlap, x and y
+    from the first centre to the second, arms from the first and the second centre to the contact.
+    """
     hertz: Floats
+    """(M,) coefficient h_n of F_n = h_n overlap^1.5, N/m^2.5."""
     mindlin: Floats
+    """(M,) coefficient of k_s = 1.5 h_n (k_s / k_n) overlap^0.5, N/m^1.5."""
     tangent: Floats
+    """(M, 2) normal and shear stiffness at the reference overlap, for the linear regime, N/m."""
     friction: Floats
+    """(M,) friction coefficient."""
     bond: Floats
+    """(M, 3) stiffness of the parallel bond: normal and shear (N/m), rotation (N m)."""
     linear: Floats
+    """(M, 3) linear group: normal stiffness, shear stiffness (N/m), reference overlap (m)."""
     strength: Floats
+    """(M, 4) tensile strength and cohesion times the area of the bond (N/m), tangent of the friction angle, tension at
+    the rim times that area over bending moment (1/m).
+    """
     cemented: Integers
+    """(M,) bit l: the pair of lane l is cemented."""
     intact: Integers
+    """(M,) bit l: its bond is not broken."""
     shear: Floats
+    """(M, L) shear force of the frictional part on the second disk, N/m."""
     root: Floats
+    """(M, L) square root of the previous overlap (1e-15 where there was none), for shear rescaling and stiffnesses in
+    the middle of a step.
+    """
     bond_force: Floats
+    """(3 M, L) normal force (compression positive), shear force (N/m) and moment (N) of the bond."""
     radii: Floats
+    """Bundles only: (B, 2, 8) of the two disks, m."""
 
 
 class WallPairs(NamedTuple):
-    """Disks that touch or may touch a wall, sorted by disk.
-
-    Attributes
-    ----------
-    start
-        (N + 1,) the wall pairs of disk i are start[i] to start[i + 1] - 1.
-    disk, wall
-        (V,) the two bodies.
-    overlap
-        (V,) overlap in the reference geometry, m.
-    hertz, tangent, shear, root
-        (V,), (V, 2), (V, L) and (V, L), as in `Pairs`.
-    """
+    """Disks that touch or may touch a wall, sorted by disk."""
 
     start: Integers
+    """(N + 1,) the wall pairs of disk i are start[i] to start[i + 1] - 1."""
     disk: Integers
     wall: Integers
+    """(V,) the two bodies."""
     overlap: Floats
+    """(V,) overlap in the reference geometry, m."""
     hertz: Floats
     tangent: Floats
     shear: Floats
     root: Floats
+    """(V,), (V, 2), (V, L) and (V, L), as in `Pairs`."""
 
 
 class Walls(NamedTuple):
-    """Straight rigid walls. Their normal points to the side of the disks.
-
-    Attributes
-    ----------
-    normal
-        (W, 2) unit vector.
-    friction
-        (W,) friction coefficient.
-    motion
-        (W, 4, L) displacement along the normal and the tangent (m), velocity along both (m/s).
-    reaction
-        (W, 3, L) normal and shear force of the disks on the wall (N/m), normal stiffness (N/m).
-    servo
-        (W, 3) gain (zero: no servo), target normal force (N/m), largest speed (m/s).
-    """
+    """Straight rigid walls. Their normal points to the side of the disks."""
 
     normal: Floats
+    """(W, 2) unit vector."""
     friction: Floats
+    """(W,) friction coefficient."""
     motion: Floats
+    """(W, 4, L) displacement along the normal and the tangent (m), velocity along both (m/s)."""
     reaction: Floats
+    """(W, 3, L) normal and shear force of the disks on the wall (N/m), normal stiffness (N/m)."""
     servo: Floats
+    """(W, 3) gain (zero: no servo), target normal force (N/m), largest speed (m/s)."""
 
 
 class Front(NamedTuple):
-    """Work arrays of ``T`` consecutive steps that pass through the disks one behind the other.
-
-    Attributes
-    ----------
-    levels
-        T.
-    block
-        Disks that one step is ahead of the next; at least the largest distance in memory between two disks of a pair.
-    slot_bits
-        K = 2^slot_bits slots for forces in each step.
-    force
-        (3 T K, L) N/m, N/m, N: sums over the pairs already visited by each step; zero between calls. Disk i has slot i
-        modulo K. They hold a block and all disks its pairs reach, no more, so that the sums stay in the fastest cache.
-    wall_motion
-        (T + 1, W, 4, L) as in `Walls`, at the start of each step and after the last.
-    reaction
-        (T, W, 3, L) as in `Walls`, of each step.
-    parts
-        (64, 1) bundles only: records of the forces on the first disks of the pairs of a bundle, then on the second.
-    """
+    """Work arrays of ``T`` consecutive steps that pass through the disks one behind the other."""
 
     levels: int
+    """T."""
     block: int
+    """Disks that one step is ahead of the next; at least the largest distance in memory between two disks of a pair."""
     slot_bits: int
+    """K = 2^slot_bits slots for forces in each step."""
     force: Floats
+    """(3 T K, L) N/m, N/m, N: sums over the pairs already visited by each step; zero between calls. Disk i has slot i
+    modulo K. They hold a block and all disks its pairs reach, no more, so that the sums stay in the fastest cache.
+    """
     wall_motion: Floats
+    """(T + 1, W, 4, L) as in `Walls`, at the start of each step and after the last."""
     reaction: Floats
+    """(T, W, 3, L) as in `Walls`, of each step."""
     parts: Floats
+    """(64, 1) bundles only: records of the forces on the first disks of the pairs of a bundle, then on the second."""
 
 
 class Recording(NamedTuple):
-    """What is driven and what is written down during a call.
-
-    Attributes
-    ----------
-    drive
-        (S, L) velocity during each step of the driven wall along its tangent, of driven disks along y, m/s.
-    driven
-        Index of the driven wall; -1 for none.
-    driven_disks
-        (D,) disks that are driven. They have to be held: the drive gives them one component of their velocity, and
-        nothing changes the others.
-    offset
-        Steps of the drive and the samples that earlier calls have done.
-    stride
-        Steps between two samples.
-    receiver
-        Index of the wall whose shear force is recorded.
-    listeners
-        Disks whose mean velocities are recorded, group by group.
-    groups
-        (G + 1,) the disks of group g are ``listeners[groups[g] : groups[g + 1]]``.
-    axes
-        (G,) component of the velocity of each group, `X` or `Y`.
-    samples
-        (S // stride, 1 + G, L) shear force on the receiving wall (N/m), mean velocity of each group (m/s).
-    """
+    """What is driven and what is written down during a call."""
 
     drive: Floats
+    """(S, L) velocity during each step of the driven wall along its tangent, of driven disks along y, m/s."""
     driven: int
+    """Index of the driven wall; -1 for none."""
     driven_disks: Integers
+    """(D,) disks that are driven. They have to be held: the drive gives them one component of their velocity, and
+    nothing changes the others.
+    """
     offset: int
+    """Steps of the drive and the samples that earlier calls have done."""
     stride: int
+    """Steps between two samples."""
     receiver: int
+    """Index of the wall whose shear force is recorded."""
     listeners: Integers
+    """Disks whose mean velocities are recorded, group by group."""
     groups: Integers
+    """(G + 1,) the disks of group g are ``listeners[groups[g] : groups[g + 1]]``."""
     axes: Integers
+    """(G,) component of the velocity of each group, `X` or `Y`."""
     samples: Floats
+    """(S // stride, 1 + G, L) shear force on the receiving wall (N/m), mean velocity of each group (m/s)."""
 
 
 class Watch(NamedTuple):
-    """What may end a call early, and the energy account.
-
-    Attributes
-    ----------
-    origin
-        (N, 2, L) displacement when the pair list was made, m.
-    wall_origin
-        (W, L) displacement of the walls along their normal when the pair list was made, m.
-    reach
-        A disk or wall that moved further than this since asks for a new list, m.
-    account
-        (4, L) J/m: work of moving walls and held disks, loss of the shear springs, local damping, external loads.
-    """
+    """What may end a call early, and the energy account."""
 
     origin: Floats
+    """(N, 2, L) displacement when the pair list was made, m."""
     wall_origin: Floats
+    """(W, L) displacement of the walls along their normal when the pair list was made, m."""
     reach: float
+    """A disk or wall that moved further than this since asks for a new list, m."""
     account: Floats
+    """(4, L) J/m: work of moving walls and held disks, loss of the shear springs, local damping, external loads."""
 
 
 class System(NamedTuple):
-    """All that a kernel reads and changes; functions that need one part of it take that part.
-
-    Attributes
-    ----------
-    grains, motion, pairs, wall_pairs, walls, front, recording, watch
-        As their classes say.
-    """
+    """All that a kernel reads and changes; functions that need one part of it take that part."""
 
     grains: Grains
     motion: Motion
@@ -309,3 +222,4 @@ class System(NamedTuple):
     front: Front
     recording: Recording
     watch: Watch
+    """As their classes say."""

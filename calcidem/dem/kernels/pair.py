@@ -58,47 +58,31 @@ from calcidem.dem.kernels.motion import add_energy
 
 
 class _Geometry(NamedTuple):
-    """A contact at the present positions.
-
-    Attributes
-    ----------
-    normal_x, normal_y
-        Unit vector from the first to the second disk.
-    overlap
-        m; in the linear regime the distance by which the disks have moved apart.
-    first_arm, second_arm
-        From the centres to the contact, m.
-    curvature
-        Inverse of the distance of the centres, 1/m; zero where normals do not turn.
-    inverse_root
-        Inverse of `layout.Pairs.root`, m^-0.5, if that is used.
-    """
+    """A contact at the present positions."""
 
     normal_x: Vector
     normal_y: Vector
+    """Unit vector from the first to the second disk."""
     overlap: Vector
+    """m; in the linear regime the distance by which the disks have moved apart."""
     first_arm: Vector
     second_arm: Vector
+    """From the centres to the contact, m."""
     curvature: Vector
+    """Inverse of the distance of the centres, 1/m; zero where normals do not turn."""
     inverse_root: Vector
+    """Inverse of `layout.Pairs.root`, m^-0.5, if that is used."""
 
 
 class _Increment(NamedTuple):
-    """Motion of the second disk relative to the first during the last step.
-
-    Attributes
-    ----------
-    approach
-        Decrease of the distance, m.
-    slide
-        Along the tangent at the contact, m.
-    twist
-        Rotation, rad.
-    """
+    """Motion of the second disk relative to the first during the last step."""
 
     approach: Vector
+    """Decrease of the distance, m."""
     slide: Vector
+    """Along the tangent at the contact, m."""
     twist: Vector
+    """Rotation, rad."""
 
 
 @inline
