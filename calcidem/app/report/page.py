@@ -123,10 +123,7 @@ def unnamed_page(store: Store) -> Path:
     `OutputRefusedError` if a file of that name is no report of this campaign.
     """
     database = store.address.path
-    if database is None:
-        page = Path(f"{Path(store.record.name).name}.html")
-    else:
-        page = database.with_name(f"{database.name.removesuffix('.db')}.html")
+    page = Path(f"{Path(store.record.name).name}.html") if database is None else database.with_suffix(".html")
     if page.exists() and _identity(store) not in page.read_bytes()[:_HEAD_BYTES].decode(errors="replace"):
         raise OutputRefusedError(f"{page} is no report of this campaign.", "Give another name with --out.")
     return page

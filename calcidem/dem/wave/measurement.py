@@ -178,7 +178,9 @@ def _change_by_halving(experiment: Experiment, record: WaveRecord, arrival: Shea
     fine, coarse = record.section, coarser.section
     reach = int(0.5 * fine.period)
     near = np.arange(max(0, arrival.index - reach), min(len(arrival.clean), arrival.index + reach + 1))
-    signal = np.interp(fine.times[near], coarse.times[: len(before.clean)], before.clean[:, -1])
-    change = signal - arrival.clean[near, -1]
+    signal, last = before.clean[:, -1], len(before.clean) - 1
+    place = np.clip((fine.times[near] - coarse.start_time) / coarse.sampling_interval, 0.0, last)
+    left = np.minimum(place.astype(int), last - 1)
+    change = signal[left] + (place - left) * (signal[left + 1] - signal[left]) - arrival.clean[near, -1]
     largest = float(np.abs(change).max() / arrival.clean[arrival.index, -1])
     return max(abs(before.travel_time / arrival.travel_time - 1.0), shift_by_change(fine, arrival) * largest)
