@@ -1,10 +1,11 @@
 """A long run: memory, descriptors, log and database against the cells that are stored, over a stop and a full disk.
 
-    python benchmarks/endurance/run.py --cells 100000 [--ranks 2] [--rows 10] [--stops 1] [--disk MB] [--folder DIR]
+    python benchmarks/endurance/run.py --cells 100000 [--ranks 2] [--rows 10] [--stops 1] [--disk MB] [--clock] [--folder DIR]
 
 The campaign has 280 disks and eight contents. `--stops` ends the run so many times at equal distances with SIGTERM, and
 goes on with the same command. `--disk` (needs root) gives the folder a file system of so many MB: the run ends when it
-is full, the file system is made larger, and the same command goes on. In the end some cells are computed again:
+is full, the file system is made larger, and the same command goes on. `--clock` (needs a C compiler) moves the time of day
+by 25 hours at each row of the table, forwards and back in turns. In the end some cells are computed again:
 `calcidem verify` tells whether their bits are those that were stored. Exit code 1 if anything is not as it should be.
 """
 
@@ -40,6 +41,24 @@ receiver_half_width = 0.01
 listening_depth = 0.006
 boundary_thickness = 0.01
 """
+CLOCK = """
+#define _GNU_SOURCE
+#include <stdio.h>
+#include <stdlib.h>
+#include <sys/syscall.h>
+#include <time.h>
+#include <unistd.h>
+int clock_gettime(clockid_t clock, struct timespec *now) {
+    int result = (int)syscall(SYS_clock_gettime, clock, now), moved = 0;
+    FILE *file = clock == CLOCK_REALTIME ? fopen(getenv("CLOCK_FILE"), "r") : NULL;
+    if (file) {
+        if (fscanf(file, "%d", &moved) == 1) now->tv_sec += moved;
+        fclose(file);
+    }
+    return result;
+}
+"""
+"""Before the C library: the time of day, moved by the seconds in a file."""
 MB = 2**20
 GROWTH = 1.1
 """Memory at the end over that after a fifth of the cells, above which something is kept that should not be."""
@@ -48,8 +67,8 @@ GROWTH = 1.1
 class Campaign:
     """A campaign in a folder."""
 
-    def __init__(self, folder: Path, cells: int, ranks: int) -> None:
-        self.folder, self.ranks = folder, ranks
+    def __init__(self, folder: Path, cells: int, ranks: int, *, with_clock: bool) -> None:
+        self.folder, self.ranks, self.clock = folder, ranks, folder / "clock"
         self.cells = cells - cells % len(CONTENTS)
         seeds = self.cells // len(CONTENTS)
         (folder / "c.toml").write_text(CONFIGURATION.format(seeds=seeds, contents=list(CONTENTS)))
@@ -63,6 +82,16 @@ class Campaign:
         )
         (folder / "cache").mkdir()
         shutil.copy(SMALL_PACKING, folder / "cache" / name.stdout.strip())
+        if with_clock:
+            (folder / "clock.c").write_text(CLOCK)
+            subprocess.run(["cc", "-shared", "-fPIC", "-o", "clock.so", "clock.c"], cwd=folder, check=True)  # noqa: S607
+            self.variables |= {"LD_PRELOAD": str(folder / "clock.so"), "CLOCK_FILE": str(self.clock)}
+            self.clock.write_text("0")
+
+    def move_clock(self) -> None:
+        """Move the clock of the run, if it has one of its own, by 25 hours: forwards, then back."""
+        if self.clock.exists():
+            self.clock.write_text("-90000" if self.clock.read_text() == "90000" else "90000")
 
     def start(self) -> subprocess.Popen[bytes]:
         """Start the run, or go on with it."""
@@ -127,6 +156,7 @@ def watch(
         row = (cells, time.monotonic() - start, memory, descriptors, database / cells, size(campaign.folder / "log"))
         print("| {} | {:.0f} | {:.0f} | {} | {:.0f} | {} |".format(*row), flush=True)
         memories.append(memory)
+        campaign.move_clock()
     return memories
 
 
@@ -183,6 +213,7 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=10)
     parser.add_argument("--stops", type=int, default=1)
     parser.add_argument("--disk", type=int, default=0)
+    parser.add_argument("--clock", action="store_true")
     parser.add_argument("--folder", type=Path)
     options = parser.parse_args()
     with (
@@ -190,7 +221,7 @@ def main() -> None:
         disk(options.folder or Path(scratch, "run"), options.disk) as folder,
     ):
         folder.mkdir(exist_ok=True)
-        campaign = Campaign(folder, options.cells, options.ranks)
+        campaign = Campaign(folder, options.cells, options.ranks, with_clock=options.clock)
         complaints = endure(campaign, options.rows, options.stops, options.disk)
     print("\n".join(complaints) or "as it should be")
     sys.exit(bool(complaints))

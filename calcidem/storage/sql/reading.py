@@ -62,8 +62,8 @@ from calcidem.storage.store import ALL_CELLS, LeaseHolder, Selection, StoreMark
 
 T = TypeVar("T")
 
-_ROWS_READ_AT_ONCE = 10_000
-"""Rows that are in memory as Python objects, some fifty times the memory of arrays, while columns are read."""
+_ROWS_READ_AT_ONCE = 500
+"""Rows that are Python objects at a time while columns are read: so few that they fit the processor's cache."""
 
 _KEYS_PER_QUERY = 500
 """Rows for one query where keys are listed: far below the number of parameters any database allows."""
@@ -419,12 +419,13 @@ def _problem_of(error: Exception) -> str:
 
 def _with_possible_keys(rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
     """Leave out rows whose seed or content no cell can have: they may be those of any cell."""
-    found = list(rows)
-    seeds, contents = [row[1] for row in found], {row[2] for row in found}
-    possible = {content for content in contents if is_possible(canonical_content, content)}
-    if possible != contents or set(map(type, seeds)) != {int} or min(seeds) < 0:
-        found = [row for row in found if row[2] in possible and is_possible(checked_seed, row[1])]
-    return found
+    return [row for row in rows if is_possible(canonical_content, row[2]) and is_possible(checked_seed, row[1])]
+
+
+def _are_possible(seeds: Sequence[Any], contents: Sequence[Any]) -> bool:
+    """Whether cells can have all of these seeds and contents."""
+    are_seeds = set(map(type, seeds)) == {int} and min(seeds) >= 0
+    return are_seeds and all(is_possible(canonical_content, content) for content in set(contents))
 
 
 class _Outcomes:
@@ -477,13 +478,16 @@ class _Outcomes:
 
     def judge(self, rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
         """Columns of the rows; of a damaged one nothing is left but its key, and as its reason what is damaged."""
-        found = _with_possible_keys(rows)
-        damage = {}
-        if min(map(len, found), default=0) < len(self.columns):
+        found, damage = list(rows), {}
+        columns: list[Any] = list(zip(*found, strict=False))  # as many as the shortest row has
+        if columns and not _are_possible(columns[1], columns[2]):
+            found = _with_possible_keys(found)
+            columns = list(zip(*found, strict=False))
+        if len(columns) < len(self.columns):
             unread = [place for place, row in enumerate(found) if len(row) < len(self.columns)]
             damage = dict.fromkeys(unread, "the database can't read it")
             found = [(*row, *[None] * (len(self.columns) - len(row))) for row in found]
-        columns: list[Any] = list(zip(*found, strict=True))
+            columns = list(zip(*found, strict=True))
         for place, clause in self._changed(columns) if columns else ():
             damage.setdefault(place, clause)
         if damage:
