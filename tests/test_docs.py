@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import calcidem.storage.errors
 from calcidem.app.campaign.merge import MergeConflictError
-from calcidem.app.cli.main import _COMMON_OPTIONS, PANELS, build_application
+from calcidem.app.cli.main import _COMMON_OPTIONS, PANELS, _build_application
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.reference import full_text, key_references, written
@@ -46,7 +46,7 @@ def test_generated_pages_are_what_the_code_says(name: str) -> None:
 
 def test_the_command_reference_has_every_option() -> None:
     """Each command of `calcidem` has its section, and each of its options a row, there or among the shared ones."""
-    group = typer.main.get_command(build_application())
+    group = typer.main.get_command(_build_application())
     context = group.make_context("calcidem", [], resilient_parsing=True)
     shared, *sections = (DOCS / "commands.md").read_text(encoding="utf-8").split("\n### calcidem ")
     rows = {section.split("\n")[0]: section for section in sections}
@@ -140,7 +140,7 @@ def follow(block: Any, names: dict[str, object]) -> None:  # noqa: ANN401 - of a
     name = re.match(r"# (\S+\.\w+)\n", block.text)
     if block.language == "sh":
         for _, *words in map(shlex.split, block.commands):
-            result = CliRunner().invoke(build_application(), words)
+            result = CliRunner().invoke(_build_application(), words)
             assert result.exit_code == 0, (words, result.output, result.exception)
     elif block.language == "python":
         exec(block.text, names)  # noqa: S102 - our own pages

@@ -1,6 +1,6 @@
 """Contact-steps per CPU second of calcidem, LAMMPS and YADE on one packing, one core, in turns.
 
-    python benchmarks/peers/run.py [--rounds N] [--json FILE] [--core C] [--seconds S] [--lammps FOLDER]
+    python benchmarks/peers/run.py [--rounds N] [--core C] [--seconds S] [--lammps FOLDER]
 
 Start-up, set-up and compilation are not counted. A contact is a pair of disks that overlap, whatever a program has in
 its lists; a contact-step is one contact of one sample advanced by one step. benchmarks/verification shows that the
@@ -8,17 +8,13 @@ programs compute the same thing.
 """
 
 import argparse
-import json
 import os
-import platform
 import sys
 import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -110,58 +106,14 @@ def contact_count(worker: Worker, radius: Floats) -> int:
     return len(touching_pairs(state[:, 0], state[:, 1], radius))
 
 
-def ratio(slow: list[Case], fast: Case) -> float:
-    """How many times faster; of several ways to run the peer the fastest one counts."""
-    best = min(slow, key=lambda case: case.typical)
-    return median(s / f for s, f in zip(best.nanoseconds, fast.nanoseconds, strict=True))
-
-
-def all_ratios(cases: list[Case]) -> dict[str, float]:
-    """Ratios against the installed peers; the plain names are finite displacement, double precision, 8 lanes."""
-    named = {case.name: case for case in cases}
-    ratios = {}
-    for peer, label in (("native", "native LAMMPS"), ("lammps", "LAMMPS"), ("yade", "YADE")):
-        for scene in ("hertz", "bonded"):
-            theirs = [case for name, case in named.items() if name.startswith(f"{scene} {label}")]
-            if not theirs:
-                continue
-            ratios[f"{scene}_over_{peer}"] = ratio(theirs, named[f"{scene} finite"])
-            for mode in ("small", "linear"):
-                ratios[f"{mode}_{scene}_over_{peer}"] = ratio(theirs, named[f"{scene} {mode}"])
-            ratios[f"single_lane_{scene}_over_{peer}"] = ratio(theirs, named[f"{scene} finite, 1 lane"])
-            ratios[f"float32_{scene}_over_{peer}"] = ratio(theirs, named[f"{scene} finite, 16 lanes float32"])
-    return ratios
-
-
-def environment(core: int) -> dict[str, Any]:
-    """Machine and versions."""
-    lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
-    model = next(
-        (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor()
-    )
-    flags = next((line for line in lines if line.startswith("flags")), "")
-    return {
-        "processor": model,
-        "avx512": "avx512f" in flags,
-        "core": core,
-        "load_average": os.getloadavg(),
-        "python": platform.python_version(),
-        "numba": version("numba"),
-        "numpy": version("numpy"),
-    }
-
-
-def print_table(cases: list[Case], ratios: dict[str, float]) -> None:
-    """Medians with their range, then ratios."""
-    print(f"\n{'case':40s} {'contacts':>8s} {'ns a contact-step':>18s} {'range':>15s} {'million/s':>10s}")
+def print_table(cases: list[Case]) -> None:
+    """Medians with their range, and how many times faster calcidem is: finite, double precision, 8 lanes."""
+    print(f"\n{'case':40s} {'contacts':>8s} {'ns a contact-step':>18s} {'range':>15s} {'over calcidem':>14s}")
+    own = {case.scene: case for case in cases if case.name == f"{case.scene} finite"}
     for case in cases:
         low, high = min(case.nanoseconds), max(case.nanoseconds)
-        print(
-            f"{case.name:40s} {case.contacts:8d} {case.typical:18.2f} {low:7.2f}-{high:7.2f} {1e3 / case.typical:10.1f}"
-        )
-    print()
-    for name, value in ratios.items():
-        print(f"{name:32s} {value:8.1f}")
+        ratio = median(s / f for s, f in zip(case.nanoseconds, own[case.scene].nanoseconds, strict=True))
+        print(f"{case.name:40s} {case.contacts:8d} {case.typical:18.2f} {low:7.2f}-{high:7.2f} {ratio:14.1f}")
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -172,7 +124,6 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument(
         "--core", type=int, default=max(os.sched_getaffinity(0)), help="core to bind to (default: the last)"
     )
-    parser.add_argument("--json", type=Path, default=None, help="write everything to this file, too")
     parser.add_argument("--lammps", type=Path, help="folder with the module of a LAMMPS built for this processor")
     return parser.parse_args()
 
@@ -186,18 +137,7 @@ def main() -> None:
     cases = all_cases(programs)
     print(f"\n{len(cases)} cases on core {options.core}")
     measure(cases, programs, options.rounds, options.seconds)
-    ratios = all_ratios(cases)
-    print_table(cases, ratios)
-    if options.json:
-        content = {
-            "ratios": ratios,
-            "medians": {case.name: case.typical for case in cases},
-            "rounds": {case.name: case.nanoseconds for case in cases},
-            "contacts": {case.name: case.contacts for case in cases},
-            "environment": environment(options.core),
-        }
-        options.json.write_text(json.dumps(content, indent=2) + "\n")
-        print(f"\nwritten: {options.json}")
+    print_table(cases)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A space-time section with a known delay, as both generators give it to a judge."""
+"""A space-time section with a known delay, as the generator gives it to a judge."""
 
 from dataclasses import dataclass
 

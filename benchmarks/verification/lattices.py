@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from chains import grid_frequency
 from common import GRAIN, features_of, history, sand_of
-from reference import Floats
+from reference import Floats, bloch_matrices
 from table import check
 
 from calcidem.dem import Scene, State, start
@@ -23,31 +23,13 @@ _MATRIX = (
 )
 
 
-def _neighbours(kind: int) -> Floats:
-    """(kind, 2) unit vectors to the neighbours."""
-    angle = 2.0 * np.pi * np.arange(kind) / kind
-    return np.column_stack([np.cos(angle), np.sin(angle)])
-
-
-def dynamical_matrix(kind: int, wave: Floats, overlap: float, *, tilting: bool) -> "np.ndarray":
-    """(3, 3) Hermitian matrix of x, y and ``R theta / sqrt 2`` over the mass, 1/s^2; ``wave`` is the wave vector."""
+def _dynamical_matrix(kind: int, wave: Floats, overlap: float, *, tilting: bool) -> "np.ndarray":
+    """(3, 3) matrix of a lattice of so many neighbours for a wave vector (2,)."""
     spacing, coefficient = 2.0 * _RADIUS - overlap, float(GRAIN.hertz(_RADIUS, _RADIUS))
     normal = 1.5 * coefficient * np.sqrt(overlap)
-    shear = GRAIN.shear_share * normal
-    tilt = coefficient * overlap**1.5 / spacing * tilting
-    matrix = np.zeros((3, 3), dtype=complex)
-    for n in _neighbours(kind):
-        t = np.array([-n[1], n[0]])
-        phase = np.exp(1j * spacing * wave @ n)
-        arm = np.sqrt(2.0) / _RADIUS * spacing / 2.0  # of the contact, for a rotation R theta / sqrt 2
-        along, slide, turn = (np.zeros(3, dtype=complex) for _ in range(3))
-        along[:2] = n * (phase - 1.0)
-        slide[:2] = turn[:2] = t * (phase - 1.0)
-        slide[2] = -arm * (1.0 + phase)
-        # Half of each contact belongs to each of its two disks.
-        for weight, row in ((normal, along), (shear, slide), (-tilt, turn)):
-            matrix += 0.5 * weight * np.outer(row.conj(), row)
-    return matrix / float(GRAIN.mass(_RADIUS))
+    stiffness = normal, GRAIN.shear_share * normal, 0.0, coefficient * overlap**1.5 / spacing * tilting
+    angles = 2.0 * np.pi * np.arange(kind) / kind
+    return bloch_matrices(wave[None], angles, spacing, stiffness, float(GRAIN.mass(_RADIUS)), _RADIUS)[0]
 
 
 @cache
@@ -78,7 +60,7 @@ def _worst_branch(kind: int, overlap: float, waves: Floats, regime: str, amplitu
     worst = 0.0
     for vector in waves:
         wave = vector / (2.0 * _RADIUS - overlap)
-        squared, shapes = np.linalg.eigh(dynamical_matrix(kind, wave, overlap, tilting=regime == "finite"))
+        squared, shapes = np.linalg.eigh(_dynamical_matrix(kind, wave, overlap, tilting=regime == "finite"))
         for branch in range(3):
             shape = shapes[:, branch]
             strongest = int(np.argmax(np.abs(shape)))
@@ -131,7 +113,7 @@ def _long_waves(kind: int, angles: Floats, speeds: Floats) -> float:
     worst = 0.0
     for angle in angles:
         wave = size / (2.0 * _RADIUS - overlap) * np.array([np.cos(angle), np.sin(angle)])
-        _, shapes = np.linalg.eigh(dynamical_matrix(kind, wave, overlap, tilting=False))
+        _, shapes = np.linalg.eigh(_dynamical_matrix(kind, wave, overlap, tilting=False))
         for branch in range(2):
             shape = 1e-2 * shapes[:, branch]
             axis = int(np.argmax(np.abs(shape)))

@@ -52,7 +52,7 @@ def _all_modes(share_bonded: float) -> tuple[Scene, Floats, Floats, Floats]:
     """Scene, squared angular frequencies, mass-normal modes (3N, 3N) and inertias."""
     scene = boxed_packing(share_bonded=share_bonded)
     inertia = inertias(scene, QUARTZ)
-    squared, shapes = eigh(stiffness_matrix(scene.count, packing_springs(scene)), np.diag(inertia))
+    squared, shapes = eigh(stiffness_matrix(scene.count, packing_springs(scene)).toarray(), np.diag(inertia))
     return scene, squared, shapes, inertia
 
 
@@ -93,7 +93,7 @@ def _exact_limit(scene: Scene, springs: Springs, grain: Grain) -> float:
     """Critical time step 2 / omega_max, lowered by local damping, s."""
     inertia = inertias(scene, grain) / (1.0 + float(np.max(scene.damping)))
     largest = eigh(
-        stiffness_matrix(scene.count, springs),
+        stiffness_matrix(scene.count, springs).toarray(),
         np.diag(inertia),
         eigvals_only=True,
         subset_by_index=[3 * scene.count - 1] * 2,

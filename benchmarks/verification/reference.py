@@ -3,10 +3,13 @@
 Disks have unit thickness: m = rho pi R^2, I = m R^2 / 2.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 from scipy.integrate import solve_ivp
 from scipy.special import gamma
 
@@ -86,23 +89,50 @@ class Springs:
     tilt: Floats
 
 
-def stiffness_matrix(count: int, springs: Springs) -> Floats:
+def stiffness_matrix(count: int, springs: Springs) -> sparse.csr_array:
     """(3N, 3N) second derivative of the energy of all springs; degrees of freedom x, y, rotation of each disk."""
-    number = len(springs.first)
-    across = np.column_stack([-springs.normal[:, 1], springs.normal[:, 0]])
-    rows = np.zeros((4, number, 3 * count))
-    each = np.arange(number)
-    for disk, sign, arm in ((springs.first, -1.0, springs.arms[0]), (springs.second, 1.0, springs.arms[1])):
-        some = disk >= 0
-        at, place = each[some], 3 * disk[some]
-        for axis in range(2):
-            rows[0, at, place + axis] = sign * springs.normal[some, axis]
-            rows[1, at, place + axis] = sign * across[some, axis]
-            rows[3, at, place + axis] = sign * across[some, axis]
-        rows[1, at, place + 2] = -arm[some]
-        rows[2, at, place + 2] = sign
-    weights = np.vstack([springs.stiffness, -springs.tilt])
-    return np.asarray(sum(row.T @ (weight[:, None] * row) for row, weight in zip(rows, weights, strict=True)))
+    (n_x, n_y), (first, second), number = springs.normal.T, springs.arms, len(springs.first)
+    ends = np.column_stack([springs.first, springs.second])
+    columns = (3 * np.maximum(ends, 0)[:, :, None] + np.arange(3)).ravel()
+    there = np.repeat(ends >= 0, 3, axis=1)
+    total = sparse.csr_array((3 * count, 3 * count))
+    for stretch, weight in zip(_stretches(n_x, n_y, first, second), (*springs.stiffness, -springs.tilt), strict=True):
+        parts = np.column_stack([np.broadcast_to(part, number) for ends_own in stretch for part in ends_own]) * there
+        rows = np.repeat(np.arange(number), 6)
+        spring = sparse.csr_array((parts.ravel(), (rows, columns)), shape=(number, 3 * count))
+        total = total + spring.T @ sparse.diags_array(weight) @ spring
+    return total
+
+
+def bloch_matrices(
+    waves: Floats, angles: Floats, spacing: float, stiffness: Sequence[float], mass: float, radius: float
+) -> "np.ndarray":
+    """(K, 3, 3) Hermitian matrices of x, y and ``R theta / sqrt 2`` of a disk in an endless lattice over its mass, 1/s^2.
+
+    ``waves`` (K, 2) are wave vectors, ``angles`` (Z,) the directions of the neighbours; ``stiffness`` (4,) as of `Springs`,
+    with the tilt last.
+    """
+    matrices = np.zeros((len(waves), 3, 3), dtype=complex)
+    scale = np.array([1.0, 1.0, np.sqrt(2.0) / radius])
+    for n_x, n_y in zip(np.cos(angles), np.sin(angles), strict=True):
+        phase = np.exp(1j * spacing * (waves @ [n_x, n_y]))[:, None]
+        for (own, other), weight in zip(
+            _stretches(n_x, n_y, 0.5 * spacing, 0.5 * spacing), (*stiffness[:3], -stiffness[3]), strict=True
+        ):
+            row = (np.array(own) + phase * np.array(other)) * scale
+            # Half of each contact belongs to each of its two disks.
+            matrices += 0.5 * weight * row.conj()[:, :, None] * row[:, None, :]
+    return matrices / mass
+
+
+def _stretches(n_x: Any, n_y: Any, first: Any, second: Any) -> tuple[tuple[tuple[Any, ...], tuple[Any, ...]], ...]:  # noqa: ANN401 - numbers or arrays
+    """Normal, shear, rotation and tilt of a contact for unit motions x, y, rotation of its first and second disk."""
+    return (
+        ((-n_x, -n_y, 0.0), (n_x, n_y, 0.0)),
+        ((n_y, -n_x, -first), (-n_y, n_x, -second)),
+        ((0.0, 0.0, -1.0), (0.0, 0.0, 1.0)),
+        ((n_y, -n_x, 0.0), (-n_y, n_x, 0.0)),
+    )
 
 
 @dataclass(frozen=True, slots=True)

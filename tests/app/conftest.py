@@ -20,7 +20,7 @@ from unchanged import unchanged_if_refused
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import _cached_name
-from calcidem.app.cli.main import build_application
+from calcidem.app.cli.main import _build_application
 from calcidem.app.config.reader import load_configuration
 
 PATIENCE = 120.0
@@ -217,7 +217,7 @@ def invoke(tmp_path: Path) -> Callable[..., str]:
         used = {path.parent.resolve() for path in map(Path, words) if path.is_file()}
         scratch = tmp_path.parents[1]  # of all tests, and no device or part of the checkout
         with unchanged_if_refused(tmp_path, *(folder for folder in used if scratch in folder.parents)) as codes:
-            result = CliRunner().invoke(build_application(), words)
+            result = CliRunner().invoke(_build_application(), words)
             codes.append(result.exit_code)
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception

@@ -31,8 +31,8 @@ def test_help_and_typos_do_not_wait_for_numerical_libraries() -> None:
     program = """
 import sys
 from typer.testing import CliRunner
-from calcidem.app.cli.main import build_application
-application = build_application()
+from calcidem.app.cli.main import _build_application
+application = _build_application()
 heavy = {"matplotlib", "mpi4py.MPI", "numba", "pandas", "scipy", "sqlalchemy", "xarray"}
 for *words, code, said in [
     ("--help", 0, "sensitivity"),

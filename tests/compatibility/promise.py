@@ -22,7 +22,7 @@ import calcidem
 from calcidem import dem
 from calcidem.app.campaign.plots import CampaignPlots
 from calcidem.app.cli.exit_codes import _EXIT_BAD_INPUT, EXIT_ROUNDING
-from calcidem.app.cli.main import PANELS, build_application
+from calcidem.app.cli.main import PANELS, _build_application
 from calcidem.app.config.reference import key_references
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.sql.store import open_store
@@ -71,7 +71,7 @@ def _parameters(kind: object) -> list[str]:
 
 def _commands() -> Names:
     """Options of each command, and its arguments in their order."""
-    group = typer.main.get_command(build_application())
+    group = typer.main.get_command(_build_application())
     context = group.make_context("calcidem", [], resilient_parsing=True)
     found = {"": sorted(option for parameter in group.params for option in parameter.opts if option[:2] == "--")}
     common = {"--help", "-h", "--quiet", "-q", "--verbose", "-v"}

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from unchanged import digests
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.cli.main import build_application
+from calcidem.app.cli.main import _build_application
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.sql.store import open_store
 
@@ -45,7 +45,7 @@ def test_a_database_of_version_1_is_read_and_written_on(tmp_path: Path) -> None:
         assert contents_of(campaign) == expected()
         assert not campaign.store.integrity()[0]
         assert campaign.vs().notnull().sum() == 1
-    shown = CliRunner().invoke(build_application(), ["query", str(database), "--status", "done"])
+    shown = CliRunner().invoke(_build_application(), ["query", str(database), "--status", "done"])
     assert shown.exit_code == 0, shown.output
     assert digests([tmp_path]) == before
     with open_store(database) as store:

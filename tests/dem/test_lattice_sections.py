@@ -9,7 +9,7 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks" / "reading"))
 
-from lattices import (
+from lattice_sections import (
     LANES,
     SPACING,
     Lattice,

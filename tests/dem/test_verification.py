@@ -28,6 +28,13 @@ def test_no_row_of_the_verification_is_listed_twice() -> None:
     assert not [row for row in ROWS if "|" in row.name + row.source + row.reason]
 
 
+def test_no_row_of_the_page_is_left_out() -> None:
+    """The rows of docs/verification.md are those of the modules: none was taken for another one of the same name."""
+    page = (ROOT / "docs" / "verification.md").read_text(encoding="utf-8")
+    own = [name for name in re.findall(r"(?m)^\| ([^*|]+) \|", page) if not name.startswith(("LAMMPS:", "YADE:"))]
+    assert own[1:] == [row.name for row in sorted(ROWS, key=lambda row: own.index(row.name))]
+
+
 @pytest.mark.full
 def test_the_page_of_the_verification_is_that_of_the_program(tmp_path: Path) -> None:
     """All rows hold, other programs included where they are installed, and docs/verification.md has these rows."""

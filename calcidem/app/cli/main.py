@@ -94,7 +94,7 @@ def main() -> None:
         sys.exit(2)
     try:
         sys.argv[1:] = keep_passwords_back(sys.argv[1:])
-        build_application()()
+        _build_application()()
     except Exception as error:  # noqa: BLE001 - the last resort: whatever it is, it is told in one message
         from calcidem.app.cli.exit_codes import tell_error
 
@@ -112,7 +112,7 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def build_application() -> typer.Typer:
+def _build_application() -> typer.Typer:
     """Application with a list of all commands, of which only the one that is used will be imported."""
     application = typer.Typer(
         cls=_LazyGroup,

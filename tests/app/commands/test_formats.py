@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from calcidem.app.cli.formats import Format, _as_csv, _as_parquet, _flat
-from calcidem.app.cli.main import build_application
+from calcidem.app.cli.main import _build_application
 
 Invoke = Callable[..., str]
 
@@ -32,7 +32,7 @@ def test_all_formats_have_the_same_rows(command: str, database: Path, invoke: In
     told = json.loads(invoke(*words, "json"))
     rows = told["contents"] if command == "status" else told
     table = list(csv.DictReader(io.StringIO(invoke(*words, "csv"))))
-    binary = CliRunner().invoke(build_application(), [*map(str, words), "parquet"])
+    binary = CliRunner().invoke(_build_application(), [*map(str, words), "parquet"])
     frame = pd.read_parquet(io.BytesIO(binary.stdout_bytes))
     assert len(rows) == len(table) == len(frame) == count
     assert list(frame.columns) == list(table[0])

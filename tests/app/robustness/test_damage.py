@@ -1,11 +1,9 @@
 """A damaged database: what is good is read, what is not is named and made anew, and nobody sees a traceback."""
 
-import importlib.util
 import sqlite3
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -16,21 +14,11 @@ from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import STATUS_CODES, CellKey, CellStatus
 from calcidem.storage.sql.store import open_store
 
-BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "damage" / "run.py"
+sys.path.append(str(Path(__file__).parent / "programs"))
+
+import damage
 
 Invoke = Callable[..., str]
-
-
-@pytest.fixture(scope="module")
-def benchmark() -> ModuleType:
-    """Load the benchmark's module, which makes the damages."""
-    spec = importlib.util.spec_from_file_location("damage_benchmark", BENCHMARK)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 def change(path: Path, *statements: str) -> None:
@@ -104,11 +92,9 @@ def test_a_damaged_number_of_an_attempt_is_not_counted_on(troubled: Path, invoke
 
 
 @pytest.mark.parametrize("count", [7, pytest.param(500, marks=pytest.mark.full)])
-def test_single_damages_give_neither_tracebacks_nor_wrong_values(
-    benchmark: ModuleType, tmp_path: Path, count: int
-) -> None:
+def test_single_damages_give_neither_tracebacks_nor_wrong_values(tmp_path: Path, count: int) -> None:
     """Of many single damages (bytes, pages, header, values, truncation) none is taken for what was stored."""
-    benchmark.make_database(tmp_path / "good.db")
-    values = benchmark.original_values(tmp_path / "good.db")
-    found = [benchmark.damage_and_judge(tmp_path / "good.db", values, tmp_path, number) for number in range(count)]
+    damage.make_database(tmp_path / "good.db")
+    values = damage.original_values(tmp_path / "good.db")
+    found = [damage.damage_and_judge(tmp_path / "good.db", values, tmp_path, number) for number in range(count)]
     assert [(kind, place, wrong) for kind, place, _, wrong in found if wrong] == []

@@ -5,15 +5,17 @@ disks of unequal mass, with contacts cemented at random, or cemented in patches.
 rubbed by a wall, and may move along the path, too. Each sample is listened to at three receivers, without and with noise.
 
 The known delay is that of a *plane S wave in an endless lattice*: the whole edge moves across the path, and nothing comes
-back. Near field, aperture and what a rigid end does to the peak are thus errors of the reading. The delay comes from an independent solution (`plane_wave`): the same disks in a cell that repeats itself in height,
-its stiffness matrix assembled here, without the kernel. Tilted lattices repeat themselves nowhere; the pulse's spectrum is
+back. Near field, aperture and what a rigid end does to the peak are thus errors of the reading. The delay comes from an
+independent solution (`plane_wave`): the same disks in a cell that repeats itself in height, with the stiffness matrix of
+benchmarks/verification, without the kernel. Tilted lattices repeat themselves nowhere; the pulse's spectrum is
 propagated with the exact dispersion of their quasi-shear branch instead (`bloch_delay`). In a disordered lattice a plane wave
 arrives at different heights at different times. The delay is that of the receiver's band; a section is left out where the
 mean over the whole height differs from it by more than 2 %, or the plane wave has a second peak of 0.75 of the first.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+import sys
+from dataclasses import astuple, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy import sparse
@@ -21,6 +23,10 @@ from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import eigsh
 from scipy.spatial import cKDTree
 from section import Section, peak_time
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "verification"))
+
+from reference import Grain, Springs, bloch_matrices, stiffness_matrix
 
 from calcidem.dem.engine.leapfrog import run_in_place
 from calcidem.dem.engine.material import Cement, Sand
@@ -60,7 +66,7 @@ class Lattice:
         (M, 2) neighbours, and (M,) by how many cells the second is higher.
     cemented
         (M, L) in each lane.
-    sand, cement
+    grain, cement
         Materials.
     """
 
@@ -74,7 +80,7 @@ class Lattice:
     pairs: Integers
     image: Integers
     cemented: Flags
-    sand: Sand
+    grain: Grain
     cement: Cement
     square: bool
 
@@ -115,11 +121,6 @@ class Trial:
     damping: float
     frequencies: tuple[float, ...]
     copies: int
-
-
-def lattice_sections(seeds: Iterable[int]) -> list[Section]:
-    """Sections of the simulations of each seed; those whose delay is not known are left out."""
-    return [section for seed in seeds for section in sections_of_seed(seed)]
 
 
 def sections_of_seed(seed: int) -> list[Section]:
@@ -178,17 +179,17 @@ def draw_trial(generator: np.random.Generator, kind: str) -> tuple[Lattice, Tria
     wavelengths = path / np.minimum(most, path / (9.0 * SPACING))
     # So long that what its end throws back finds the peak gone.
     length = columns + int(0.5 * wavelengths.max() / SPACING)
-    sand = Sand(shear_modulus=1.0e12, poisson_ratio=float(generator.uniform(0.2 if square else -0.6, 0.49)))
+    grain = Grain(1.0e12, float(generator.uniform(0.2 if square else -0.6, 0.49)), Sand().density, Sand().friction)
     lowest, highest = {"jittered": (1.0, 1.0), "mixed": (0.2, 10.0), "patches": (0.2, 25.0)}.get(kind, (0.5, 4.0))
     contrast = float(np.exp(generator.uniform(np.log(lowest), np.log(highest))))
-    normal = _hertz_stiffness(sand, RADIUS, RADIUS, OVERLAP)
+    normal = 1.5 * grain.hertz(RADIUS, RADIUS) * np.sqrt(OVERLAP)
     ratio = float(generator.uniform(1.0, 2.4) if square else np.exp(generator.uniform(0.0, np.log(8.0))))
     cement = Cement(bond_modulus=contrast * float(normal), bond_stiffness_ratio=ratio)
     shape = {"square": square, "upright": upright, "tilt": tilt}
     whole = columns * SPACING * float(generator.uniform(1.7, 3.0))
     places = _places(length, whole if tilt else cell_height, **shape)
     copies = 1 if tilt else 1 + 2 * round(0.5 * (whole / places[2] - 1.0))
-    lattice = _lattice_of(places, columns, sand, cement, square=square, periodic=not tilt)
+    lattice = _lattice_of(places, columns, grain, cement, square=square, periodic=not tilt)
     if kind == "jittered":
         lattice = _jittered(generator, lattice)
     lattice = replace(lattice, cemented=_draw_cement(generator, kind, lattice))
@@ -240,7 +241,7 @@ def _places(columns: int, height: float, *, square: bool, upright: bool, tilt: f
 
 
 def _lattice_of(
-    places: tuple[Floats, Floats, float], columns: int, sand: Sand, cement: Cement, *, square: bool, periodic: bool
+    places: tuple[Floats, Floats, float], columns: int, grain: Grain, cement: Cement, *, square: bool, periodic: bool
 ) -> Lattice:
     """Equal disks at these places with all their neighbours, also in the next cell if periodic."""
     (x, y, height), reach = places, 1.2 * SPACING
@@ -265,7 +266,7 @@ def _lattice_of(
         pairs=pairs,
         image=image,
         cemented=np.zeros((len(pairs), LANES), dtype=bool),
-        sand=sand,
+        grain=grain,
         cement=cement,
         square=square,
     )
@@ -303,27 +304,25 @@ def _draw_cement(generator: np.random.Generator, kind: str, lattice: Lattice) ->
     return cemented
 
 
-def _hertz_stiffness(sand: Sand, first: Floats | float, second: Floats | float, overlap: Floats | float) -> Floats:
-    """Tangent ``1.5 h sqrt(overlap)`` with ``h = (2/3) G / (1 - nu) sqrt(2 R~)``, N/m."""
-    effective = 2.0 / (1.0 / np.asarray(first) + 1.0 / np.asarray(second))
-    hertz = 2.0 / 3.0 * sand.shear_modulus / (1.0 - sand.poisson_ratio) * np.sqrt(2.0 * effective)
-    return np.asarray(1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0)))
-
-
-def contact_stiffness(lattice: Lattice, cemented: Flags) -> tuple[Floats, Floats, Floats]:
-    """Normal, shear (N/m) and rotational stiffness (N m) of each pair (M,)."""
+def springs_of(lattice: Lattice, cemented: Flags) -> Springs:
+    """Contacts of a pattern of cement (M,)."""
     first, second = lattice.radius[lattice.pairs.T]
-    distance = np.hypot(*_apart(lattice).T)
-    sand_normal = _hertz_stiffness(lattice.sand, first, second, first + second - distance)
-    ratio = 2.0 * (1.0 - lattice.sand.poisson_ratio) / (2.0 - lattice.sand.poisson_ratio)
+    apart = _apart(lattice)
+    distance = np.hypot(*apart.T)
+    overlap = first + second - distance
+    sand = 1.5 * lattice.grain.hertz(first, second) * np.sqrt(np.maximum(overlap, 0.0))
     smaller = np.minimum(first, second)
     modulus = lattice.cement.bond_modulus / (first + second)
-    bond_normal = 2.0 * modulus * smaller
-    return (
-        np.where(cemented, bond_normal, sand_normal),
-        np.where(cemented, bond_normal / lattice.cement.bond_stiffness_ratio, ratio * sand_normal),
-        np.where(cemented, 2.0 / 3.0 * modulus * smaller**3, 0.0),
+    bond = 2.0 * modulus * smaller
+    stiffness = np.stack(
+        [
+            np.where(cemented, bond, sand),
+            np.where(cemented, bond / lattice.cement.bond_stiffness_ratio, lattice.grain.shear_share * sand),
+            np.where(cemented, 2.0 / 3.0 * modulus * smaller**3, 0.0),
+        ]
     )
+    arms = np.stack([first, second]) - 0.5 * overlap
+    return Springs(*lattice.pairs.T, apart / distance[:, None], arms, stiffness, np.zeros(len(first)))
 
 
 def _apart(lattice: Lattice) -> Floats:
@@ -333,18 +332,13 @@ def _apart(lattice: Lattice) -> Floats:
     return np.column_stack([lattice.x[second] - lattice.x[first], up])
 
 
-def _mass(lattice: Lattice) -> Floats:
-    """(N,) kg/m."""
-    return np.asarray(lattice.sand.density * np.pi * lattice.radius**2)
-
-
 def long_wave_speeds(lattice: Lattice) -> Floats:
     """(L,) speeds of S waves by closed forms, m/s, with the geometric mean of the stiffnesses where these differ."""
     speeds = []
     for cemented in lattice.cemented.T:
-        normal, shear, _ = contact_stiffness(lattice, cemented)
-        normal, shear = (np.exp(np.log(values[values > 0.0]).mean()) for values in (normal, shear))
-        mass = _mass(lattice).mean()
+        known = springs_of(lattice, cemented).stiffness[:2]
+        normal, shear = (np.exp(np.log(values[values > 0.0]).mean()) for values in known)
+        mass = lattice.grain.mass(lattice.radius).mean()
         speeds.append(SPACING * np.sqrt(0.5 * shear / mass if lattice.square else 0.375 * (normal + shear) / mass))
     return np.array(speeds)
 
@@ -422,7 +416,7 @@ def simulate(cell: Lattice, trial: Trial) -> tuple[Floats, Floats, Floats, Float
         x=cosine * lattice.x - sine * lattice.y,
         y=sine * lattice.x + cosine * lattice.y,
         radius=lattice.radius,
-        sand=lattice.sand,
+        sand=Sand(*astuple(lattice.grain)),
         walls=_walls(lattice, trial),
         bonds=Bonds(lattice.pairs, lattice.cement, bits),
         damping=np.where(near_rim, 1.0, trial.damping),
@@ -475,29 +469,6 @@ def _step_of(matrix: sparse.csr_array, inverse: Floats, damping: float) -> float
     root = sparse.diags_array(np.sqrt(inverse))
     highest = eigsh(root @ matrix @ root, k=1, tol=1e-2, v0=np.ones(len(inverse)), return_eigenvectors=False)[0]
     return 0.9 * 2.0 / float(np.sqrt(highest * (1.0 + damping)))
-
-
-def stiffness_matrix(lattice: Lattice, cemented: Flags) -> sparse.csr_array:
-    """Forces and moments on x, y and rotation of all disks that hold back their motion, (3 N, 3 N)."""
-    apart = _apart(lattice)
-    distance = np.hypot(*apart.T)
-    n_x, n_y = (apart / distance[:, None]).T
-    radius = lattice.radius[lattice.pairs]
-    arms = radius - 0.5 * (radius.sum(axis=1) - distance)[:, None]
-    one, none = np.ones(len(n_x)), np.zeros(len(n_x))
-    blocks = (
-        (-n_x, -n_y, none, n_x, n_y, none),
-        (n_y, -n_x, -arms[:, 0], -n_y, n_x, -arms[:, 1]),
-        (none, none, -one, none, none, one),
-    )
-    columns = np.hstack([3 * lattice.pairs[:, [end]] + np.arange(3) for end in (0, 1)])
-    count = 3 * len(lattice.x)
-    total = sparse.csr_array((count, count))
-    for block, stiffness in zip(blocks, contact_stiffness(lattice, cemented), strict=True):
-        rows = np.repeat(np.arange(len(n_x)), 6)
-        spring = sparse.csr_array((np.column_stack(block).ravel(), (rows, columns.ravel())), shape=(len(n_x), count))
-        total = total + spring.T @ sparse.diags_array(stiffness) @ spring
-    return sparse.csr_array(total)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -566,13 +537,15 @@ def plane_wave(cell: Lattice, trial: Trial, cemented: Flags, frequencies: list[f
     The edge moves across the path alone over the whole height, by the leapfrog and the local damping of the kernel, in
     plain NumPy.
     """
-    matrix = stiffness_matrix(cell, cemented)
-    count, shape = 3 * len(cell.x), (3 * len(cell.x), len(frequencies))
-    inverse = 1.0 / np.column_stack([_mass(cell)] * 2 + [0.5 * _mass(cell) * cell.radius**2]).ravel()
-    rub = np.zeros((count, 1))
+    count, shape = len(cell.x), (3 * len(cell.x), len(frequencies))
+    matrix = stiffness_matrix(count, springs_of(cell, cemented))
+    mass = cell.grain.mass(cell.radius)
+    inverse = 1.0 / np.column_stack([mass, mass, 0.5 * mass * cell.radius**2]).ravel()
+    rub = np.zeros((3 * count, 1))
     if trial.rubbed:
-        springs, rub = _wall_springs(cell)
-        matrix = sparse.csr_array(matrix + springs)
+        wall = stiffness_matrix(count, _wall_springs(cell))
+        matrix = sparse.csr_array(matrix + wall)
+        rub = wall @ np.tile([[0.0], [1.0], [0.0]], (count, 1))  # forces for a motion of the wall by one metre
     step = _step_of(matrix, inverse, trial.damping)
     inverse[np.repeat(cell.last | (cell.driven & (not trial.rubbed)), 3)] = 0.0
     driven = 3 * np.flatnonzero(cell.driven) + 1
@@ -606,54 +579,34 @@ def plane_wave(cell: Lattice, trial: Trial, cemented: Flags, frequencies: list[f
     ]
 
 
-def _wall_springs(cell: Lattice) -> tuple[sparse.csr_array, Floats]:
-    """Stiffness (3 N, 3 N) of the contacts with a wall at rest, and forces (3 N, 1) for its motion by one metre."""
+def _wall_springs(cell: Lattice) -> Springs:
+    """Contacts with the wall."""
     place, touching = _wall_overlap(cell)
     disks = np.flatnonzero(touching)
     radius = cell.radius[disks]
     overlap = radius - (cell.x[disks] - place)
-    normal = _hertz_stiffness(cell.sand, 2.0 * radius, 2.0 * radius, overlap)  # R~ = 2 R at a wall
-    ratio = 2.0 * (1.0 - cell.sand.poisson_ratio) / (2.0 - cell.sand.poisson_ratio)
-    shear, arm = ratio * normal, radius - 0.5 * overlap
-    count = 3 * len(cell.x)
-    push = np.zeros((count, 1))
-    push[3 * disks + 1, 0], push[3 * disks + 2, 0] = shear, -arm * shear
-    x, y, turn = 3 * disks, 3 * disks + 1, 3 * disks + 2
-    rows, columns = np.concatenate([x, y, y, turn, turn]), np.concatenate([x, y, turn, y, turn])
-    values = np.concatenate([normal, shear, -arm * shear, -arm * shear, arm**2 * shear])
-    return sparse.csr_array((values, (rows, columns)), shape=(count, count)), push
+    normal = 1.5 * cell.grain.hertz(radius) * np.sqrt(np.maximum(overlap, 0.0))
+    stiffness = np.stack([normal, cell.grain.shear_share * normal, 0.0 * normal])
+    arms = np.tile(radius - 0.5 * overlap, (2, 1))
+    return Springs(np.full(len(disks), -1), disks, np.tile([1.0, 0.0], (len(disks), 1)), arms, stiffness, 0.0 * normal)
 
 
 def shear_branch(lattice: Lattice, tilt: float, cemented: bool, numbers: Floats) -> Floats:
-    """Angular frequencies (K,) of the quasi-shear branch of an endless lattice for wave numbers (K,) along the path, 1/s.
-
-    Each disk and its neighbours have the motion ``exp(i (k x - omega t))``: three equations, for x, y and rotation.
-    """
-    angles = tilt + np.pi * (np.arange(4) / 2.0 if lattice.square else np.arange(6) / 3.0)
-    radius, mass = RADIUS, lattice.sand.density * np.pi * RADIUS**2
+    """Angular frequencies (K,) of the quasi-shear branch of an endless lattice for wave numbers (K,) along the path, 1/s."""
     pair = replace(
         lattice,
         x=np.array([0.0, SPACING]),
         y=np.zeros(2),
-        radius=np.full(2, radius),
+        radius=np.full(2, RADIUS),
         image=np.zeros(1),
         pairs=np.array([[0, 1]]),
     )
-    normal, shear, twist = (float(value[0]) for value in contact_stiffness(pair, np.array([cemented])))
-    matrix = np.zeros((len(numbers), 3, 3), dtype=complex)
-    for angle in angles.tolist():
-        n_x, n_y, arm = np.cos(angle), np.sin(angle), 0.5 * SPACING
-        phase = np.exp(1j * numbers * SPACING * n_x)
-        for stiffness, own, other in (
-            (normal, (-n_x, -n_y, 0.0), (n_x, n_y, 0.0)),
-            (shear, (n_y, -n_x, -arm), (-n_y, n_x, -arm)),
-            (twist, (0.0, 0.0, -1.0), (0.0, 0.0, 1.0)),
-        ):
-            both = np.asarray(own) + phase[:, None] * np.asarray(other)
-            matrix += stiffness * np.asarray(own)[None, :, None] * both[:, None, :]
-    scale = 1.0 / np.sqrt(np.array([mass, mass, 0.5 * mass * radius**2]))
-    squares = np.linalg.eigvalsh(scale[:, None] * matrix * scale)
-    return np.sqrt(np.maximum(squares[:, 0], 0.0))
+    stiffness = springs_of(pair, np.array([cemented])).stiffness[:, 0]
+    neighbours = 4 if lattice.square else 6
+    angles = tilt + 2.0 * np.pi * np.arange(neighbours) / neighbours
+    waves = np.column_stack([numbers, 0.0 * numbers])
+    matrices = bloch_matrices(waves, angles, SPACING, (*stiffness, 0.0), float(lattice.grain.mass(RADIUS)), RADIUS)
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(matrices)[:, 0], 0.0))
 
 
 def bloch_delay(lattice: Lattice, trial: Trial, lane: int, path: float) -> tuple[float, float]:
