@@ -1,21 +1,28 @@
 """How many cells per second each engine finishes, and for how much of the time its workers compute.
 
     python benchmarks/dispatch/engines.py [--workers 2 8 32] [--seconds 0.5]
+    python benchmarks/dispatch/engines.py --campaign examples/paper-small-pulse.toml [--seeds 32] [--workers 2]
 
 Workers sleep for the time of a batch and return real outcomes, which this process stores in a real database: so there
-can be more workers than cores. MPI is measured by rank.py, the others here.
+can be more workers than cores. MPI is measured by rank.py, the others here. With a campaign, whole commands compute
+real cells, with kernels and packing from the cache; then there are also the engines that start a process for each part.
 """
 
 import argparse
+import os
+import re
 import shutil
+import sqlite3
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
+from pathlib import Path
 
 from rank import CELLS, durations, moved, numbered, open_sink, real_outcomes
 from run import REAL, sweep
@@ -81,13 +88,47 @@ def wall_time(engine: str, workers: int, seconds: float) -> float:
             return time.perf_counter() - begin
 
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+COMMANDS = {
+    "MPI": "calcidem run c.toml --db out.db --ranks {ranks}",
+    "one process": "calcidem run c.toml --db out.db --ranks 0",
+    "GNU parallel": "bash {examples}/gnu-parallel.sh c.toml out.db {workers}",
+    "Snakemake": "snakemake -s {examples}/Snakefile --cores {workers} --config campaign=c.toml parts={workers} out=out.db",
+    "HyperQueue": "{python} {examples}/hyperqueue_parts.py c.toml out.db {workers}",
+}
+
+
+def of_command(engine: str, campaign: Path, seeds: int, workers: int) -> tuple[float, int, float]:
+    """Wall time (s) of a whole command, cells, and seconds that workers computed."""
+    with tempfile.TemporaryDirectory(prefix="calcidem-engine-") as folder:
+        text = re.sub(r"(?m)^seeds = .*", f"seeds = {seeds}", campaign.read_text(encoding="utf-8"))
+        Path(folder, "c.toml").write_text(text, encoding="utf-8")
+        places = {"examples": EXAMPLES, "python": sys.executable, "workers": workers, "ranks": workers + 1}
+        command = COMMANDS[engine].format(**places).split()
+        environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+        begin = time.perf_counter()
+        subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True)
+        wall = time.perf_counter() - begin
+        with closing(sqlite3.connect(Path(folder, "out.db"))) as database:
+            return wall, *database.execute("select count(*), sum(seconds) from attempt").fetchone()
+
+
 def main() -> None:
     """Print a line of the table for each engine and number of workers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--workers", type=int, nargs="+", default=[2, 8, 32])
     parser.add_argument("--seconds", type=float, default=0.5, help="mean time of a batch")
     parser.add_argument("--engines", nargs="+", default=["MPI", *ENGINES], choices=["MPI", *ENGINES])
+    parser.add_argument("--campaign", type=Path, help="real cells of this file, by whole commands")
+    parser.add_argument("--seeds", type=int, default=32)
     given = parser.parse_args()
+    if given.campaign:
+        for engine in COMMANDS:
+            wall, cells, computed = of_command(engine, given.campaign, given.seeds, given.workers[0])
+            share = 100 * computed / wall / given.workers[0]
+            sys.stdout.write(f"| {engine} | {wall:.1f} s | {cells / wall:.1f} cells/s | {share:.0f} % |\n")
+            sys.stdout.flush()
+        return
     sys.stdout.write("| engine | workers | cells/s | workers compute |\n|---|---|---|---|\n")
     for engine in given.engines:
         for workers in given.workers:
