@@ -174,9 +174,9 @@ class ShortestPaths:
     """Transmitter grains at which a shortest path starts, ascending."""
     weights: ContactWeights
     """Weight of each kind of contact."""
-    _lengths: csr_array
-    _bonded: NDArray[np.bool_]
-    _slack: float
+    _following: NDArray[np.integer]
+    _cemented: NDArray[np.bool_]
+    _begin: NDArray[np.integer]
 
     @classmethod
     def search(cls, graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights) -> Self:
@@ -191,8 +191,12 @@ class ShortestPaths:
         _refuse_apart(shortest)
         slack = _RELATIVE_TIE * shortest
         starts = graph.transmitter[distance[graph.transmitter] <= shortest + slack]
-        kinds = np.asarray(bonded, dtype=np.bool_)[graph.entry_contacts]
-        return cls(distance, tuple(starts.tolist()), weights, lengths, kinds, slack)
+        # Contacts of shortest paths, grain after grain; those of grain i are between _begin[i] and _begin[i + 1].
+        grain = np.repeat(np.arange(len(distance)), np.diff(lengths.indptr))
+        follows = lengths.data + distance[lengths.indices] <= distance[grain] + slack
+        cemented = np.asarray(bonded, dtype=np.bool_)[graph.entry_contacts][follows]
+        begin = np.concatenate([[0], np.cumsum(follows)])[lengths.indptr]
+        return cls(distance, tuple(starts.tolist()), weights, lengths.indices[follows], cemented, begin)
 
     def first(self) -> PreferentialPath:
         """Return the path that starts at, and always continues to, the grain with the lowest number.
@@ -216,7 +220,7 @@ class ShortestPaths:
         (rows). The counts for each limit at the receiver give the distribution of the longest run.
         """
         # The length of a path bounds its number of cemented contacts.
-        most = self.distance[self.starts[0]] / self.weights.bond * (1 + _RELATIVE_TIE) if self._bonded.any() else 0.0
+        most = self.distance[self.starts[0]] / self.weights.bond * (1 + _RELATIVE_TIE) if self._cemented.any() else 0.0
         rows = 1 + int(most)
         within = np.tri(rows)  # the present run is within the limit, too
         nothing = np.zeros((rows, rows))
@@ -242,11 +246,8 @@ class ShortestPaths:
 
     def _onward(self, grain: int) -> list[tuple[int, bool]]:
         """Return the next grains of a shortest path, ascending, each with True if the contact is cemented."""
-        entries = slice(self._lengths.indptr[grain], self._lengths.indptr[grain + 1])
-        neighbours = self._lengths.indices[entries]
-        shortest = self._lengths.data[entries] + self.distance[neighbours] <= self.distance[grain] + self._slack
-        kinds = self._bonded[entries][shortest].tolist()
-        return list(zip(neighbours[shortest].tolist(), kinds, strict=True))
+        contacts = slice(self._begin[grain], self._begin[grain + 1])
+        return list(zip(self._following[contacts].tolist(), self._cemented[contacts].tolist(), strict=True))
 
 
 def _check(grain_count: int, pairs: NDArray[np.int64], lists: dict[str, NDArray[np.int64]]) -> None:

@@ -245,6 +245,8 @@ def smooth(motion: Floats, half_width: float) -> Floats:
 def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int, float]:
     """Peak, end and share of the first swing along the path at one station; -1 if none is known yet."""
     swing, soon = np.abs(along), int(period)
+    if swing.max(initial=0.0) < SILENCE:
+        return -1, -1, 0.0  # most stations at most looks at a record
     for peak in find_maxima(swing).tolist():
         if swing[peak] < SILENCE or peak + soon >= len(swing):
             continue
