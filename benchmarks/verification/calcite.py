@@ -5,8 +5,7 @@ from common import small_packing
 from scipy.integrate import quad
 from table import check
 
-from calcidem.dem.sample.cement import CementKind, CementRule, content_of_contacts, draw_cement
-from calcidem.dem.sample.toroid import toroid_area
+from calcidem.dem.sample.cement import CementKind, CementRule, content_of_contacts, draw_cement, toroid_area
 
 _EQ2 = "region between two touching circles within the width of the cement, scipy.integrate.quad"
 

@@ -17,14 +17,12 @@ from calcidem.analysis.correlation import Correlations, correlate, correlate_by_
 from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, SectionMotion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
 from calcidem.analysis.error_budget import ErrorBudget, error_budget, median_known
-from calcidem.analysis.features import FEATURES
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.measured import Target
 from calcidem.analysis.outcomes import count_outcomes, name_outcomes
-from calcidem.analysis.packing_graph import PackingGraph, packing_graph
-from calcidem.analysis.path_envelope import PathEnvelope, path_envelope
-from calcidem.analysis.stages import StageGrowth, growth_by_stage
-from calcidem.analysis.weights import RatioScan, scan_ratio
+from calcidem.analysis.packing_graph import FEATURES, PackingGraph, packing_graph
+from calcidem.analysis.published import StageGrowth, growth_by_stage
+from calcidem.analysis.weights import PathEnvelope, RatioScan, path_envelope, scan_ratio
 from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.records import (
     CellResult,

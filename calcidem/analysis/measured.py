@@ -24,7 +24,7 @@ class Target:
 
 
 @dataclass(frozen=True, slots=True)
-class Misfit:
+class _Misfit:
     """Comparison of a campaign with a measurement at one content."""
 
     measured: Target
@@ -42,7 +42,7 @@ class Misfit:
     """Standard deviation over the measured one; NaN if the latter is unknown."""
 
 
-def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Target]) -> tuple[Misfit, ...]:
+def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Target]) -> tuple[_Misfit, ...]:
     """Compare a campaign with measured velocities, except those outside the range of its contents.
 
     The distributions are in order of content; contents without a velocity do not count.
@@ -60,13 +60,13 @@ _EQUAL_CONTENTS = 1e-6
 """Largest difference of equal contents, percent, since they are parsed from text."""
 
 
-def _misfit(rows: Sequence[ContentDistribution], contents: np.ndarray, target: Target) -> Misfit:
+def _misfit(rows: Sequence[ContentDistribution], contents: np.ndarray, target: Target) -> _Misfit:
     """Compare at one content."""
     here = [[row.vs.mean, row.vs.standard_deviation, row.vs.standard_deviation / math.sqrt(row.vs.n)] for row in rows]
     mean, deviation, error = (float(np.interp(target.content, contents, column)) for column in np.array(here).T)
     of_target = 0.0 if target.sd is None or target.samples is None else target.sd / math.sqrt(target.samples)
     both = math.hypot(0.0 if math.isnan(error) else error, of_target)
-    return Misfit(
+    return _Misfit(
         measured=target,
         mean=mean,
         standard_deviation=deviation,
@@ -77,6 +77,6 @@ def _misfit(rows: Sequence[ContentDistribution], contents: np.ndarray, target: T
     )
 
 
-def root_mean_square_misfit(found: Sequence[Misfit]) -> float:
+def root_mean_square_misfit(found: Sequence[_Misfit]) -> float:
     """Root mean square of the relative differences of the means; NaN if there are none."""
     return float(np.sqrt(np.mean([one.difference**2 for one in found]))) if found else math.nan

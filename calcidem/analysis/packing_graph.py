@@ -1,4 +1,7 @@
-"""Contact graph and path features from a stored packing and cement pattern."""
+"""Contact graph of a stored packing, and the eight features of a path (Fig. 13 of the paper).
+
+The paper's text names five of them (LP, PLLC, QLLC, C_d and C_d,n); the three counts complete the eight of its figure.
+"""
 
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -7,10 +10,68 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calcidem.analysis.connectivity import ContactWeights, PathScale
+from calcidem.analysis.connectivity import ContactWeights, PathScale, connectivity, normalized_connectivity
 from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, ShortestPaths
-from calcidem.analysis.features import measure_path
 from calcidem.storage.records import CementPattern, PackingRecord, PathFeatures
+
+
+@dataclass(frozen=True, slots=True)
+class _Feature:
+    """Definition of one feature; all are dimensionless."""
+
+    name: str
+    """Name of the quantity throughout (`calcidem.storage.records.PathFeatures`)."""
+    symbol: str
+    """Symbol in the paper."""
+    definition: str
+    """Definition in words."""
+
+
+FEATURES = (
+    _Feature("path_contacts", "N", "number of contacts on the path"),
+    _Feature("path_hertz_contacts", "N_h", "number of sand contacts on the path"),
+    _Feature("path_bonded_contacts", "N_LPB", "number of cemented contacts on the path"),
+    _Feature("path_bonded_fraction", "LP", "share of the path's contacts that are cemented, N_LPB / N"),
+    _Feature(
+        "path_longest_bonded_run",
+        "QLLC",
+        "largest number of cemented contacts that follow one another on the path; mean over all shortest paths",
+    ),
+    _Feature(
+        "path_longest_bonded_run_fraction",
+        "PLLC",
+        "share of the path's contacts in its longest run of cemented ones, QLLC / N",
+    ),
+    _Feature("path_connectivity", "C_d", "weighted length of the path, omega_h N_h + omega_LPB N_LPB"),
+    _Feature(
+        "path_normalized_connectivity",
+        "C_d,n",
+        "weighted length of the path on a scale where a straight row of median grains has 0 if all its "
+        "contacts are cemented and 1 if none is",
+    ),
+)
+
+
+def _measure_path(
+    path: PreferentialPath, longest_bonded_run: float, weights: ContactWeights, scale: PathScale
+) -> PathFeatures:
+    """Compute the eight features of a path of at least one contact, for the weights of the search.
+
+    ``longest_bonded_run`` is the mean over all shortest paths. `ValueError` if both weights are equal, where C_d,n is
+    undefined.
+    """
+    contacts = len(path.bonded)
+    c_d = connectivity(path.hertz_contacts, path.bonded_contacts, weights)
+    return PathFeatures(
+        path_contacts=contacts,
+        path_hertz_contacts=path.hertz_contacts,
+        path_bonded_contacts=path.bonded_contacts,
+        path_bonded_fraction=path.bonded_contacts / contacts,
+        path_longest_bonded_run_fraction=longest_bonded_run / contacts,
+        path_longest_bonded_run=longest_bonded_run,
+        path_connectivity=c_d,
+        path_normalized_connectivity=normalized_connectivity(c_d, weights, scale),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +129,7 @@ class PackingGraph:
 
     def features(self, paths: ShortestPaths) -> PathFeatures:
         """Return the features of the shortest paths of one sample."""
-        return measure_path(paths.first(), paths.mean_longest_bonded_run(), self.weights, self.scale)
+        return _measure_path(paths.first(), paths.mean_longest_bonded_run(), self.weights, self.scale)
 
     def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
         """Find the row of each pair in the sorted contacts."""

@@ -5,6 +5,7 @@ Study", Tables 1 to 4 and section 3.2.1. `published.toml` in this folder has the
 docs/reproduction/published_check.py checks their consistency.
 """
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,8 +14,76 @@ from importlib import resources
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from calcidem.analysis.connectivity import ContactWeights
 from calcidem.analysis.intervals import Interval
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A range of calcite content."""
+
+    name: str
+    """Roman numeral, as in the paper."""
+    low: float
+    high: float
+    """First and last content, in percent of sand mass."""
+
+
+STAGES = (
+    Stage("I", 0.11, 0.66),
+    Stage("II", 1.24, 3.17),
+    Stage("III", 4.0, 6.0),
+    Stage("IV", 7.0, 9.0),
+)
+"""Ranges whose end points give the printed growth rates. The text of the paper has other bounds (0.66, 2.55 and
+6 %), which do not give these rates; see docs/reproduction/published_check.py."""
+
+
+@dataclass(frozen=True, slots=True)
+class StageGrowth:
+    """Growth of mean Vs within one stage."""
+
+    stage: Stage
+    """The range."""
+    contents: tuple[float, ...]
+    """Contents of the campaign in this range, in percent."""
+    end_point_slope: float
+    """Difference of the means at the last and first content over the difference of content, in m/s per percent: the
+    paper's rate.
+    """
+    least_squares_slope: float
+    """Slope of the regression line through all means, in m/s per percent. Both are NaN with fewer than two contents."""
+
+
+def growth_by_stage(
+    content: ArrayLike, mean_vs: ArrayLike, stages: tuple[Stage, ...] = STAGES
+) -> tuple[StageGrowth, ...]:
+    """Return the growth rate of each stage from contents (%) and mean velocities (m/s), both (k,), without NaN."""
+    contents, means = np.asarray(content, dtype=np.float64), np.asarray(mean_vs, dtype=np.float64)
+    if contents.ndim != 1 or contents.shape != means.shape:
+        raise ValueError(
+            f"content has shape {contents.shape} and mean_vs {means.shape}; give one mean for each content"
+        )
+    order = np.argsort(contents)
+    contents, means = contents[order], means[order]
+    growth = []
+    for stage in stages:
+        # Contents are parsed from decimal text; a difference in the last bit must not exclude one.
+        inside = (contents >= stage.low - 1e-9) & (contents <= stage.high + 1e-9) & np.isfinite(means)
+        x, y = contents[inside], means[inside]
+        enough = x.size > 1
+        growth.append(
+            StageGrowth(
+                stage=stage,
+                contents=tuple(x.tolist()),
+                end_point_slope=float((y[-1] - y[0]) / (x[-1] - x[0])) if enough else math.nan,
+                least_squares_slope=float(np.polyfit(x, y, 1)[0]) if enough else math.nan,
+            )
+        )
+    return tuple(growth)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +103,7 @@ class PublishedVelocity:
 
 
 @dataclass(frozen=True, slots=True)
-class PublishedContent:
+class _PublishedContent:
     """One calcite content of Tables 2 and 3."""
 
     content: float
@@ -46,7 +115,7 @@ class PublishedContent:
 
 
 @dataclass(frozen=True, slots=True)
-class PublishedStage:
+class _PublishedStage:
     """A stage of section 3.2.1."""
 
     name: str
@@ -93,9 +162,9 @@ class PublishedStudy:
     """Number of random distributions of calcite, and of samples."""
     parameters: Mapping[str, float]
     """Table 1 in SI units; names as in `published.toml`."""
-    contents: tuple[PublishedContent, ...]
+    contents: tuple[_PublishedContent, ...]
     """Tables 2 and 3, ascending."""
-    stages: tuple[PublishedStage, ...]
+    stages: tuple[_PublishedStage, ...]
     """Section 3.2.1."""
     laws: tuple[PublishedLaw, ...]
     """Table 4."""
@@ -114,10 +183,10 @@ def published_study() -> PublishedStudy:
         **data["source"],
         parameters=MappingProxyType(data["parameters"]),
         contents=tuple(
-            PublishedContent(row["content"], row["frequency"], PublishedVelocity(**row["vs"]) if "vs" in row else None)
+            _PublishedContent(row["content"], row["frequency"], PublishedVelocity(**row["vs"]) if "vs" in row else None)
             for row in data["contents"]
         ),
-        stages=tuple(PublishedStage(**_with_intervals(row)) for row in data["stages"]),
+        stages=tuple(_PublishedStage(**_with_intervals(row)) for row in data["stages"]),
         laws=tuple(
             PublishedLaw(weights=ContactWeights(row.pop("hertz"), row.pop("bond")), **_with_intervals(row))
             for row in data["laws"]

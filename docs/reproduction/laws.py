@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
-from calcidem.analysis.features import FEATURES
+from calcidem.analysis.packing_graph import FEATURES
 from calcidem.analysis.published import published_study
 from calcidem.app.campaign.opened import open_campaign
 

@@ -11,11 +11,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from calcidem.analysis.connectivity import ContactWeights
+from calcidem.analysis.distribution import NormalityTest, jarque_bera_from_moments
 from calcidem.analysis.fits import power_law
-from calcidem.analysis.normality import NormalityTest, jarque_bera_from_moments
-from calcidem.analysis.published import PublishedLaw, PublishedStudy, published_study
+from calcidem.analysis.published import (
+    STAGES,
+    PublishedLaw,
+    PublishedStudy,
+    Stage,
+    StageGrowth,
+    growth_by_stage,
+    published_study,
+)
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, LONGEST_WAVELENGTH, wavelengths
-from calcidem.analysis.stages import STAGES, Stage, StageGrowth, growth_by_stage
 
 _PAPER_SIGNIFICANCE = 0.05
 """The paper calls a sample not normal where the asymptotic p-value is below this (section 2.4)."""

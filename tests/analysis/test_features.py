@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale
 from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, ShortestPaths
-from calcidem.analysis.features import FEATURES, measure_path
+from calcidem.analysis.packing_graph import FEATURES, _measure_path
 from calcidem.storage.records import PathFeatures
 
 WEIGHTS = ContactWeights.from_ratio(0.5)
@@ -19,7 +19,7 @@ def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np
     """The drawing's path has 4 contacts, cement on 3 of them and on 2 in a row, and is straight."""
     paths = ShortestPaths.search(*drawn_sample, WEIGHTS)
     path = paths.first()
-    found = measure_path(path, paths.mean_longest_bonded_run(), WEIGHTS, PathScale(distance=5.0, median_diameter=1.0))
+    found = _measure_path(path, paths.mean_longest_bonded_run(), WEIGHTS, PathScale(distance=5.0, median_diameter=1.0))
     assert path.grains == (5, 6, 7, 8, 9)
     assert (found.path_contacts, found.path_hertz_contacts, found.path_bonded_contacts) == (4, 1, 3)
     assert found.path_bonded_fraction == 3 / 4
@@ -46,7 +46,7 @@ def test_features_of_any_path_fit_together(bonded: list[bool]) -> None:
         len(path.grains), np.array(list(pairwise(path.grains))), np.array([0]), np.array([len(bonded)])
     )
     run = ShortestPaths.search(chain, bonded, WEIGHTS).mean_longest_bonded_run()
-    found = measure_path(path, run, WEIGHTS, PathScale(0.1, 2.5e-3))
+    found = _measure_path(path, run, WEIGHTS, PathScale(0.1, 2.5e-3))
     text = "".join("b" if kind else " " for kind in bonded)
     assert found.path_longest_bonded_run == max((len(run) for run in text.split()), default=0)
     assert found.path_contacts == found.path_hertz_contacts + found.path_bonded_contacts == len(bonded)

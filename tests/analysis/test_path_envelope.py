@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calcidem.analysis import path_envelope as module
+from calcidem.analysis import weights as module
 from calcidem.analysis.connectivity import ContactWeights, connectivity
 from calcidem.analysis.contact_graph import ContactGraph, ShortestPaths, contacts_on_path
-from calcidem.analysis.path_envelope import PathEnvelope, PathLine, path_envelope
+from calcidem.analysis.weights import PathEnvelope, _PathLine, path_envelope
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 
@@ -33,7 +33,7 @@ def corners_of(envelope: PathEnvelope) -> list[float]:
 def test_corner_of_a_detour() -> None:
     """A way of 6 cemented contacts beats one of 3 sand contacts as long as 6 r < 3."""
     envelope = path_envelope(*detour(3, 6))
-    assert envelope.lines == (PathLine(0, 6), PathLine(3, 0))
+    assert envelope.lines == (_PathLine(0, 6), _PathLine(3, 0))
     assert corners_of(envelope) == [0.5]
     np.testing.assert_allclose(envelope.connectivity([0.25, 0.5, 0.75]), [1.5, 3.0, 3.0])
 

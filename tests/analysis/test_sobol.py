@@ -8,7 +8,7 @@ import xarray as xr
 
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.sensitivity import draw_sobol
-from calcidem.analysis.sobol import campaign_outputs, sobol_indices, sobol_points
+from calcidem.analysis.sensitivity import campaign_outputs, sobol_indices, sobol_points
 
 RANGES = dict.fromkeys(("first", "second", "third"), (-math.pi, math.pi))
 A, B = 7.0, 0.1

@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from calcidem.analysis.stages import STAGES, Stage, growth_by_stage
+from calcidem.analysis.published import STAGES, Stage, growth_by_stage
 
 
 def test_slopes_of_a_drawn_curve() -> None:

@@ -4,8 +4,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from calcidem.analysis.connectivity import ContactWeights, PathScale, normalized_connectivity
-from calcidem.analysis.path_envelope import PathEnvelope, PathLine
-from calcidem.analysis.weights import _correlate_sums, _first_best, _sums_by_seed, scan_ratio
+from calcidem.analysis.weights import PathEnvelope, _correlate_sums, _first_best, _PathLine, _sums_by_seed, scan_ratio
 
 SEEDS, CONTENTS = 20, 6
 
@@ -18,7 +17,7 @@ def campaign(
     envelopes, velocity = [], []
     for _ in range(SEEDS * CONTENTS):
         hertz, bond = (int(count) for count in generator.integers(1, 30, size=2))
-        envelopes.append(PathEnvelope((PathLine(hertz, bond),), 0.01, 0.99))
+        envelopes.append(PathEnvelope((_PathLine(hertz, bond),), 0.01, 0.99))
         velocity.append(2500 - 40 * (hertz + true_ratio * bond) + generator.normal(0, noise))
     return envelopes, np.array(velocity), np.repeat(np.arange(SEEDS), CONTENTS)
 

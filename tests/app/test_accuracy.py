@@ -7,8 +7,13 @@ import pytest
 from scipy.stats import binom
 
 from calcidem.app.studies.accuracy.command import parse_target
-from calcidem.app.studies.accuracy.findings import Findings, findings_json, measured_errors
-from calcidem.app.studies.accuracy.questions import amplitude_rows, equilibrium_rows
+from calcidem.app.studies.accuracy.questions import (
+    Findings,
+    amplitude_rows,
+    equilibrium_rows,
+    findings_json,
+    measured_errors,
+)
 from calcidem.app.studies.accuracy.reference import _FINEST, HALVING, measure_convergence
 from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, with_wave

@@ -15,9 +15,8 @@ from calcidem.app.config.measured import read_targets
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
-from calcidem.app.studies.kept_trials import KeptTrials
 from calcidem.app.studies.parameters import ParameterRange, parse_range, start_value, text_with_values, with_values
-from calcidem.app.studies.trials import trial_workers
+from calcidem.app.studies.trials import KeptTrials, trial_workers
 from calcidem.dem.sample.packing import Packing
 
 STIFFNESS, MODULUS = "sand.wave_stiffness_factor", "cement.bond_modulus"

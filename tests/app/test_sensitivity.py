@@ -8,7 +8,13 @@ import pytest
 import xarray as xr
 
 from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.studies.sensitivity.plan import REFERENCE, load_plan
+from calcidem.app.studies.sensitivity.plan import (
+    REFERENCE,
+    compare_variants,
+    compute_variants,
+    load_plan,
+    sensitivity_table,
+)
 from calcidem.app.studies.sensitivity.sobol import (
     _parameters_by_weight,
     _verdicts,
@@ -18,7 +24,6 @@ from calcidem.app.studies.sensitivity.sobol import (
     sobol_table,
     stored_points,
 )
-from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import CampaignMismatchError
 

@@ -5,8 +5,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from calcidem.app.studies.stability.endurance import _energy_drift
-from calcidem.app.studies.stability.limits import _force_step, limits
+from calcidem.app.studies.stability.command import StabilityVerdict, _judge_own_scene, _judge_packing, _judge_scene
+from calcidem.app.studies.stability.limits import _energy_drift, _force_step, limits
 from calcidem.app.studies.stability.own_scenes import _OWN_KINDS, draw_own_scenes
 from calcidem.app.studies.stability.scenes import (
     Extreme,
@@ -17,7 +17,6 @@ from calcidem.app.studies.stability.scenes import (
     experiment_of_scene,
     small_packing,
 )
-from calcidem.app.studies.stability.verdict import StabilityVerdict, _judge_packing, judge_own_scene, judge_scene
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.wave.error_estimate import shift_by_change
@@ -35,7 +34,7 @@ SCENES = 512
 @pytest.mark.parametrize("scenes", [SCENES // 32, SCENES])
 def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None:
     """Of the scenes drawn over all quantities each is right, refused with a cure, or found out with a reason."""
-    judgements = [judge_scene(scene) for scene in draw_scenes(scenes, seed=1)]
+    judgements = [_judge_scene(scene) for scene in draw_scenes(scenes, seed=1)]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     count = Counter(judgement.verdict for judgement in judgements)
     # The draw has to reach all three, or it shows nothing.
@@ -50,7 +49,7 @@ def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None
 def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str]) -> None:
     """Where a velocity is to be expected most scenes give one, and each is right."""
     scenes = [scene for scene in draw_scenes(40, seed=3, box="plausible") if scene.regime in regimes]
-    judgements = [judge_scene(scene) for scene in scenes]
+    judgements = [_judge_scene(scene) for scene in scenes]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     assert sum(judgement.error is not None for judgement in judgements) >= 15 / 40 * len(scenes) > 2
 
@@ -59,7 +58,7 @@ def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str])
 @pytest.mark.parametrize("scenes", [SCENES // 16, SCENES])
 def test_no_scene_of_ones_own_goes_wrong_in_silence(scenes: int) -> None:
     """Impacts, disks that just touch, gravity and bonds across gaps end right to 2 %, or with an error that says so."""
-    judgements = [judge_own_scene(scene) for scene in draw_own_scenes(scenes, seed=1)]
+    judgements = [_judge_own_scene(scene) for scene in draw_own_scenes(scenes, seed=1)]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     count = Counter(
         judgement.scene.kind  # type: ignore[union-attr]
@@ -91,7 +90,7 @@ def test_undamped_runs_keep_their_energy() -> None:
 def test_disks_that_float_in_a_pore_do_no_harm(floating: int) -> None:
     """A grain without a contact, or a bonded cluster that nothing holds, changes no velocity."""
     with_them, without = (
-        judge_scene(Extreme(step_fraction=0.5, content=1.0, contrast=1.0, floating=count)) for count in (floating, 0)
+        _judge_scene(Extreme(step_fraction=0.5, content=1.0, contrast=1.0, floating=count)) for count in (floating, 0)
     )
     assert with_them.verdict == without.verdict == StabilityVerdict.STABLE
     # Small bonded disks need a smaller step, which moves Vs by half a percent in so small a lattice.
@@ -150,7 +149,7 @@ def test_the_predicted_limit_is_safe_and_sharp(contrast: float, damping: float, 
 
 def test_a_step_above_the_limit_is_refused_with_the_cure() -> None:
     """A step fraction above 1 is refused before anything is computed."""
-    judgement = judge_scene(Extreme(step_fraction=1.01))
+    judgement = _judge_scene(Extreme(step_fraction=1.01))
     assert judgement.verdict == StabilityVerdict.REFUSED
     assert "give 0.05 to 0.95" in judgement.reason
 
@@ -158,7 +157,7 @@ def test_a_step_above_the_limit_is_refused_with_the_cure() -> None:
 @pytest.mark.parametrize("regime", ["linear", "small"])
 def test_a_pulse_too_strong_for_its_regime_is_refused(regime: str) -> None:
     """10 m/s is refused where stiffness or geometry are taken for constant, with the largest amplitude that is not."""
-    judgement = judge_scene(replace(Extreme(amplitude=10.0), regime=regime))  # type: ignore[arg-type]
+    judgement = _judge_scene(replace(Extreme(amplitude=10.0), regime=regime))  # type: ignore[arg-type]
     assert judgement.verdict == StabilityVerdict.REFUSED
     assert "amplitude of at most" in judgement.reason
 
@@ -166,7 +165,7 @@ def test_a_pulse_too_strong_for_its_regime_is_refused(regime: str) -> None:
 @pytest.mark.full
 def test_what_is_unbalanced_is_held_while_a_tiny_pulse_passes() -> None:
     """A gap in the lattice leaves forces unbalanced: a tiny pulse has the linear regime's velocity all the same."""
-    finite, linear = (judge_scene(Extreme(amplitude=1e-9, missing=0.1, regime=each)) for each in ("finite", "linear"))
+    finite, linear = (_judge_scene(Extreme(amplitude=1e-9, missing=0.1, regime=each)) for each in ("finite", "linear"))
     assert finite.verdict == linear.verdict == StabilityVerdict.STABLE
     assert finite.vs == pytest.approx(linear.vs, rel=5e-3)
 

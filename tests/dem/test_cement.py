@@ -16,9 +16,9 @@ from calcidem.dem.sample.cement import (
     _contact_points,
     content_of_contacts,
     draw_cement,
+    toroid_area,
 )
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
-from calcidem.dem.sample.toroid import toroid_area
 
 CONTENTS = st.floats(0.0, 10.0)  # every seed of the small sample holds that much
 SEEDS = st.integers(0, 2**31)

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from calcidem.dem.sample.toroid import toroid_area
+from calcidem.dem.sample.cement import toroid_area
 
 # Size ratios to 20, cement not below 1/20 of the smaller disk: Eq. 2 loses about 6 (d / d_c)^2 roundings by
 # cancellation, here 1e6 of 1e-16.

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from calcidem.analysis.figures.grains import draw_bands, draw_frame
+from calcidem.analysis.figures.samples import draw_bands, draw_frame
 from calcidem.analysis.figures.signals import Arrival, draw_signal_pair
 from calcidem.analysis.figures.style import (
     BLACK,

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import LawFit
 from calcidem.analysis.correlation import Correlations
-from calcidem.analysis.features import FEATURES
 from calcidem.analysis.figures.style import (
     BLACK,
     BLUE,
@@ -30,6 +29,7 @@ from calcidem.analysis.figures.style import (
     new_panel,
 )
 from calcidem.analysis.fits import power_law
+from calcidem.analysis.packing_graph import FEATURES
 from calcidem.analysis.predictor import fit_predictor
 from calcidem.analysis.published import PublishedLaw
 from calcidem.analysis.weights import RatioScan

@@ -2,15 +2,18 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
+from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import MeasuredSample
-from calcidem.analysis.figures.grains import RING, draw_bands, draw_frame, draw_grains, draw_path
+from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signal_pair
 from calcidem.analysis.figures.style import (
     BLACK,
@@ -20,13 +23,112 @@ from calcidem.analysis.figures.style import (
     GREY,
     MM,
     P_CEMENT,
+    PICTURE_MARGIN,
+    PURPLE,
     SAND_GRAIN,
     VERMILION,
     apply_style,
     letter_panels,
     new_figure,
+    strip_axes,
 )
 from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.storage.records import C_CONTACT, P_CONTACT, PackingRecord
+
+_RING: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "o",
+    "markerfacecolor": "white",
+    "markeredgecolor": PURPLE,
+    "markeredgewidth": 1.3,
+}
+"""Look of an uncemented contact on a path."""
+
+
+def _draw_grains(
+    axes: Axes,
+    sample: PackingGraph,
+    kinds: NDArray[np.uint8] | None = None,
+    *,
+    low: float = -np.inf,
+    high: float = np.inf,
+    cement_width: float = 1.0,
+) -> None:
+    """Draw the grains between two heights, m, and the cement between them, on axes that lose their ticks.
+
+    ``kinds`` (m,) are 0 (sand), 1 (P) or 2 (C) of each contact; the width of cemented contacts is in points.
+    """
+    packing, pairs = sample.packing, sample.graph.pairs
+    chosen = (packing.y > low) & (packing.y < high)
+    in_cluster = np.zeros(packing.radius.size, dtype=np.bool_)
+    if kinds is not None:
+        in_cluster[pairs[kinds == C_CONTACT]] = True
+    for members, colour in ((chosen & ~in_cluster, SAND_GRAIN), (chosen & in_cluster, CLUSTER_GRAIN)):
+        # Thousands of circles are drawn as pixels in vector files, which keeps these small.
+        diameters = 2.0 * packing.radius[members] * MM
+        axes.add_collection(
+            EllipseCollection(
+                diameters,
+                diameters,
+                0.0,
+                units="xy",
+                offsets=np.column_stack([packing.x[members], packing.y[members]]) * MM,
+                offset_transform=axes.transData,
+                facecolor=colour,
+                edgecolor="white",
+                linewidth=0.25,
+                rasterized=True,
+            )
+        )
+    if kinds is not None:
+        inside = chosen[pairs].all(axis=1)
+        for kind, colour in ((P_CONTACT, P_CEMENT), (C_CONTACT, C_CEMENT)):
+            _draw_contacts(axes, packing, pairs[inside & (kinds == kind)], colour, cement_width)
+    strip_axes(axes)
+    axes.set_aspect("equal")
+    bottom, top = max(low, 0.0) * MM, min(high, packing.height) * MM
+    margin = PICTURE_MARGIN * packing.width * MM
+    axes.set_xlim(-margin, packing.width * MM + margin)
+    axes.set_ylim(bottom - margin, top + margin)
+
+
+def draw_frame(axes: Axes, packing: PackingRecord) -> None:
+    """Draw the rigid walls of the box."""
+    frame = Rectangle((0, 0), packing.width * MM, packing.height * MM, fill=False, edgecolor=BLACK, linewidth=0.8)
+    axes.add_patch(frame)
+
+
+def draw_bands(axes: Axes, packing: PackingRecord, transmitter: float, receiver: float) -> None:
+    """Draw the bands of the side walls that transmit and receive, of these half-widths in m."""
+    middle, width = packing.height / 2, packing.width
+    for x, half, colour in ((0.0, transmitter, VERMILION), (width, receiver, GREEN)):
+        axes.plot(
+            [x * MM, x * MM],
+            [(middle - half) * MM, (middle + half) * MM],
+            color=colour,
+            linewidth=4.0,
+            solid_capstyle="butt",
+            zorder=5,
+        )
+
+
+def _draw_path(axes: Axes, sample: PackingGraph, path: PreferentialPath, width: float = 1.6) -> None:
+    """Draw a path through the centres of its grains, with a ring at each of its uncemented contacts."""
+    packing, grains = sample.packing, np.array(path.grains)
+    x, y = packing.x[grains] * MM, packing.y[grains] * MM
+    axes.plot(x, y, color="white", linewidth=width + 1.4, zorder=6, solid_joinstyle="round")
+    axes.plot(x, y, color=BLACK, linewidth=width, zorder=7, solid_joinstyle="round")
+    bare_contacts = ~np.array(path.bonded, dtype=np.bool_)
+    middles = [((ends[:-1] + ends[1:]) / 2)[bare_contacts] for ends in (x, y)]
+    axes.plot(*middles, markersize=4.2, zorder=8, **_RING)
+
+
+def _draw_contacts(axes: Axes, packing: PackingRecord, pairs: NDArray[np.int64], colour: str, width: float) -> None:
+    """Draw a stroke around each contact point, half as long as the distance of the two centres."""
+    first, second = (np.column_stack([packing.x[ends], packing.y[ends]]) for ends in pairs.T)
+    strokes = np.stack([0.75 * first + 0.25 * second, 0.25 * first + 0.75 * second], axis=1) * MM
+    axes.add_collection(LineCollection(list(strokes), colors=colour, linewidths=width, rasterized=True))
+
 
 _BAR_BELOW = 0.04
 """Distance of a scale bar from its picture, over the width of the picture."""
@@ -45,7 +147,7 @@ _CLUSTER_KEY = Patch(facecolor=CLUSTER_GRAIN, label="grain in a C cluster")
 _P_KEY = Line2D([], [], color=P_CEMENT, linewidth=2.4, label="P contact")
 _C_KEY = Line2D([], [], color=C_CEMENT, linewidth=2.4, label="C contact")
 _PATH_KEY = Line2D([], [], color=BLACK, linewidth=1.8, label="preferential path")
-_BARE_KEY = Line2D([], [], markersize=4.5, label="uncemented contact on it", **RING)
+_BARE_KEY = Line2D([], [], markersize=4.5, label="uncemented contact on it", **_RING)
 
 
 @apply_style
@@ -60,13 +162,13 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]
     )
     left = packing.width / 2 - half
     for axes, sample in zip(grid[0], samples, strict=True):
-        draw_grains(axes, graph, sample.kinds, cement_width=0.7)
+        _draw_grains(axes, graph, sample.kinds, cement_width=0.7)
         draw_frame(axes, packing)
         axes.set_title(f"{sample.content:g} %")
         corner = (left * MM, (middle - half) * MM)
         axes.add_patch(Rectangle(corner, 2 * half * MM, 2 * half * MM, fill=False, edgecolor=BLACK, linewidth=1.1))
     for axes, sample in zip(grid[1], samples, strict=True):
-        draw_grains(axes, graph, sample.kinds, low=middle - 1.3 * half, high=middle + 1.3 * half, cement_width=2.4)
+        _draw_grains(axes, graph, sample.kinds, low=middle - 1.3 * half, high=middle + 1.3 * half, cement_width=2.4)
         axes.set_xlim(left * MM, (left + 2 * half) * MM)
         axes.set_ylim((middle - half) * MM, (middle + half) * MM)
         for spine in axes.spines.values():
@@ -94,7 +196,7 @@ def draw_measurement(
     width, height = packing.width * MM, packing.height * MM
     figure = new_figure(height=4.4)
     scene, signals = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
-    draw_grains(scene, graph)
+    _draw_grains(scene, graph)
     for bottom in (0.0, height - damped_layer * MM):
         scene.add_patch(
             Rectangle((0, bottom), width, damped_layer * MM, facecolor=GREY, alpha=0.45, linewidth=0, zorder=3)
@@ -149,8 +251,8 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
     figure = new_figure(height=0.9 + len(samples) * _PANEL_WIDTH * (high - low) / packing.width)
     panels = figure.subplots(len(samples), 1, squeeze=False)[:, 0]
     for axes, sample in zip(panels, samples, strict=True):
-        draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.2)
-        draw_path(axes, graph, sample.path)
+        _draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.2)
+        _draw_path(axes, graph, sample.path)
         axes.set_anchor("W")
         features = sample.features
         velocity = f"{sample.vs:.0f} m/s" if math.isfinite(sample.vs) else "no velocity"

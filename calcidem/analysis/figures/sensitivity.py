@@ -25,14 +25,14 @@ from calcidem.analysis.figures.style import (
     letter_panels,
     new_figure,
 )
-from calcidem.analysis.sobol import OUTPUTS
+from calcidem.analysis.sensitivity import OUTPUTS
 
 _FREQUENCY_LABEL = "excitation frequency (kHz)"
 _SHOWN_METHODS = ("peak", "first_arrival")
 
 
 @apply_style
-def draw_reading_study(study: xr.Dataset) -> Figure:
+def _draw_reading_study(study: xr.Dataset) -> Figure:
     """Draw Vs from peak to peak and by first arrival against frequency (Fig. 6).
 
     Marks are hollow where transmitter and receiver are less than a wavelength apart.
@@ -73,7 +73,7 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
 
 
 @apply_style
-def draw_frequency_study(study: xr.Dataset) -> Figure:
+def _draw_frequency_study(study: xr.Dataset) -> Figure:
     """Draw received frequency and Vs against transmitted frequency (Fig. 9)."""
     figure = new_figure(height=3.5, width=7.0)
     left, right = figure.subplots(1, 2)
@@ -101,7 +101,7 @@ def draw_frequency_study(study: xr.Dataset) -> Figure:
 
 
 @apply_style
-def draw_damping_study(study: xr.Dataset) -> Figure:
+def _draw_damping_study(study: xr.Dataset) -> Figure:
     """Draw received signals for several damping factors (Fig. 7)."""
     contents = study["content"].to_numpy()
     factors = study["damping"].to_numpy()
@@ -169,7 +169,7 @@ def draw_sobol(indices: xr.Dataset) -> Figure:
 
 
 @dataclass(frozen=True, slots=True)
-class StudyFigure:
+class _StudyFigure:
     """A figure of a sensitivity study."""
 
     study: str
@@ -185,31 +185,31 @@ class StudyFigure:
 
 
 STUDY_FIGURES = (
-    StudyFigure(
+    _StudyFigure(
         "frequency",
         "study_reading",
         "Peak to peak against first arrival",
         "Vs of the same samples by two methods of reading, over excitation frequency; thin lines are samples. Marks "
         "are hollow where transmitter and receiver are less than a wavelength apart, so that near-field effects "
         "spoil the reading.",
-        draw_reading_study,
+        _draw_reading_study,
     ),
-    StudyFigure(
+    _StudyFigure(
         "frequency",
         "study_frequency",
         "Excitation frequency",
         "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
         "the transmitted one, with the range over samples; dashed at the campaign's frequency. Contents are slightly "
         "offset.",
-        draw_frequency_study,
+        _draw_frequency_study,
     ),
-    StudyFigure(
+    _StudyFigure(
         "damping",
         "study_damping",
         "Local damping",
         "Signals received in one sample with several local damping factors, and the Vs read from them where one "
         "could be trusted.",
-        draw_damping_study,
+        _draw_damping_study,
     ),
 )
 

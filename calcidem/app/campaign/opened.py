@@ -424,9 +424,9 @@ class Campaign(Closable):
 
         Nothing is simulated. If the campaign has the seed whose cement is drawn, it takes no part in the fit. Instead
         of a seed, the cement may be given, or features by their names: those of the path in
-        `calcidem.analysis.features.FEATURES`, `column_share` and `cemented_share`, the shares of the contacts that are
-        cemented, at the height of the receiver and of all. A seed or a pattern predicts by these two. Without any of
-        the three the content alone predicts. `QueryError` if the campaign has too few velocities at the content, or
+        `calcidem.analysis.packing_graph.FEATURES`, `column_share` and `cemented_share`, the shares of the contacts that
+        are cemented, at the height of the receiver and of all. A seed or a pattern predicts by these two. Without any
+        of the three the content alone predicts. `QueryError` if the campaign has too few velocities at the content, or
         pattern or features do not fit it.
 
         Examples

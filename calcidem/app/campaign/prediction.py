@@ -7,8 +7,7 @@ import numpy.typing as npt
 import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.features import FEATURES
-from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.analysis.packing_graph import FEATURES, PackingGraph
 from calcidem.analysis.predictor import (
     FEWEST_ROWS,
     Prediction,
@@ -42,7 +41,7 @@ def predict_velocity(
 ) -> Prediction:
     """Predict Vs of a sample of a content (%) of a campaign, with an interval.
 
-    Features of the sample that are known are given by their names in `calcidem.analysis.features.FEATURES`, or in
+    Features of the sample that are known are given by their names in `calcidem.analysis.packing_graph.FEATURES`, or in
     `CEMENT_FEATURES`; with none the content alone is left. The seed to predict takes no part. `QueryError` if a name is
     unknown, a value far from those of all samples, or the campaign has too few velocities at the content.
     """

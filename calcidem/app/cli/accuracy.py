@@ -39,7 +39,7 @@ def accuracy_command(
     from calcidem.app.config.checks import plan_contents
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target, plan_task
-    from calcidem.app.studies.accuracy.findings import findings_json
+    from calcidem.app.studies.accuracy.questions import findings_json
     from calcidem.app.studies.accuracy.report import accuracy_tables, name_of
     from calcidem.app.studies.accuracy.study import cheapest
 

@@ -13,7 +13,7 @@ from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable, tell
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
-    from calcidem.app.studies.accuracy.findings import MeasuredErrors
+    from calcidem.app.studies.accuracy.questions import MeasuredErrors
     from calcidem.app.studies.explain import Explanation
 
 _DEFAULT_CELLS = 8
@@ -39,7 +39,7 @@ def explain_command(
     from calcidem.app.config.calibrated import calibration_note
     from calcidem.app.config.checks import check_against_packing, plan_contents
     from calcidem.app.config.reader import load_configuration
-    from calcidem.app.studies.accuracy.findings import measured_errors
+    from calcidem.app.studies.accuracy.questions import measured_errors
     from calcidem.app.studies.explain import explain
 
     loaded = load_configuration(configuration)

@@ -52,9 +52,8 @@ def sensitivity_command(
     --sobol varies all \[ranges] of the plan together and shows shares of the variance. 'frequency' or 'damping' instead
     of a plan computes samples of a stored campaign with other values; its database is not written.
     """
-    from calcidem.app.studies.sensitivity.plan import load_plan
+    from calcidem.app.studies.sensitivity.plan import compare_variants, compute_variants, load_plan, sensitivity_table
     from calcidem.app.studies.sensitivity.sobol import load_sobol_plan
-    from calcidem.app.studies.sensitivity.study import compare_variants, compute_variants, sensitivity_table
     from calcidem.storage.files import refuse_to_replace, write_text_atomically
 
     if out is not None:

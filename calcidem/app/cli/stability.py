@@ -17,8 +17,7 @@ def stability_command(
     layout: FormatOption = Format.TABLE,
 ) -> None:
     """Map which small extreme scenes are stable, refused or detected, and check the predicted step limits."""
-    from calcidem.app.studies.stability.command import random_scene_tables, random_scenes, stability
-    from calcidem.app.studies.stability.verdict import StabilityVerdict
+    from calcidem.app.studies.stability.command import StabilityVerdict, random_scene_tables, random_scenes, stability
 
     if scenes:
         found = random_scenes(scenes, draw, progress=tell)

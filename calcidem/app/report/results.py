@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.error_budget import median_known
-from calcidem.analysis.features import FEATURES
+from calcidem.analysis.packing_graph import FEATURES
 from calcidem.analysis.published import is_published_sand, published_study
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, damping_ratio, small_strain_modulus
 from calcidem.app.report.wording import (

@@ -14,10 +14,9 @@ from scipy.optimize import lsq_linear
 from calcidem.analysis.measured import Target
 from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.kept_trials import KeptTrials
 from calcidem.app.studies.parameters import ParameterRange, check_ranges, start_value, with_values
 from calcidem.app.studies.posterior import draw_posterior, linear_model
-from calcidem.app.studies.trials import check_cells, trial_workers
+from calcidem.app.studies.trials import KeptTrials, check_cells, trial_workers
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 

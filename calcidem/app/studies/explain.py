@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
-from calcidem.app.studies.accuracy.findings import MeasuredErrors
+from calcidem.app.studies.accuracy.questions import MeasuredErrors
 from calcidem.app.studies.accuracy.reference import measure_and_time, relative_deviation
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED, with_wave
 from calcidem.app.studies.accuracy.study import ROUNDS
@@ -18,7 +18,7 @@ from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 
 @dataclass(frozen=True, slots=True)
-class Alternative:
+class _Alternative:
     """Feature that the kernel includes or omits, and the experiment that does the opposite."""
 
     what: str
@@ -39,7 +39,7 @@ class Explanation:
 
     content: float
     """Percent of the sand's mass."""
-    alternative: Alternative
+    alternative: _Alternative
     """Explained feature."""
     time_ratio: float | None
     """Processor time of the opposite over that of the campaign, median of interleaved rounds."""
@@ -80,69 +80,69 @@ def _with_errors(row: Explanation, measured: MeasuredErrors | None) -> Explanati
     return replace(row, error=own, other_error=other)
 
 
-def _alternatives_of(experiment: Experiment, content: float) -> list[Alternative]:
+def _alternatives_of(experiment: Experiment, content: float) -> list[_Alternative]:
     """Alternatives for the scenes of one content."""
     wave = experiment.wave
     stop, double, wall = experiment.early_stop, wave.precision == "float64", wave.transmitter == "wall"
     other = "float32" if double else "float64"
     settles = "the reading uses no data beyond its horizon, so further steps do not change it"
-    early = Alternative(
+    early = _Alternative(
         "steps after the pick", False, settles, replace(experiment, early_stop=not stop), f"early_stop {not stop}"
     )
     asked = f"the configuration sets {wave.precision}"
-    precision = Alternative(
+    precision = _Alternative(
         "double precision", double, asked, with_wave(experiment, precision=other), f"precision {other}"
     )
     cemented = content > 0.0
     why = "some contacts are cemented" if cemented else "no contact is cemented"
-    bonds = Alternative("bonds", cemented, why, None if cemented else with_wave(experiment, keep=("bonds",)))
+    bonds = _Alternative("bonds", cemented, why, None if cemented else with_wave(experiment, keep=("bonds",)))
     if wave.damping == 0.0:
-        damping = Alternative("local damping", needed=False, why="alpha of the sample is 0", opposite=None)
+        damping = _Alternative("local damping", needed=False, why="alpha of the sample is 0", opposite=None)
     else:  # it slows the front of a wave, see docs/accuracy.md
         why = f"alpha of the sample is {wave.damping:g}: without it Vs differs"
-        damping = Alternative("local damping", True, why, with_wave(experiment, damping=0.0), UNDAMPED)
+        damping = _Alternative("local damping", True, why, with_wave(experiment, damping=0.0), UNDAMPED)
     why = (
         "the configuration sets a wall with friction"
         if wall
         else "disks with prescribed motion neither slip nor rotate"
     )
     transmitter = with_wave(experiment, transmitter="driven" if wall else "wall")
-    driven = Alternative("driven disks", not wall, why, transmitter)
+    driven = _Alternative("driven disks", not wall, why, transmitter)
     return [*_displacements(experiment), _whole_domain(experiment), early, precision, bonds, damping, driven]
 
 
-def _displacements(experiment: Experiment) -> list[Alternative]:
+def _displacements(experiment: Experiment) -> list[_Alternative]:
     """Alternatives of displacements and contact laws."""
     regime, slip, turns = experiment.wave.regime, "slip, opening and Hertz stiffening", "new normals and overlaps"
     if regime != "linear":
         why = f'the configuration sets regime = "{regime}"'
         return [
-            Alternative(slip, needed=True, why=why, opposite=None),
-            Alternative(turns, needed=regime == "finite", why=why, opposite=None),
+            _Alternative(slip, needed=True, why=why, opposite=None),
+            _Alternative(turns, needed=regime == "finite", why=why, opposite=None),
         ]
     tiny = "the pulse moves the grains by much less than their overlaps"
     small, finite = (with_wave(experiment, regime=other) for other in ("small", "finite"))
     search = with_wave(finite, keep=("search",))
     return [
-        Alternative(slip, False, f"{tiny}, so contacts keep their stiffness", small, "regime small"),
-        Alternative(turns, False, f"{tiny} and radii", finite, "regime finite"),
-        Alternative("contact search", False, f"{tiny}, so no new contacts form", search),
+        _Alternative(slip, False, f"{tiny}, so contacts keep their stiffness", small, "regime small"),
+        _Alternative(turns, False, f"{tiny} and radii", finite, "regime finite"),
+        _Alternative("contact search", False, f"{tiny}, so no new contacts form", search),
     ]
 
 
-def _whole_domain(experiment: Experiment) -> Alternative:
+def _whole_domain(experiment: Experiment) -> _Alternative:
     """Alternative for disks deep in the damping layers or without a contact."""
     wave, packing = experiment.wave, experiment.packing
     share = 1.0 - len(domain_of(packing, wave, experiment.installation).packing.x) / len(packing.x)
     if share == 0.0:
         why = "the layers at floor and lid are thin or damp by less than 1, or the sample settles as a whole"
-        return Alternative("disks out of reach", needed=True, why=why, opposite=None)
+        return _Alternative("disks out of reach", needed=True, why=why, opposite=None)
     why = f"{share:.0%} of the disks lie deep in the damping layers or have no contacts: no signal reaches them"
-    return Alternative("disks out of reach", False, why, with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
+    return _Alternative("disks out of reach", False, why, with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
 
 
 def _measure_alternative(
-    experiment: Experiment, alternative: Alternative, content: float, seeds: Sequence[int], lanes: int
+    experiment: Experiment, alternative: _Alternative, content: float, seeds: Sequence[int], lanes: int
 ) -> Explanation:
     """Measure one alternative on one content."""
     if alternative.opposite is None:

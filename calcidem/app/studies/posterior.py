@@ -17,7 +17,7 @@ _SEED = 20_250_601
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posterior:
+class _Posterior:
     """Draws of the parameters, and their predictions."""
 
     points: Floats
@@ -57,7 +57,7 @@ def draw_posterior(
     fresh: Floats,
     limits: Floats,
     draws: int = 4000,
-) -> Posterior:
+) -> _Posterior:
     """Draw parameters by importance sampling with a linear model of the trials of a calibration.
 
     `ValueError` unless there are more trials than parameters and they do not lie in a hyperplane.
@@ -102,4 +102,4 @@ def draw_posterior(
     weights /= weights.sum()
     chosen = found[generator.choice(len(found), size=draws, p=weights)]
     noise = generator.standard_normal((draws, len(wanted))) * np.hypot(np.sqrt(missed), fresh)
-    return Posterior(chosen, line[0] + chosen @ slopes.T + noise, float(1.0 / np.sum(weights**2)))
+    return _Posterior(chosen, line[0] + chosen @ slopes.T + noise, float(1.0 / np.sum(weights**2)))

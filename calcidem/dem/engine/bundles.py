@@ -20,7 +20,7 @@ _HISTORY_NUMBERS = {"shear": 1, "root": 1, "bond_force": 3}
 
 
 @dataclass(frozen=True, slots=True)
-class Bundles:
+class _Bundles:
     """Assignment of pairs to bundles."""
 
     start: Integers
@@ -33,7 +33,7 @@ class Bundles:
     """Bundle and place of each spare place."""
 
 
-def plan_bundles(pairs: Pairs, block: int, count: int) -> Bundles:
+def plan_bundles(pairs: Pairs, block: int, count: int) -> _Bundles:
     """Assign the pairs of ``count`` disks to bundles, block by block."""
     border = np.append(np.arange(0, count, block), count)
     first_pair = pairs.start[border]
@@ -46,10 +46,10 @@ def plan_bundles(pairs: Pairs, block: int, count: int) -> Bundles:
     start = np.zeros(count + 1, dtype=np.int64)
     start[border] = first_bundle
     real = pair <= last
-    return Bundles(start, np.minimum(pair, last), np.flatnonzero(real), np.nonzero(~real))
+    return _Bundles(start, np.minimum(pair, last), np.flatnonzero(real), np.nonzero(~real))
 
 
-def bundle(system: System, bundles: Bundles, features: Features) -> System:
+def bundle(system: System, bundles: _Bundles, features: Features) -> System:
     """Arrays of one sample as bundles and records; all other arrays are shared with the system."""
     grains, motion, watch = system.grains, system.motion, system.watch
     return system._replace(
@@ -60,7 +60,7 @@ def bundle(system: System, bundles: Bundles, features: Features) -> System:
     )
 
 
-def unbundle(bundled: System, bundles: Bundles, system: System, features: Features) -> None:
+def unbundle(bundled: System, bundles: _Bundles, system: System, features: Features) -> None:
     """Copy the kernel's changes in bundles and records back to the system, in place."""
     moving = slice(X, ROTATION + 1) if features.rotation else XY
     for records, array in zip(bundled.motion, system.motion, strict=True):
@@ -118,7 +118,7 @@ def _stiffnesses(features: Features) -> list[str]:
     return [name for name, used in uses.items() if used]
 
 
-def _bundle_pairs(pairs: Pairs, bundles: Bundles, radius: Floats, features: Features) -> Pairs:
+def _bundle_pairs(pairs: Pairs, bundles: _Bundles, radius: Floats, features: Features) -> Pairs:
     """Pairs in bundles: (B, 8) for (M,) and (B, K, 8) for (M, K); disks become the first row of their records.
 
     Arrays that the kernel does not need stay unchanged, because bundling costs as much as several steps.

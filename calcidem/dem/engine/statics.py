@@ -19,7 +19,7 @@ _GROUND = 1e-9
 """Stiffness that ties each disk to the mean strain, over the median contact stiffness; it holds loose disks."""
 
 
-class ShearedPart(NamedTuple):
+class _ShearedPart(NamedTuple):
     """Part of a sheared sample."""
 
     modulus: float
@@ -83,10 +83,10 @@ class ShearedTriangles(NamedTuple):
     stress: Floats
     """(K,) shear strain and shear stress, times area."""
 
-    def among(self, chosen: Flags) -> ShearedPart:
+    def among(self, chosen: Flags) -> _ShearedPart:
         """Part formed by the chosen triangles (K,), at least one."""
         area, strain, stress = (float(values[chosen].sum()) for values in (self.area, self.strain, self.stress))
-        return ShearedPart(stress / strain, float(self.solid[chosen].sum()) / area)
+        return _ShearedPart(stress / strain, float(self.solid[chosen].sum()) / area)
 
 
 def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTriangles:
@@ -121,7 +121,7 @@ def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTri
     )
 
 
-def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: int = 0) -> list[ShearedPart]:
+def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: int = 0) -> list[_ShearedPart]:
     """Shear modulus and density of parts of a sheared sample.
 
     A part consists of the triangles (`sheared_triangles`) with all corners in it. `ValueError` if a part has no

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from calcidem.dem.engine.assembly import Assembly, lanes_of_bits, pair_overlaps, wall_pair_overlaps
-from calcidem.dem.engine.energy import stored_energy
 from calcidem.dem.engine.leapfrog import State, StepControl, change_step, look_ahead
 from calcidem.dem.engine.portable import length, root
+from calcidem.dem.engine.readout import stored_energy
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.engine.stability import critical_time_step_of_disks, squared_frequencies
 from calcidem.dem.kernels.features import Features

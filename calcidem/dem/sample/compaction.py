@@ -31,13 +31,13 @@ _HIGHEST = 0.35  # squared frequency with scaled over unscaled densities; if low
 _TOO_LONG = 1.2  # step over its bound, which is a fifth below the limit
 _SHORTER = 0.8  # reduced step over the one that was too long
 _MOST_SHORTENED = 21  # successive reductions, down to a hundredth
-_OWN_MASSES = 100.0  # unbalanced-force ratio over the one at rest, below which masses are unscaled, see `Manner`
+_OWN_MASSES = 100.0  # unbalanced-force ratio over the one at rest, below which masses are unscaled, see `_Manner`
 _SERVO_GAIN = 0.9  # servo gain of the lid
 _STRESS_TOLERANCE = 1e-3  # relative deviation of the lid's stress; ten times finer than promised
 
 
 @dataclass(frozen=True, slots=True)
-class Manner:
+class _Manner:
     """Settings for bringing disks to rest."""
 
     steps: int = 400
@@ -60,11 +60,11 @@ class Manner:
     """
 
 
-_HALTED = Manner(steps=100, fraction=0.9, skin=1.0, apart=1e-2, halted=True, scaled=True)
-_FLYING = Manner(steps=200, fraction=0.9, skin=1.0, apart=1e-3)
+_HALTED = _Manner(steps=100, fraction=0.9, skin=1.0, apart=1e-2, halted=True, scaled=True)
+_FLYING = _Manner(steps=200, fraction=0.9, skin=1.0, apart=1e-3)
 _CRUSHED = replace(_FLYING, steps=400, skin=0.7)
-_PRESSED = Manner(scaled=True)
-OWN_DISKS = Manner(fraction=0.8, skin=SKIN, steps_per_contact=4.0)
+_PRESSED = _Manner(scaled=True)
+OWN_DISKS = _Manner(fraction=0.8, skin=SKIN, steps_per_contact=4.0)
 """For imported disks, which may barely touch."""
 
 
@@ -197,7 +197,7 @@ def relax(
     rule: PackingRule,
     cost: Cost,
     check: Callable[[], None],
-    manner: Manner = _PRESSED,
+    manner: _Manner = _PRESSED,
 ) -> State:
     """Bring a scene to rest; `PackingError` if it does not come to rest or blows up."""
     state = start(
@@ -238,7 +238,7 @@ def relax(
             return state
 
 
-def _advance_to_look(state: State, manner: Manner, unrest: float, limit: Floats | None) -> tuple[State, Floats | None]:
+def _advance_to_look(state: State, manner: _Manner, unrest: float, limit: Floats | None) -> tuple[State, Floats | None]:
     """State at the next check, with a step within the limit of its overlaps, and the limit there if known.
 
     If meanwhile overlaps have made the step too long, or disks have left the box, the steps are repeated with a shorter

@@ -27,7 +27,7 @@ _LOOSEST = 0.3  # porosity above which packings hardly carry load
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class _Fault:
     """Fault of a packing."""
 
     key: str
@@ -57,7 +57,7 @@ def expected_overlap(stress: float, diameter: float, sand: Sand) -> float:
     return float(2.0 / diameter * (stress * diameter / coefficient) ** (2.0 / 3.0))
 
 
-def judge_stress(stress: float, diameter: float, sand: Sand) -> Fault | None:
+def judge_stress(stress: float, diameter: float, sand: Sand) -> _Fault | None:
     """Return a fault if the stress would crush a planned packing.
 
     Parameters
@@ -77,10 +77,10 @@ def judge_stress(stress: float, diameter: float, sand: Sand) -> Fault | None:
         f"stress = {stress:g}: presses disks of {diameter:.3g} m by {expected:.0%} of a radius into one another on "
         f"average, too much for sand.shear_modulus = {sand.shear_modulus:g}; {cure}"
     )
-    return Fault("stress", text, refused=True)
+    return _Fault("stress", text, refused=True)
 
 
-def judge_disks(packing: Packing, sand: Sand) -> tuple[Fault, ...]:
+def judge_disks(packing: Packing, sand: Sand) -> tuple[_Fault, ...]:
     """Return the faults of a packing at rest, the worst first.
 
     Parameters
@@ -98,18 +98,18 @@ def judge_disks(packing: Packing, sand: Sand) -> tuple[Fault, ...]:
         cause = f"stress of {stress:.3g} Pa on a wall, too high for sand.shear_modulus = {sand.shear_modulus:g}"
         limit = f"Hertz's law holds up to {LARGEST_OVERLAP:.0%}"
         text = f"stress: the largest overlap is {deepest:.1%} of a radius, {limit} ({cause}); "
-        found.append(Fault("stress", text + _softer(deepest, lid, sand), refused=deepest > LARGEST_OVERLAP))
+        found.append(_Fault("stress", text + _softer(deepest, lid, sand), refused=deepest > LARGEST_OVERLAP))
     found += judge_porosity(report.porosity, packing.radius)
     contacts = report.coordination_number_without_rattlers
     if contacts >= _PLANAR or contacts < _ISOSTATIC:
         bound = "disks always have fewer than 6" if contacts >= _PLANAR else "3 are needed to resist shear"
         text = f"porosity: each disk has {contacts:.2f} contacts without rattlers; {bound}; "
         cure = "lower the stress" if contacts >= _PLANAR else "lower packing.porosity or packing.friction_preparation"
-        found.append(Fault("porosity", text + cure, refused=contacts >= _PLANAR))
+        found.append(_Fault("porosity", text + cure, refused=contacts >= _PLANAR))
     return tuple(sorted(found, key=lambda fault: not fault.refused))
 
 
-def judge_porosity(porosity: float, radius: Floats) -> tuple[Fault, ...]:
+def judge_porosity(porosity: float, radius: Floats) -> tuple[_Fault, ...]:
     """Return the faults of a porosity for disks of these radii (N,)."""
     densest = 1.0 - _densest_cover(float(radius.min() / radius.max()))
     if porosity < densest:
@@ -117,10 +117,10 @@ def judge_porosity(porosity: float, radius: Floats) -> tuple[Fault, ...]:
             f"porosity: {porosity:.3f} is below {densest:.3f}, the least of disks of these sizes that do not overlap; "
             "lower the stress, raise sand.shear_modulus, or check the sizes"
         )
-        return (Fault("porosity", text, refused=True),)
+        return (_Fault("porosity", text, refused=True),)
     if porosity > _LOOSEST:
         text = f"porosity: {porosity:.3f} is above {_LOOSEST:g}; loose disks hardly carry load; lower packing.porosity"
-        return (Fault("porosity", text, refused=False),)
+        return (_Fault("porosity", text, refused=False),)
     return ()
 
 

@@ -12,7 +12,7 @@ from calcidem.dem.wave.recorder import WaveRecord
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WaveFilm:
+class _WaveFilm:
     """Motion of the computed disks in a wave."""
 
     x: Floats
@@ -36,7 +36,7 @@ def film_wave(
     samples: int | None = None,
     lanes: int = 8,
     watch: Callable[[int, int], None] = lambda _done, _all: None,
-) -> WaveFilm:
+) -> _WaveFilm:
     """Transmit a pulse through one sample, and record its disks at equal intervals.
 
     Parameters
@@ -62,4 +62,4 @@ def film_wave(
         watch(len(times), -(-samples // stride))
     scene = recorder.state.scene
     record = recorder.record_of(0, "")
-    return WaveFilm(scene.x, scene.y, scene.radius, np.array(times), np.array(velocity), record)
+    return _WaveFilm(scene.x, scene.y, scene.radius, np.array(times), np.array(velocity), record)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.analysis.features import FEATURES
+from calcidem.analysis.packing_graph import FEATURES
 from calcidem.app.campaign import opened
 from calcidem.app.campaign.opened import Campaign
 from calcidem.app.campaign.prediction import check_predictions

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calcidem.analysis.features import FEATURES
+from calcidem.analysis.packing_graph import FEATURES
 from calcidem.app.campaign.opened import Campaign
 from calcidem.app.cli.query import _as_rows, find
 from calcidem.storage.errors import QueryError

@@ -22,7 +22,7 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import _velocity_remarks
 from calcidem.app.studies.accuracy.command import plan_task
-from calcidem.app.studies.explain import Alternative, Explanation
+from calcidem.app.studies.explain import Explanation, _Alternative
 from calcidem.app.studies.verify import Agreement, _compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
@@ -272,7 +272,7 @@ def test_explain_judges_the_packing_of_the_database(
     def note(experiment: Experiment, contents: list[float], *_: object, **_named: object) -> list[Explanation]:
         judged.append(experiment)
         return [
-            Explanation(content, Alternative("double precision", False, "", None), None, None) for content in contents
+            Explanation(content, _Alternative("double precision", False, "", None), None, None) for content in contents
         ]
 
     monkeypatch.setattr("calcidem.app.studies.explain.explain", note)

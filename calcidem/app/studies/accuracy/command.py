@@ -9,8 +9,14 @@ from calcidem.analysis.figures.style import save
 from calcidem.app.campaign.opened import open_campaign_of
 from calcidem.app.campaign.packing import new_packing, provide_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.accuracy.findings import Findings, findings_json
-from calcidem.app.studies.accuracy.questions import SCATTER_SEEDS, amplitude_rows, equilibrium_rows, scatter_rows
+from calcidem.app.studies.accuracy.questions import (
+    SCATTER_SEEDS,
+    Findings,
+    amplitude_rows,
+    equilibrium_rows,
+    findings_json,
+    scatter_rows,
+)
 from calcidem.app.studies.accuracy.reference import Convergence, measure_cells, measure_convergence
 from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
@@ -24,7 +30,7 @@ _CONVERGENCE_CASES: tuple[tuple[bool, Regime], ...] = ((True, "linear"), (False,
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Task:
+class _Task:
     """Measurements to make."""
 
     configuration: Configuration
@@ -43,7 +49,7 @@ def plan_task(
     seeds: int,
     database: str | os.PathLike[str] | None,
     progress: Callable[[str], None],
-) -> Task:
+) -> _Task:
     """Plan to measure the given contents, by default all of the campaign, with its first seeds.
 
     A database supplies the campaign's packing, and its velocities for the scatter of samples.
@@ -59,11 +65,11 @@ def plan_task(
         known = [value for value in contents if value in vs.content.to_numpy()]
         velocities = {value: vs.sel(content=value).dropna("seed").to_numpy().tolist() for value in known}
     chosen = configuration.campaign.seed_numbers[:seeds]
-    return Task(configuration, configuration.experiment(packing), contents, chosen, velocities)
+    return _Task(configuration, configuration.experiment(packing), contents, chosen, velocities)
 
 
 def accuracy(
-    task: Task,
+    task: _Task,
     *,
     only: Sequence[str] = (),
     out: Path | None = None,
@@ -98,7 +104,7 @@ def choose_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting
     return [known[DEFAULT], *(known[name] for name in only if name != DEFAULT)]
 
 
-def _answer_questions(task: Task, findings: Findings, progress: Callable[[str], None]) -> Findings:
+def _answer_questions(task: _Task, findings: Findings, progress: Callable[[str], None]) -> Findings:
     """Add the results that have their own reference."""
     configuration, experiment, contents, seeds = task.configuration, task.experiment, task.contents, task.seeds
     lanes, all_seeds = configuration.run.lanes, configuration.campaign.seed_numbers
@@ -125,7 +131,7 @@ def _answer_questions(task: Task, findings: Findings, progress: Callable[[str], 
     )
 
 
-def _orders(task: Task, study: Study, progress: Callable[[str], None]) -> tuple[Convergence, ...]:
+def _orders(task: _Task, study: Study, progress: Callable[[str], None]) -> tuple[Convergence, ...]:
     """Order of convergence at each content with a velocity of the reference."""
     orders, own = [], task.experiment.wave.regime
     for content in dict.fromkeys(cell.content for cell in study.references if cell.vs is not None):

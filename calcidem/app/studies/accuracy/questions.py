@@ -5,14 +5,17 @@ regime at the same step and samples. The reference of a packing is the same pack
 error of a mean is compared with its statistical error.
 """
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from calcidem.analysis.distribution import describe
-from calcidem.app.studies.accuracy.reference import CellError, measure_cells, relative_deviation
+from calcidem.app.studies.accuracy.reference import CellError, Convergence, measure_cells, relative_deviation
 from calcidem.app.studies.accuracy.settings import DEFAULT, with_wave
+from calcidem.app.studies.accuracy.study import Study
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Preload, Regime
 from calcidem.dem.sample.packing import Packing
@@ -28,7 +31,7 @@ _CellsFound = dict[tuple[int, float], Measurement]
 
 
 @dataclass(frozen=True, slots=True)
-class AmplitudeRow:
+class _AmplitudeRow:
     """One regime at one amplitude, over all cells."""
 
     amplitude: float
@@ -49,7 +52,7 @@ class AmplitudeRow:
 
 
 @dataclass(frozen=True, slots=True)
-class EquilibriumRow:
+class _EquilibriumRow:
     """Packing with one unbalanced-force ratio, over all cells."""
 
     unbalanced_force_ratio: float
@@ -64,7 +67,7 @@ class EquilibriumRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Scatter:
+class _Scatter:
     """Scatter and errors at one content."""
 
     content: float
@@ -101,7 +104,7 @@ def amplitude_rows(
     regimes: Sequence[Regime] = ("linear", "small"),
     lanes: int = 8,
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[AmplitudeRow, ...]:
+) -> tuple[_AmplitudeRow, ...]:
     """Measure regimes at several amplitudes against the finite regime."""
 
     def measured(regime: Regime, amplitude: float) -> tuple[_CellsFound, str]:
@@ -128,7 +131,7 @@ def amplitude_rows(
             errors = _errors(found, exact)
             lost = sum(cell.vs is not None for cell in exact.values()) - len(errors)
             median = float(np.median(errors)) if errors else None
-            rows.append(AmplitudeRow(amplitude, regime, len(errors), lost, median, max(errors, default=None), refusal))
+            rows.append(_AmplitudeRow(amplitude, regime, len(errors), lost, median, max(errors, default=None), refusal))
     return tuple(rows)
 
 
@@ -141,7 +144,7 @@ def equilibrium_rows(
     *,
     lanes: int = 8,
     progress: Callable[[str], None] = lambda _: None,
-) -> tuple[EquilibriumRow, ...]:
+) -> tuple[_EquilibriumRow, ...]:
     """Measure Vs in packings of several unbalanced-force ratios, with the cement at the same contacts.
 
     ``packing_of`` makes the experiment's packing for a ratio.
@@ -162,7 +165,7 @@ def equilibrium_rows(
         errors = _errors(found[ratio], found[min(ratios)])
         changed = set(_keys_of(packing)) ^ set(_keys_of(best))
         rows.append(
-            EquilibriumRow(ratio, len(changed), len(errors), float(np.median(errors)), max(errors, default=np.inf))
+            _EquilibriumRow(ratio, len(changed), len(errors), float(np.median(errors)), max(errors, default=np.inf))
         )
     return tuple(rows)
 
@@ -185,7 +188,7 @@ def _keys_of(packing: Packing) -> list[int]:
 
 def scatter_rows(
     cells: Iterable[CellError], velocities: Mapping[float, Sequence[float]], seeds: int
-) -> tuple[Scatter, ...]:
+) -> tuple[_Scatter, ...]:
     """Compare the errors of a study's default setting with the scatter of the samples.
 
     ``velocities`` has samples of Vs at each content, m/s; ``seeds`` is the number of seeds of the campaign's mean.
@@ -203,7 +206,7 @@ def scatter_rows(
         deviation = spread.standard_deviation / spread.mean
         sizes = np.abs(found)
         rows.append(
-            Scatter(
+            _Scatter(
                 content=content,
                 samples=len(samples),
                 deviation=deviation,
@@ -215,3 +218,76 @@ def scatter_rows(
             )
         )
     return tuple(rows)
+
+
+_PACKAGED = Path(__file__).with_name("measured.json")
+"""Excerpt of the results for ``examples/paper-small-pulse.toml``, see benchmarks/accuracy/publish.py."""
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """Results of one run of the command."""
+
+    campaign_hash: str
+    """Identity of the campaign's physics."""
+    packing_hash: str
+    """`Packing.content_hash` of the packing."""
+    study: Study
+    """Errors of the settings."""
+    convergence: tuple[Convergence, ...] = ()
+    amplitudes: tuple[_AmplitudeRow, ...] = ()
+    equilibrium: tuple[_EquilibriumRow, ...] = ()
+    scatter: tuple[_Scatter, ...] = ()
+    """Rows of the other tables, empty if not measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredErrors:
+    """Largest relative errors of Vs against a converged reference."""
+
+    source: Path
+    """Source file."""
+    worst: dict[tuple[str, float], float]
+    """Largest error by name of the setting and content in percent."""
+
+
+def findings_json(findings: Findings) -> str:
+    """Results as JSON: numbers to five digits, null for values that are not finite."""
+
+    def rounded(value: object) -> object:
+        if isinstance(value, dict):
+            return {f"{key:g}" if isinstance(key, float) else str(key): rounded(item) for key, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [rounded(item) for item in value]
+        if isinstance(value, float):
+            return float(f"{value:.5g}") if np.isfinite(value) else None
+        return value
+
+    return json.dumps(rounded(asdict(findings)), separators=(",", ":"))
+
+
+def measured_errors(campaign_hash: str, packing_hash: str, path: Path | None = None) -> MeasuredErrors | None:
+    """Errors measured for a campaign's physics and packing (`Packing.content_hash`).
+
+    They are read from a JSON of `calcidem accuracy`, by default the packaged one if it matches both. `ValueError` if
+    the given file is not such a JSON, or has another campaign or packing.
+    """
+    source = path or _PACKAGED
+    try:
+        found = json.loads(source.read_text())
+        hashes = found["campaign_hash"], found["packing_hash"]
+        worst: dict[tuple[str, float], float] = {}
+        for cell in found["study"]["cells"]:
+            if cell["vs_error"] is not None:
+                key = (cell["setting"], cell["content"])
+                worst[key] = max(abs(cell["vs_error"]), worst.get(key, 0.0))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"accuracy = {source}: give the accuracy.json of 'calcidem accuracy --out DIR'") from error
+    if hashes != (campaign_hash, packing_hash):
+        if path is None:
+            return None
+        other = (
+            "campaign" if hashes[0] != campaign_hash else f"packing, {str(hashes[1])[:12]} and not {packing_hash[:12]}"
+        )
+        raise ValueError(f"accuracy = {source}: it is about another {other}; measure this one with 'calcidem accuracy'")
+    return MeasuredErrors(source, worst)

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from calcidem.analysis.figures.style import BLACK, BLUE, GREY, VERMILION, apply_style, new_figure
-from calcidem.app.studies.accuracy.findings import Findings
+from calcidem.app.studies.accuracy.questions import Findings
 from calcidem.app.studies.accuracy.reference import CONVERGENCE_STEPS, HALVING, CellError
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED
 from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, covered_share, pareto

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from calcidem.analysis.sobol import OUTPUTS, campaign_outputs, sobol_indices, sobol_points
+from calcidem.analysis.sensitivity import OUTPUTS, campaign_outputs, sobol_indices, sobol_points
 from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.parameters import ParameterRange, check_ranges, with_values
@@ -146,7 +146,7 @@ def stored_points(plan: SobolPlan, file: Path) -> xr.Dataset:
 
 
 def indices_of_points(plan: SobolPlan, points: xr.Dataset) -> xr.Dataset:
-    """Sobol indices along (output, content, parameter), see `calcidem.analysis.sobol.sobol_indices`.
+    """Sobol indices along (output, content, parameter), see `calcidem.analysis.sensitivity.sobol_indices`.
 
     ``lowest`` and ``highest`` are the extreme outputs over the points, along (output, content).
     """

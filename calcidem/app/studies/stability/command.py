@@ -1,4 +1,4 @@
-"""Command `calcidem stability`: maps of extreme scenes, random scenes, limits, long runs, detection.
+"""Command `calcidem stability`: runs and judges extreme scenes, along each quantity, in small packings and at random.
 
 The results are Markdown tables and a figure of the verdicts.
 """
@@ -6,7 +6,8 @@ The results are Markdown tables and a figure of the verdicts.
 import json
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +15,150 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from calcidem.analysis.figures.style import BLUE, GREY, ORANGE, VERMILION, apply_style, letter_panels, new_figure, save
-from calcidem.app.studies.stability.endurance import Endurance, endurance
-from calcidem.app.studies.stability.limits import Detection, Limits, detections, limits
-from calcidem.app.studies.stability.own_scenes import draw_own_scenes
-from calcidem.app.studies.stability.scenes import BOXES, QUANTITIES, REGIMES, Extreme, Packed, draw_scenes
-from calcidem.app.studies.stability.verdict import (
-    Judgement,
-    StabilityVerdict,
-    judge_own_scene,
-    judge_scene,
-    packing_map,
-    walks,
+from calcidem.app.studies.accuracy.reference import signal_distance
+from calcidem.app.studies.stability.limits import Detection, Endurance, Limits, detections, endurance, limits
+from calcidem.app.studies.stability.own_scenes import OWN_TOLERANCE, OwnScene, draw_own_scenes, error_of_run
+from calcidem.app.studies.stability.scenes import (
+    BOXES,
+    CONTENTS,
+    FRICTIONS,
+    QUANTITIES,
+    REGIMES,
+    STRESSES,
+    Extreme,
+    Packed,
+    content_of,
+    draw_scenes,
+    experiment_of_packing,
+    experiment_of_scene,
+    small_packing,
 )
 from calcidem.app.studies.tables import markdown_table, number
+from calcidem.dem.engine.scene import Regime
+from calcidem.dem.engine.step_control import UnstableRunError
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement, Outcome, measure
 from calcidem.storage.files import write_text_atomically
+
+_TOLERANCE = 0.05  # relative error of Vs above which a velocity is wrong, unless the cell states a larger error
+_FINER = 4  # factor of the smaller step and denser samples in the deciding run
+_ALIKE = 0.1
+"""Distance of two signals (`signal_distance`) below which a pick in only one of them is a borderline case."""
+
+
+class StabilityVerdict(StrEnum):
+    """Verdict on a scene."""
+
+    STABLE = "stable"
+    REFUSED = "refused beforehand"
+    DETECTED = "detected during the run"
+    WRONG = "silently wrong"
+
+
+@dataclass(frozen=True, slots=True)
+class _Judgement:
+    """Judgement of one scene."""
+
+    scene: Extreme | Packed | OwnScene
+    verdict: StabilityVerdict
+    reason: str = ""
+    """Reason in words."""
+    vs: float | None = None
+    """Velocity, m/s; None if there is none."""
+    error: float | None = None
+    """True relative error, or that of `own_scenes.error_of_run`; None if unknown."""
+
+
+def _judge_scene(scene: Extreme) -> _Judgement:
+    """Run a scene as a user would; if it gives a velocity, repeat it longer with a much smaller step."""
+
+    def make() -> tuple[Experiment, float]:
+        experiment = experiment_of_scene(scene)
+        return experiment, content_of(scene, experiment)
+
+    return _judge_experiment(scene, make)
+
+
+def _judge_packing(scene: Packed, experiment: Experiment) -> _Judgement:
+    """Judge a real packing; the deciding run is in the finite regime, which neglects nothing."""
+    return _judge_experiment(scene, lambda: (experiment, scene.content), regime="finite")
+
+
+def _judge_own_scene(scene: OwnScene) -> _Judgement:
+    """Run a user-defined scene and compare its error with the tolerance."""
+    try:
+        error = error_of_run(scene)
+    except ValueError as refusal:
+        return _Judgement(scene, StabilityVerdict.REFUSED, str(refusal))
+    except UnstableRunError as end:
+        return _Judgement(scene, StabilityVerdict.DETECTED, str(end))
+    right = error <= OWN_TOLERANCE
+    return _Judgement(scene, StabilityVerdict.STABLE if right else StabilityVerdict.WRONG, error=error)
+
+
+def _judge_experiment(
+    scene: Extreme | Packed, make: Callable[[], tuple[Experiment, float]], regime: Regime | None = None
+) -> _Judgement:
+    """Run the experiment and content (percent) of ``make``; ``regime`` overrides that of the finer run."""
+
+    def measured(experiment: Experiment) -> Measurement:
+        return measure(experiment, content, [scene.seed], lanes=1)[0]
+
+    try:
+        experiment, content = make()
+        found = measured(experiment)
+    except ValueError as error:
+        return _Judgement(scene, StabilityVerdict.REFUSED, str(error))
+    if found.result.outcome != Outcome.DONE or found.vs is None:
+        return _Judgement(scene, StabilityVerdict.DETECTED, found.result.reason)
+    finer = replace(
+        experiment.wave,
+        step_fraction=experiment.wave.step_fraction / _FINER,
+        samples_per_period=experiment.wave.samples_per_period * _FINER,
+        slowest=experiment.wave.slowest / 2.0,
+        regime=regime or scene.regime,
+    )
+    try:
+        exact = measured(replace(experiment, wave=finer))
+    except ValueError as error:  # the packing creeps too much for the deciding regime
+        return _Judgement(scene, StabilityVerdict.REFUSED, f"without a reference: {error}")
+    if exact.vs is None:
+        distance = signal_distance(found.record, exact.record)
+        reason, error_of_vs = f"{exact.result.reason} with a smaller step, signals {distance:.2g} apart", None
+        right = distance < _ALIKE
+    else:
+        reason, error_of_vs = found.record.retry, found.vs / exact.vs - 1.0
+        # The bound covers the neglect of a regime; 5 % cover the effect of a step on a reading.
+        tolerance = 0.0 if experiment.wave.regime == "linear" and isinstance(scene, Packed) else _TOLERANCE
+        right = abs(error_of_vs) <= max(tolerance, found.result.error.bound if found.result.error else 0.0)
+    verdict = StabilityVerdict.STABLE if right else StabilityVerdict.WRONG
+    return _Judgement(scene, verdict, reason, found.vs, error_of_vs)
+
+
+def _walks(progress: Callable[[str], None] = lambda _: None) -> dict[str, tuple[_Judgement, ...]]:
+    """Judge scenes along each quantity, in all regimes."""
+    found = {}
+    for name, quantity in QUANTITIES.items():
+        progress(name)
+        changes: list[dict[str, Any]] = [{name: value, "regime": each} for value in quantity.walk for each in REGIMES]
+        scenes = [replace(quantity.base, **changed) for changed in changes]
+        found[name] = tuple(_judge_scene(scene) for scene in scenes)
+    return found
+
+
+def _packing_map(
+    stresses: Iterable[float] = STRESSES, progress: Callable[[str], None] = lambda _: None
+) -> tuple[_Judgement, ...]:
+    """Judge samples of small packings from nearly unjammed to well compressed, bare and cemented, in all regimes."""
+    found = []
+    for stress in stresses:
+        for friction in FRICTIONS:
+            progress(f"packing under {stress:g} Pa, friction {friction:g}")
+            packing = small_packing(stress, friction)
+            scenes = [Packed(stress, friction, content, regime) for content in CONTENTS for regime in REGIMES]
+            found += [_judge_packing(scene, experiment_of_packing(packing, scene)) for scene in scenes]
+    return tuple(found)
+
 
 _COLOURS = {
     StabilityVerdict.STABLE: BLUE,
@@ -45,9 +176,9 @@ _PROGRESS = 64  # drawn scenes between two messages
 class _Maps:
     """Results of the maps."""
 
-    walks: dict[str, tuple[Judgement, ...]]
+    walks: dict[str, tuple[_Judgement, ...]]
     """Verdicts along each quantity, by its name."""
-    packings: tuple[Judgement, ...]
+    packings: tuple[_Judgement, ...]
     """Verdicts on small packings."""
     limits: dict[float, tuple[Limits, ...]]
     """Time-step limits by stiffness contrast, for bare, partly and fully bonded scenes."""
@@ -99,14 +230,14 @@ def _tables(found: _Maps) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _verdict_table(title: str, found: Mapping[str, Iterable[Judgement]]) -> str:
+def _verdict_table(title: str, found: Mapping[str, Iterable[_Judgement]]) -> str:
     """Return the number of scenes of each verdict in every row."""
     counts = {name: Counter(judgement.verdict for judgement in row) for name, row in found.items()}
     rows = [(name, *(f"{count[verdict]}" for verdict in StabilityVerdict)) for name, count in counts.items()]
     return markdown_table((title, *StabilityVerdict), rows)
 
 
-def random_scene_tables(found: Mapping[str, Sequence[Judgement]]) -> str:
+def random_scene_tables(found: Mapping[str, Sequence[_Judgement]]) -> str:
     """Return the verdicts of each box or kind, the errors, and every scene that was wrong."""
     known = {
         box: [abs(judgement.error) for judgement in row if judgement.error is not None] for box, row in found.items()
@@ -120,7 +251,7 @@ def random_scene_tables(found: Mapping[str, Sequence[Judgement]]) -> str:
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
-def _small_packing_table(found: Sequence[Judgement]) -> str:
+def _small_packing_table(found: Sequence[_Judgement]) -> str:
     """Return the verdict of each small packing in each regime."""
     rows: dict[tuple[float, float, float], dict[str, str]] = {}
     for judgement in found:
@@ -134,7 +265,7 @@ def _small_packing_table(found: Sequence[Judgement]) -> str:
     )
 
 
-def _describe_judgement(judgement: Judgement) -> str:
+def _describe_judgement(judgement: _Judgement) -> str:
     """Return the velocity and its error, or the verdict and the start of its reason."""
     if judgement.verdict == StabilityVerdict.STABLE and judgement.vs is not None:
         return f"{judgement.vs:.3g} m/s" + (f" ({judgement.error:+.1e})" if judgement.error is not None else "")
@@ -144,7 +275,7 @@ def _describe_judgement(judgement: Judgement) -> str:
 
 
 @apply_style
-def _draw_maps(found: Mapping[str, Sequence[Judgement]]) -> "Figure":
+def _draw_maps(found: Mapping[str, Sequence[_Judgement]]) -> "Figure":
     """Draw one row of marks for each regime along each quantity."""
     rows = -(-len(found) // _PANELS_ACROSS)
     figure = new_figure(1.6 * rows)
@@ -176,8 +307,8 @@ def stability(
     ``out`` receives ``stability.png``, ``.md`` and ``.json``.
     """
     found = _Maps(
-        walks=walks(progress),
-        packings=packing_map(progress=progress),
+        walks=_walks(progress),
+        packings=_packing_map(progress=progress),
         limits={
             contrast: tuple(limits(Extreme(contrast=contrast, content=content)) for content in _FILLINGS)
             for contrast in _CONTRASTS
@@ -198,18 +329,18 @@ def random_scenes(
     draw: int,
     *,
     progress: Callable[[str], None] = lambda _: None,
-) -> dict[str, list[Judgement]]:
+) -> dict[str, list[_Judgement]]:
     """Judge ``count`` scenes drawn at random from each of the `BOXES`, and as many own scenes of all kinds.
 
     ``draw`` is the seed of the draw. The verdicts are by box or kind, for `random_scene_tables`.
     """
-    found: dict[str, list[Judgement]] = {}
+    found: dict[str, list[_Judgement]] = {}
     for box in BOXES:
         found[box] = []
         for scene in draw_scenes(count, draw, box):
-            found[box].append(judge_scene(scene))
+            found[box].append(_judge_scene(scene))
             if len(found[box]) % _PROGRESS == 0:
                 progress(f"{box}: {len(found[box])} of {count}")
     for own in draw_own_scenes(count, draw):
-        found.setdefault(own.kind, []).append(judge_own_scene(own))
+        found.setdefault(own.kind, []).append(_judge_own_scene(own))
     return found

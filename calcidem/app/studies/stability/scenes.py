@@ -30,7 +30,7 @@ _SMALLEST_RATIO = 2.5  # radius ratio above which the small disk fits into the p
 _SMALL_DISKS = 0.2  # share of pores with a small disk
 REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
 BOXES = ("extreme", "plausible")
-"""Ranges for drawing scenes, see `SceneQuantity`."""
+"""Ranges for drawing scenes, see `_SceneQuantity`."""
 _PICK = PickRule(largest_error=1.0)
 """The boxes are short compared with the wavelength; only the dependence of the reading on the step is judged."""
 _FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
@@ -78,7 +78,7 @@ class Extreme:
 
 
 @dataclass(frozen=True, slots=True)
-class SceneQuantity:
+class _SceneQuantity:
     """Properties of a field of `Extreme` for the maps."""
 
     label: str
@@ -96,40 +96,40 @@ class SceneQuantity:
 
 
 QUANTITIES = {
-    "step_fraction": SceneQuantity(
+    "step_fraction": _SceneQuantity(
         "time step / its predicted limit", (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2), (0.5, 1.1), (0.5, 1.0)
     ),
-    "contrast": SceneQuantity(
+    "contrast": _SceneQuantity(
         "stiffness of bonds / of contacts", (1.0, 10.0, 1e2, 1e3, 1e4, 1e5, 1e6), (0.0, 6.0), (0.0, 4.5), powers=True
     ),
-    "damping": SceneQuantity("local damping factor", (0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.9, 1.0), (0.0, 1.0), (0.0, 0.5)),
-    "amplitude": SceneQuantity(
+    "damping": _SceneQuantity("local damping factor", (0.0, 0.1, 0.3, 0.5, 0.6, 0.7, 0.9, 1.0), (0.0, 1.0), (0.0, 0.5)),
+    "amplitude": _SceneQuantity(
         "velocity of the pulse $v_0$ (m/s)",
         (1e-9, 1e-7, 1e-5, 1e-3, 1e-1, 1.0, 10.0),
         (-9.0, 1.0),
         (-7.5, -4.5),
         powers=True,
     ),
-    "frequency": SceneQuantity(
+    "frequency": _SceneQuantity(
         "frequency / cut-off of the contacts",
         (0.03, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0),
         (-1.0, 0.0),
         (-0.75, -0.2),
         powers=True,
     ),
-    "size_ratio": SceneQuantity(
+    "size_ratio": _SceneQuantity(
         "largest / smallest radius", (1.0, 3.0, 5.0, 10.0, 20.0), (-0.5, 1.3), (-0.5, 0.5), powers=True
     ),
-    "content": SceneQuantity(
+    "content": _SceneQuantity(
         "share of the capacity for cement", (0.0, 0.1, 0.3, 0.6, 0.9, 1.0), (0.0, 1.0), (0.0, 0.5)
     ),
-    "confinement": SceneQuantity(
+    "confinement": _SceneQuantity(
         "confining stress (Pa)", (1.0, 1e2, 1e4, 1e6, 1e8), (0.0, 8.0), (3.3, 5.3), powers=True
     ),
-    "missing": SceneQuantity(
+    "missing": _SceneQuantity(
         "share of the disks taken away", (0.0, 0.02, 0.05, 0.1, 0.2, 0.3), (-0.6, 0.3), (-0.6, 0.01)
     ),
-    "strength": SceneQuantity(
+    "strength": _SceneQuantity(
         "strength of bonds / stress of the pulse",
         (1e-2, 0.1, 0.3, 0.5, 1.0, 3.0, 1e2, 1e4),
         (-2.0, 6.0),
@@ -137,7 +137,7 @@ QUANTITIES = {
         powers=True,
         base=Extreme(amplitude=1e-3),  # a pulse that can break bonds
     ),
-    "floating": SceneQuantity("number of floating disks", (0, 1, 2, 3), base=Extreme(content=1.0, contrast=1.0)),
+    "floating": _SceneQuantity("number of floating disks", (0, 1, 2, 3), base=Extreme(content=1.0, contrast=1.0)),
 }
 
 
