@@ -23,7 +23,6 @@ from calcidem.app.config.reader import SECTIONS
 from calcidem.app.config.reference import KeyReference, key_references, written
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import ARRAY_RECORDS, QUANTITY_BY_NAME
-from calcidem.storage.records.quantity import array_fields, quantities_of
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -213,10 +212,10 @@ def quantities_page() -> str:
     lines += [f"| `{q.name}` | {q.unit} | {_cell(q.meaning)} |" for q in QUANTITY_BY_NAME.values()]
     lines += ["", "## Arrays", "", "| name | array | along | unit | meaning |", "|---|---|---|---|---|"]
     for name, kind in ARRAY_RECORDS.items():
-        lines += [f"| `{name}` | `{q.name}` | cell | {q.unit} | {_cell(q.meaning)} |" for q in quantities_of(kind)]
+        lines += [f"| `{name}` | `{q.name}` | cell | {q.unit} | {_cell(q.meaning)} |" for q in kind.quantities()]
         lines += [
             f"| `{name}` | `{array}` | {along.elements} | {along.unit} | {_cell(along.meaning)} |"
-            for array, along in array_fields(kind).items()
+            for array, along in kind.arrays().items()
         ]
     return _QUANTITIES + "\n".join([*lines, ""])
 

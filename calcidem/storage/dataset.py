@@ -1,24 +1,59 @@
-"""A campaign as an xarray Dataset over (seed, content), with CF attributes and provenance."""
+"""A campaign over (seed, content), as matrices and as an xarray Dataset, with CF attributes and provenance."""
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
+from numpy.typing import NDArray
 
-from calcidem.storage.conventions import INDEX_NAMES, as_matrices, campaign_attributes, quantity_attributes
 from calcidem.storage.errors import UnknownCampaignError
-from calcidem.storage.records import QUANTITY_BY_NAME
+from calcidem.storage.records import NOT_PLANNED, QUANTITY_BY_NAME, STATUS_CODES
 from calcidem.storage.sql.store import Store
+from calcidem.version import __version__
+
+if TYPE_CHECKING:
+    import xarray as xr  # half a second, which the export of a file does without
+
+LAYOUT = 1
+"""Version of the layout of exported files."""
+
+INDEX_NAMES = ("seed", "content")
+"""Dimensions of what each cell has."""
 
 
-def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]:
+def as_matrices(
+    columns: Mapping[str, NDArray[Any]], names: Sequence[str], seeds: NDArray[Any], contents: NDArray[Any]
+) -> dict[str, NDArray[Any]]:
+    """Arrange columns of `Store.table`, seed and content among them, over ascending seeds and contents.
+
+    Each matrix is (seeds, contents). Numbers are float64 with NaN where missing, texts "" where missing; ``status`` is
+    int8 (`STATUS_CODES`).
+    """
+    place = np.searchsorted(seeds, columns["seed"]), np.searchsorted(contents, columns["content"])
+    matrices: dict[str, NDArray[Any]] = {}
+    for name in names:
+        quantity = QUANTITY_BY_NAME[name]
+        is_text = quantity.kind == "text"
+        values = quantity.as_column(columns[name]) if is_text else columns[name]
+        gap = STATUS_CODES[NOT_PLANNED] if name == "status" else quantity.gap if is_text else np.nan
+        matrices[name] = np.full((seeds.size, contents.size), gap, dtype=values.dtype)
+        matrices[name][place] = values
+    return matrices
+
+
+def cell_matrices(store: Store, names: Sequence[str]) -> "dict[str, xr.DataArray]":
     """Arrange quantities of the store's campaign (`QUANTITY_BY_NAME`, neither seed nor content), with CF attributes.
 
     Each is along (seed, content), both ascending, with the values of `as_matrices`. `QueryError` for an unknown
     quantity.
     """
+    import xarray as xr  # noqa: PLC0415 - see above
+
     columns = store.table((*INDEX_NAMES, *names))
-    attributes = {name: quantity_attributes(QUANTITY_BY_NAME[name]) for name in (*INDEX_NAMES, *names)}
+    attributes = {name: QUANTITY_BY_NAME[name].attributes() for name in (*INDEX_NAMES, *names)}
     coordinates = {name: xr.Variable((name,), np.unique(columns[name]), attributes[name]) for name in INDEX_NAMES}
     matrices = as_matrices(columns, names, *(coordinate.to_numpy() for coordinate in coordinates.values()))
     return {
@@ -27,12 +62,14 @@ def cell_matrices(store: Store, names: Sequence[str]) -> dict[str, xr.DataArray]
     }
 
 
-def campaign_dataset(store: Store, names: Sequence[str] | None = None) -> xr.Dataset:
+def campaign_dataset(store: Store, names: Sequence[str] | None = None) -> "xr.Dataset":
     """Return `cell_matrices` of every cell, by default all, self-describing and with the provenance of the campaign.
 
     ``status`` is a CF flag variable. `UnknownCampaignError` if no cell is planned, `QueryError` for an unknown
     quantity.
     """
+    import xarray as xr  # noqa: PLC0415 - see above
+
     wanted = QUANTITY_BY_NAME if names is None else names
     matrices = cell_matrices(store, [name for name in wanted if name not in INDEX_NAMES])
     if not any(matrix.size for matrix in matrices.values()):
@@ -40,3 +77,26 @@ def campaign_dataset(store: Store, names: Sequence[str] | None = None) -> xr.Dat
             f"Campaign '{store.record.name}' has no cells.", "Plan some seeds and contents first."
         )
     return xr.Dataset(matrices, attrs=campaign_attributes(store))
+
+
+def campaign_attributes(store: Store) -> dict[str, Any]:
+    """Provenance of the store's campaign, as attributes of a Dataset or a file."""
+    campaign = store.record
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    return {
+        "Conventions": "CF-1.11",
+        "title": f"Shear-wave velocity against calcite content: campaign {campaign.name}",
+        "source": f"discrete-element simulations by calcidem {__version__}",
+        "history": f"{now} exported by calcidem {__version__}",
+        "comment": "Groups hold what is not one number for each cell (packings, attempts, signals ...).",
+        "calcidem_layout": LAYOUT,
+        "calcidem_campaign_name": campaign.name,
+        "calcidem_campaign_hash": campaign.hash,
+        "calcidem_created": campaign.created.isoformat(),
+        "calcidem_config": campaign.config,
+        "calcidem_checksum": campaign.checksum,
+        "calcidem_packing_content_hash": " ".join(found or "unknown" for found in store.content_hashes().values()),
+        "calcidem_runs": json.dumps(
+            [{"number": number} | asdict(run) for number, run in store.runs()], default=datetime.isoformat
+        ),
+    }

@@ -11,7 +11,7 @@ from sqlalchemy.dialects import sqlite
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql.reading import _conditions, cell_in
+from calcidem.storage.sql.reading import StoreReader, _conditions
 from calcidem.storage.sql.store import _attempt_in, open_store
 from calcidem.storage.sql.tables import ATTEMPT, CELL, EXPRESSIONS, join_results
 from calcidem.storage.store import Selection
@@ -103,7 +103,7 @@ def test_listed_cells_are_searched_by_their_keys(large: Large, keys: list[CellKe
     with open_store(path) as store, store._reading() as session:
         for statement, columns in (
             (
-                select(CELL.c.id).where(CELL.c.campaign_id == 1, cell_in(keys)),
+                select(CELL.c.id).where(CELL.c.campaign_id == 1, StoreReader._cell_in(keys)),
                 ("campaign_id=?", "seed=?", "content=?"),
             ),
             (select(ATTEMPT.c.outcome).where(_attempt_in([(7, 1), (9, 2)])), ("cell_id=?",)),

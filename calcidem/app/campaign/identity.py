@@ -5,7 +5,6 @@ from datetime import UTC, datetime
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CampaignRecord
-from calcidem.storage.records.campaign import refuse_other_campaign
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import Store
 
@@ -62,4 +61,4 @@ def record_of(configuration: Configuration) -> CampaignRecord:
 def refuse_other_configuration(record: CampaignRecord, configuration: Configuration) -> None:
     """Raise `CampaignMismatchError` unless a stored campaign has the physics of a configuration."""
     refuse_other_physics(record)
-    refuse_other_campaign(record, record_of(configuration))
+    record.refuse_other(record_of(configuration))

@@ -13,7 +13,6 @@ from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.storage.errors import CampaignMismatchError, StoreError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
-from calcidem.storage.records.campaign import refuse_other_campaign, refuse_other_packing
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store, open_store, read_campaign
 from calcidem.storage.store import Selection
@@ -183,7 +182,7 @@ def _refuse_other_campaigns(sources: Sequence[Store]) -> None:
                 "Cells of two versions can't be in one campaign: compute those of one database again with the "
                 "calcidem of the other.",
             )
-        refuse_other_campaign(first, record)
+        first.refuse_other(record)
 
 
 def _join_packings(sources: Sequence[Store]) -> list[PackingRecord]:
@@ -202,7 +201,7 @@ def _join_packings(sources: Sequence[Store]) -> list[PackingRecord]:
             record = source.packing(index)
             packing = replace(record, content_hash=content_hash_of(record))
             other, other_place = first.setdefault(index, (packing, place))
-            refuse_other_packing(other, packing, (other_place, place))
+            other.refuse_other(packing, (other_place, place))
     return [packing for packing, _ in first.values()]
 
 

@@ -46,8 +46,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
 from calcidem.dem.wave.stiffness_field import StiffnessField, stiffness_field
-from calcidem.storage.conventions import campaign_attributes
-from calcidem.storage.dataset import campaign_dataset, cell_matrices
+from calcidem.storage.dataset import campaign_attributes, campaign_dataset, cell_matrices
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import (

@@ -21,7 +21,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, open_store
 from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
@@ -41,7 +41,7 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     `ConfigurationError` if the packing can't hold what is planned; `StoreError` if the database can't be read, or has
     another campaign of that name, or this one under another.
     """
-    plan, address = configuration.campaign, parse_address(configuration.database)
+    plan, address = configuration.campaign, Address.parse(configuration.database)
     is_new = address.path is not None and not address.path.exists()
     batches = planned_batches(configuration)
     own = [CellKey(*cell) for batch in batches for cell in batch.cells]
@@ -175,7 +175,7 @@ def _available_memory() -> float | None:
 
 def _free_space(configuration: Configuration) -> float | None:
     """Bytes that are free where the database is to be; None if that is on a server."""
-    path = parse_address(configuration.database).path
+    path = Address.parse(configuration.database).path
     if path is None:
         return None
     folder = next(folder for folder in path.absolute().parents if os.path.isdir(folder))  # noqa: PTH112 - names may be too long

@@ -6,7 +6,7 @@ from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import StoreUnavailableError
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import open_store
 from calcidem.storage.store import Selection
 
@@ -21,7 +21,7 @@ def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) 
     writes the campaign, since it would not notice; `StoreUnavailableError` if the database or the campaign does not
     exist; `CampaignMismatchError` if it is another one; `DamagedStoreError` if nothing can be changed in the file.
     """
-    path = parse_address(configuration.database).path
+    path = Address.parse(configuration.database).path
     if path is not None and not path.exists():
         raise StoreUnavailableError(f"{path} does not exist.", "There is nothing to retry; leave --retry out.")
     with open_store(configuration.database) as store:

@@ -26,7 +26,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError
 from calcidem.storage.records import CellKey, PackedResult, WorkerRecord
-from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.batch import Batch, Cell, plan_batches
 from calcidem.sweep.options import SweepOptions
@@ -197,7 +197,7 @@ class CampaignRun:
     def _master(self, tell: Tell, check: Callable[[], None]) -> Store:
         """Open the database and become the only one that writes this campaign."""
         configuration = self.configuration
-        path = parse_address(configuration.database).path
+        path = Address.parse(configuration.database).path
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
         from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - SQLAlchemy, which workers do not need
@@ -302,5 +302,5 @@ def _refuse_before_writing(configuration: Configuration) -> None:
 
 def _exists(database: str) -> bool:
     """Whether a database may be there already; a server always is."""
-    path = parse_address(database).path
+    path = Address.parse(database).path
     return path is None or path.exists()

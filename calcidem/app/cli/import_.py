@@ -68,10 +68,10 @@ def _import_campaign(file: Path, database: str) -> None:
     from calcidem.app.campaign.stored_packing import identify_packing
     from calcidem.storage.files import write_atomically
     from calcidem.storage.netcdf.import_netcdf import import_netcdf
-    from calcidem.storage.sql.engine import parse_address
+    from calcidem.storage.sql.engine import Address
     from calcidem.storage.sql.store import open_store
 
-    path = parse_address(database).path
+    path = Address.parse(database).path
     with told_as_damage(file):
         if path is None:  # a server's database would keep the tables that opening it makes, whatever is refused then
             with TemporaryDirectory() as folder, open_store(Path(folder) / "trial.db") as trial:

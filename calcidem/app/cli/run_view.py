@@ -12,7 +12,7 @@ from calcidem.app.cli.terminal import IS_QUIET, printable
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.launch.channel import command_listens
-from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.engine import Address
 from calcidem.storage.store import Selection
 from calcidem.sweep.environment import available_cores, launcher
 
@@ -59,7 +59,7 @@ class TerminalView:
         if work.demand is not None and work.end is not None and work.end.exit_code == 0:
             for line in work.demand.lines():
                 self.say(line)
-        address = parse_address(configuration.database)
+        address = Address.parse(configuration.database)
         self.say(f"Database: {address}")
         netcdf = configuration.netcdf
         if belongs_to_another(netcdf, work.store.record.hash):  # two campaigns of one database, or of one name

@@ -20,7 +20,7 @@ from calcidem.dem.wave.rule import FEWEST_SAMPLES, refuse_long_stroke
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import canonical_content
-from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.engine import Address
 
 _SEEDS_ASKED_FIRST = 8
 
@@ -298,7 +298,7 @@ def _check_files(configuration: Configuration) -> Iterator[Problem]:
 def _what_is_wrong_with(database: str) -> str:
     """Why results cannot be stored in a database, and what to do; empty if they can."""
     try:
-        path = parse_address(database).path
+        path = Address.parse(database).path
     except StoreError as error:
         return str(error)
     if path is None:

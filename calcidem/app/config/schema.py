@@ -30,7 +30,7 @@ from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import LARGEST_SEED, canonical_content
 from calcidem.storage.records.canonical import canonical_hash
-from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.engine import Address
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
@@ -456,7 +456,7 @@ class Configuration:
     @property
     def netcdf(self) -> Path:
         """File name of the export: beside the database, or in the output folder if that is on a server."""
-        path = parse_address(self.database).path
+        path = Address.parse(self.database).path
         return self.output / f"{self.campaign.name}.nc" if path is None else path.with_suffix(".nc")
 
     def experiment(self, packing: Packing) -> Experiment:

@@ -26,7 +26,7 @@ from calcidem.dem.engine.material import Sand
 from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError
 from calcidem.storage.passwords import hide_passwords
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
-from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection, StoreMark
 
@@ -59,7 +59,7 @@ class CampaignFeed:
     def __init__(self, number: int, database: str, name: str | None, *, wait: bool = False) -> None:
         self._wait = wait
         self.number, self.database, self.name = number, database, name
-        self.label = hide_passwords(str(parse_address(database)))
+        self.label = hide_passwords(str(Address.parse(database)))
         self.sequence = 0
         self._lock = RLock()
         self._problem = "not read yet"
@@ -168,7 +168,7 @@ class CampaignFeed:
 
     def _open(self) -> Store:
         """Give the store, opened again if its file was replaced."""
-        path = parse_address(self.database).path
+        path = Address.parse(self.database).path
         found = path.stat() if path is not None and path.exists() else None
         same = found is not None and self._file is not None and os.path.samestat(found, self._file)
         if self._store is not None and path is not None and not same:

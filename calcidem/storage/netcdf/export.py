@@ -18,15 +18,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.conventions import (
-    INDEX_NAMES,
-    Group,
-    as_column,
-    as_matrices,
-    campaign_attributes,
-    fill_value,
-    quantity_attributes,
-)
+from calcidem.storage.dataset import INDEX_NAMES, as_matrices, campaign_attributes
 from calcidem.storage.errors import DamagedStoreError, DiskError, OutputRefusedError, UnknownCampaignError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.netcdf.trial import refuse_unreadable
@@ -39,13 +31,15 @@ from calcidem.storage.records import (
     CellStatus,
     PackingRecord,
 )
-from calcidem.storage.records.quantity import array_fields, quantities_of
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
     import xarray as xr  # half a second; whoever has a dataset to write has loaded it
+
+Group = Any
+"""A netCDF4.Dataset or netCDF4.Group; that library has no types."""
 
 _Column = tuple[str, str, NDArray[Any]]
 """Unit ("" for texts), long name and values of a variable."""
@@ -153,7 +147,7 @@ def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:
             _append_arrays(file, whole, wanted)
         for name, matrix in matrices.items():
             is_whole = QUANTITY_BY_NAME[name].kind == "whole"  # without a value in some cells it was a real one
-            file[name][first : first + block.size] = as_column(QUANTITY_BY_NAME[name], matrix) if is_whole else matrix
+            file[name][first : first + block.size] = QUANTITY_BY_NAME[name].as_column(matrix) if is_whole else matrix
 
 
 def _create_variables(file: Group, seeds: NDArray[Any], contents: NDArray[Any], rows: int) -> None:
@@ -162,19 +156,19 @@ def _create_variables(file: Group, seeds: NDArray[Any], contents: NDArray[Any], 
         file.createDimension(name, values.size)
         kind: type[Any] = np.int64 if name == "seed" else np.float64
         variable = file.createVariable(name, kind, (name,), fletcher32=True, fill_value=False)
-        variable.setncatts(quantity_attributes(QUANTITY_BY_NAME[name]))
+        variable.setncatts(QUANTITY_BY_NAME[name].attributes())
         variable[:] = values
     for quantity in QUANTITY_BY_NAME.values():
         if quantity.name in INDEX_NAMES:
             continue
         is_text = quantity.kind == "text" and quantity.name != "status"  # of variable length, which is not compressed
-        kind = str if is_text else as_column(quantity, ()).dtype.type
-        fill = False if quantity.name == "status" else fill_value(quantity)  # each cell has a status
+        kind = str if is_text else quantity.as_column(()).dtype.type
+        fill = False if quantity.name == "status" else quantity.gap  # each cell has a status
         options = {} if is_text else _COMPRESSED | {"chunksizes": (rows, contents.size), "fill_value": fill}
         variable = file.createVariable(quantity.name, kind, INDEX_NAMES, **options)
         if not is_text:  # a block of seeds is written once; the library would keep 16 MB of each variable
             variable.set_var_chunk_cache(size=2 * rows * contents.size * np.dtype(kind).itemsize)
-        variable.setncatts(quantity_attributes(quantity))
+        variable.setncatts(quantity.attributes())
 
 
 def _append_attempts(file: Group, attempts: Sequence[AttemptRecord]) -> None:
@@ -216,11 +210,11 @@ def _append_records(
 ) -> None:
     """Append records: quantities, and columns of their own, along a dimension; arrays along theirs."""
     columns = dict(own)
-    for quantity in quantities_of(kind):
-        values = as_column(quantity, [getattr(record, quantity.name) for record in records])
+    for quantity in kind.quantities():
+        values = quantity.as_column([getattr(record, quantity.name) for record in records])
         columns[quantity.name.removesuffix("_id")] = (quantity.unit, quantity.meaning, values)
     of_dimensions: defaultdict[str, dict[str, _Column]] = defaultdict(dict)
-    for name, along in array_fields(kind).items():
+    for name, along in kind.arrays().items():
         arrays = [getattr(record, name) for record in records]
         arrays = [np.frombuffer(array, np.uint8) if isinstance(array, bytes) else array for array in arrays]
         if along.columns:

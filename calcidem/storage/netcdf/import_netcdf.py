@@ -13,7 +13,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.conventions import INDEX_NAMES, LAYOUT, Group, as_values
+from calcidem.storage.dataset import INDEX_NAMES, LAYOUT
 from calcidem.storage.errors import (
     DamagedStoreError,
     ForeignDatabaseError,
@@ -21,6 +21,7 @@ from calcidem.storage.errors import (
     OlderSchemaError,
     StoreUnavailableError,
 )
+from calcidem.storage.netcdf.export import Group
 from calcidem.storage.netcdf.trial import refuse_unreadable
 from calcidem.storage.records import (
     ARRAY_RECORDS,
@@ -36,8 +37,6 @@ from calcidem.storage.records import (
     RunRecord,
     WorkerRecord,
 )
-from calcidem.storage.records.campaign import refuse_other_packing
-from calcidem.storage.records.quantity import array_fields, quantities_of
 from calcidem.storage.sql.store import Store
 
 _RECORDS_READ_AT_ONCE = 500
@@ -139,7 +138,7 @@ def _refuse_other_packings(
             stored = store.packing(packing.index)
             with suppress(DamagedStoreError):  # its disks and box can still be compared
                 stored = identify(stored)
-            refuse_other_packing(stored, packing, ("the database", str(path)))
+            stored.refuse_other(packing, ("the database", str(path)))
 
 
 def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
@@ -150,7 +149,7 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
         rows = slice(start, start + _SEEDS_IN_MEMORY)
         columns = {
             # A file of an earlier physics version lacks the quantities that were added since.
-            name: as_values(QUANTITY_BY_NAME[name], file[name][rows])
+            name: QUANTITY_BY_NAME[name].as_values(file[name][rows])
             for name in _VALUE_NAMES
             if name in file.variables
         }
@@ -196,10 +195,10 @@ class _Records:
         self._ends: dict[str, NDArray[np.int64]] = {}
         self._values: dict[str, NDArray[np.object_]] = {}
         if self.columns:
-            elements = {along.elements for along in array_fields(kind).values()}
+            elements = {along.elements for along in kind.arrays().values()}
             self._ends = {e: np.concatenate(([0], np.cumsum(self.columns[f"{e}_count"]))) for e in elements}
-            names = {quantity: quantity.name.removesuffix("_id") for quantity in quantities_of(kind)}
-            self._values = {q.name: as_values(q, self.columns[column]) for q, column in names.items()}
+            columns = ((q, self.columns[q.name.removesuffix("_id")]) for q in kind.quantities())
+            self._values = {quantity.name: quantity.as_values(column) for quantity, column in columns}
 
     @cached_property
     def _row(self) -> dict[CellKey, int]:
@@ -223,7 +222,7 @@ class _Records:
             blocks = {e: slice(ends[row], ends[self._block.stop]) for e, ends in self._ends.items()}
             self._arrays = {elements: self._read(elements, block) for elements, block in blocks.items()}
         values: dict[str, Any] = {name: column[row] for name, column in self._values.items()}
-        for name, along in array_fields(self._kind).items():
+        for name, along in self._kind.arrays().items():
             first, end = self._ends[along.elements][[row, row + 1]] - self._ends[along.elements][self._block.start]
             values[name] = self._arrays[along.elements][name][first:end]
             if along.columns:

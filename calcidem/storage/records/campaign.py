@@ -13,17 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.storage.errors import CampaignMismatchError
-from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
 from calcidem.storage.records.canonical import config_difference
 from calcidem.storage.records.cell import canonical_content, checked_seed
-from calcidem.storage.records.quantity import Along, Bound, Quantity, check_bounds
+from calcidem.storage.records.quantity import Along, Bound, Quantity, Record
 from calcidem.storage.records.run import as_utc
 
 _packing = partial(Quantity, origin="packing", bound=Bound.NOT_NEGATIVE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PackingRecord(ComparedByValue):
+class PackingRecord(Record):
     """A packing with the report on its quality; the annotations say what its numbers are."""
 
     index: Annotated[int, Quantity("1", "index of the packing")]
@@ -54,42 +53,35 @@ class PackingRecord(ComparedByValue):
     """Identity of the packing itself. None in what an earlier calcidem stored."""
 
     def __post_init__(self) -> None:
-        normalize_numbers(self)
-        check_bounds(self)
+        Record.__post_init__(self)
         if self.index < 0:
             raise ValueError(f"PackingRecord.index is {self.index}; packings count from 0.")
-        grains = np.shape(self.radius)[0] if np.ndim(self.radius) else 0
-        for name in ("x", "y", "radius"):
-            object.__setattr__(
-                self, name, freeze_array("PackingRecord", name, getattr(self, name), np.float64, (grains,))
-            )
-        if grains == 0 or not (self.radius > 0.0).all():
+        if not (len(self.radius) and (self.radius > 0.0).all()):
             raise ValueError("PackingRecord.radius must hold positive radii of at least one grain.")
         for wall, stress in self.wall_stress.items():
             if not math.isfinite(stress):
                 raise ValueError(f"PackingRecord.wall_stress[{wall!r}] is {stress}; give a finite stress in Pa.")
 
-    def is_same_packing(self, other: "PackingRecord") -> bool:
-        """Whether two records are of one packing; where a content hash is missing, disks and box decide."""
+    def refuse_other(
+        self, other: "PackingRecord", places: tuple[str, str] = ("the database", "what is to be stored")
+    ) -> None:
+        """Raise `CampaignMismatchError` unless records from two places, which the message names, are of one packing.
+
+        Where a content hash is missing, disks and box decide.
+        """
         known = {self.content_hash, other.content_hash} - {None}
         numbers = all(getattr(self, name) == getattr(other, name) for name in ("index", "hash", "width", "height"))
         arrays = all(np.array_equal(getattr(self, name), getattr(other, name)) for name in ("x", "y", "radius"))
-        return numbers and arrays and len(known) < 2  # noqa: PLR2004 - two hashes that differ
-
-
-def refuse_other_packing(
-    one: PackingRecord, other: PackingRecord, places: tuple[str, str] = ("the database", "what is to be stored")
-) -> None:
-    """Raise `CampaignMismatchError` unless records from two places, which the message names, are of one packing."""
-    if one.is_same_packing(other):
-        return
-    hashes = [packing.content_hash or "unknown" for packing in (one, other)]
-    origins = "" if one.hash == other.hash else f" (they are made from {one.hash} and {other.hash})"
-    raise CampaignMismatchError(
-        f"Packing {one.index} has the content hash {hashes[0]} in {places[0]} and {hashes[1]} in {places[1]}{origins}.",
-        "Cells of two packings can't be in one campaign: keep them in databases of their own. 'calcidem run' on a "
-        "database goes on with its packing; new databases get one packing from one folder CALCIDEM_CACHE.",
-    )
+        if numbers and arrays and len(known) < 2:  # noqa: PLR2004 - two hashes that differ
+            return
+        hashes = [packing.content_hash or "unknown" for packing in (self, other)]
+        origins = "" if self.hash == other.hash else f" (they are made from {self.hash} and {other.hash})"
+        raise CampaignMismatchError(
+            f"Packing {self.index} has the content hash {hashes[0]} in {places[0]} and {hashes[1]} in {places[1]}"
+            f"{origins}.",
+            "Cells of two packings can't be in one campaign: keep them in databases of their own. 'calcidem run' on a "
+            "database goes on with its packing; new databases get one packing from one folder CALCIDEM_CACHE.",
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,21 +120,20 @@ class CampaignRecord:
         """SHA-256 of hash and configuration, which belong together: 64 hexadecimal digits."""
         return sha256(f"{self.hash}\n{self.config}".encode()).hexdigest()
 
+    def refuse_other(self, given: "CampaignRecord") -> None:
+        """Raise `CampaignMismatchError`, which lists the differences, unless `given` is of the same campaign.
 
-def refuse_other_campaign(stored: CampaignRecord, given: CampaignRecord) -> None:
-    """Raise `CampaignMismatchError`, which lists the differences, unless two records are of one campaign.
-
-    Two of one hash may each have keys that the other lacks: keys at their defaults are not hashed. A key that both have
-    must have one value, which finds a default that was changed without another version of the physics.
-    """
-    is_same_hash = stored.hash == given.hash
-    differences = config_difference(stored.config, given.config, shared_only=is_same_hash)
-    if is_same_hash and not differences:
-        return
-    lines = "\n  ".join(differences or ["(none in the configurations' text)"])
-    raise CampaignMismatchError(
-        f"The stored campaign '{stored.name}' with the hash {stored.hash} has another configuration than "
-        f"'{given.name}' with the hash {given.hash} (stored -> given):\n  {lines}\n",
-        "Give the old values to continue it, or a new database or campaign name for the new ones; seeds and contents "
-        "may differ.",
-    )
+        Two of one hash may each have keys that the other lacks: keys at their defaults are not hashed. A key that both
+        have must have one value, which finds a default that was changed without another version of the physics.
+        """
+        is_same_hash = self.hash == given.hash
+        differences = config_difference(self.config, given.config, shared_only=is_same_hash)
+        if is_same_hash and not differences:
+            return
+        lines = "\n  ".join(differences or ["(none in the configurations' text)"])
+        raise CampaignMismatchError(
+            f"The stored campaign '{self.name}' with the hash {self.hash} has another configuration than "
+            f"'{given.name}' with the hash {given.hash} (stored -> given):\n  {lines}\n",
+            "Give the old values to continue it, or a new database or campaign name for the new ones; seeds and "
+            "contents may differ.",
+        )

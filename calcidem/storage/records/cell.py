@@ -16,9 +16,9 @@ from typing import Annotated, Any, Self
 import numpy as np
 
 from calcidem.storage.errors import DamagedStoreError
-from calcidem.storage.records.arrays import normalize_numbers, pack_arrays
-from calcidem.storage.records.error_budget import DERIVED_QUANTITIES, vs_interval
-from calcidem.storage.records.quantity import Bound, Quantity, check_bounds, quantities_of
+from calcidem.storage.records.arrays import pack_arrays
+from calcidem.storage.records.error_budget import DERIVED_QUANTITIES, NORMAL_95
+from calcidem.storage.records.quantity import Bound, Quantity, Record
 from calcidem.storage.records.run import WorkerRecord
 from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, RecordedSection
 
@@ -89,7 +89,7 @@ def checked_seed(seed: int) -> int:
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class CellKey:
+class CellKey(Record):
     """Identity of a cell within its campaign."""
 
     seed: Annotated[int, Quantity("1", "seed of the random cement pattern")]
@@ -103,7 +103,7 @@ class CellKey:
 
 
 @dataclass(frozen=True, slots=True)
-class CellResult:
+class CellResult(Record):
     """Outcome of one cell with the numbers that say how far it can be trusted.
 
     The annotations of its fields are the catalogue of quantities: unit, meaning, origin and bounds of each.
@@ -111,11 +111,13 @@ class CellResult:
     """
 
     key: CellKey
-    status: Annotated[CellStatus, Quantity("", "outcome of the cell", "measurement", is_brief=True)]
+    status: Annotated[CellStatus, Quantity("", "outcome of the cell", "measurement", is_brief=True, codes=STATUS_CODES)]
     """One of `STORED_STATUSES`, or damaged in what a store gives."""
     reason: Annotated[str, Quantity("", "why the outcome is what it is", "measurement")] = ""
     """A sentence; empty only for `done`."""
-    vs: Annotated[_Real, _speed("shear-wave velocity", is_needed=True, is_brief=True)] = None
+    vs: Annotated[_Real, _speed("shear-wave velocity", is_needed=True, is_brief=True, ancillary="status vs_error")] = (
+        None
+    )
     """By the campaign's method; there if and only if `done`."""
     vs_peak: Annotated[_Real, _speed("shear-wave velocity from peak to peak")] = None
     vs_first_arrival: Annotated[_Real, _speed("shear-wave velocity by first arrival")] = None
@@ -174,10 +176,9 @@ class CellResult:
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", CellStatus(self.status))
         object.__setattr__(self, "retry", self.retry or None)
-        normalize_numbers(self)
         if self.status not in (*STORED_STATUSES, CellStatus.DAMAGED):
             raise ValueError(f"CellResult.status is {self.status}; an outcome is one of {', '.join(STORED_STATUSES)}.")
-        check_bounds(self)
+        Record.__post_init__(self)
         self._check_status()
 
     @classmethod
@@ -188,15 +189,15 @@ class CellResult:
         """
         parts: dict[str, Any] = {name: values[name] for name in ARRAY_RECORDS if name in values}
         for field, kind in (("features", PathFeatures), ("graph", GraphSummary)):
-            names = [quantity.name for quantity in quantities_of(kind)]
+            names = [quantity.name for quantity in kind.quantities()]
             if any(values[name] is not None for name in names):
                 parts[field] = kind(**{name: values[name] for name in names})
-        return cls(key, **parts, **{quantity.name: values[quantity.name] for quantity in quantities_of(cls)})
+        return cls(key, **parts, **{quantity.name: values[quantity.name] for quantity in cls.quantities()})
 
     def values(self) -> dict[str, Any]:
         """Return its stored quantities by name, those of the cell left out."""
         parts = [part for part in (self, self.features, self.graph) if part is not None]
-        return {q.name: getattr(part, q.name) for part in parts for q in quantities_of(type(part))}
+        return {q.name: getattr(part, q.name) for part in parts for q in part.quantities()}
 
     def packed(self) -> "PackedResult":
         """Turn it into the columns of its rows, with its arrays compressed."""
@@ -220,7 +221,10 @@ class CellResult:
     @property
     def vs_interval(self) -> tuple[float, float] | None:
         """Interval that holds Vs with 95 %, m/s; None where `vs_error` is not known."""
-        return None if self.vs_error is None else vs_interval(self.vs, self.vs_error)
+        if self.vs is None or self.vs_error is None:
+            return None
+        half = NORMAL_95 * self.vs_error * self.vs
+        return self.vs - half, self.vs + half
 
     @property
     def path_departure(self) -> float | None:
@@ -260,7 +264,7 @@ class CellResult:
 
     def _check_status(self) -> None:
         if self.status is CellStatus.DONE:
-            missing = [q.name for q in quantities_of(CellResult) if q.is_needed and getattr(self, q.name) is None]
+            missing = [q.name for q in CellResult.quantities() if q.is_needed and getattr(self, q.name) is None]
             if missing:
                 raise ValueError(
                     f"CellResult of a done cell lacks {', '.join(missing)}; a stored vs states its numerics."
@@ -312,11 +316,11 @@ ARRAY_RECORDS: dict[str, type[GrainPath | RecordedSection | CementPattern]] = {
 
 
 def _catalogue() -> Iterator[Quantity]:
-    yield from quantities_of(CellKey)
-    yield from quantities_of(CellResult)
+    yield from CellKey.quantities()
+    yield from CellResult.quantities()
     yield from DERIVED_QUANTITIES
     for part in (PathFeatures, GraphSummary):  # which a cell may lack as a whole
-        yield from (replace(quantity, is_optional=True) for quantity in quantities_of(part))
+        yield from (replace(quantity, is_optional=True) for quantity in part.quantities())
 
 
 QUANTITY_BY_NAME = {quantity.name: quantity for quantity in _catalogue()}
@@ -337,18 +341,18 @@ class AttemptCount:
 
 
 @dataclass(frozen=True, slots=True)
-class AttemptRecord:
+class AttemptRecord(Record):
     """One attempt at a cell."""
 
     key: CellKey
-    number: Annotated[int, Quantity("1", "number of the attempt")]
+    number: Annotated[int, Quantity("1", "number of the attempt", bound=_POSITIVE)]
     """Counted from 1."""
     outcome: Annotated[str, Quantity("", "outcome")]
     """A `CellStatus` value, or ``"lost"`` when the worker vanished."""
     reason: Annotated[str, Quantity("", "why")]
     rank: Annotated[_Whole, Quantity("1", "MPI rank")]
     host: Annotated[str | None, Quantity("", "host")]
-    seconds: Annotated[_Real, Quantity("s", "computing time")]
+    seconds: Annotated[_Real, Quantity("s", "computing time", bound=_NOT_NEGATIVE)]
     recorded: datetime
     """When it was stored (UTC)."""
     run_id: Annotated[_Whole, Quantity("1", "number of the run")] = None
@@ -357,9 +361,6 @@ class AttemptRecord:
     """Whether a retry came after it: its loss then counts no longer."""
 
     def __post_init__(self) -> None:
-        if self.number < 1:
-            raise ValueError(f"AttemptRecord.number is {self.number}; attempts count from 1.")
-        if self.seconds is not None and not 0.0 <= self.seconds < math.inf:
-            raise ValueError(f"AttemptRecord.seconds is {self.seconds}; give a time of 0 or more, or None.")
+        Record.__post_init__(self)
         if self.outcome not in (known := (*STORED_STATUSES, "lost")):
             raise ValueError(f"AttemptRecord.outcome is '{self.outcome}'; it is one of {', '.join(known)}.")

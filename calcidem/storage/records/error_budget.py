@@ -66,12 +66,6 @@ DERIVED_QUANTITIES = (
 """Quantities that are not stored: each follows from stored ones, and lacks a value where one of these does."""
 
 
-def vs_interval(vs: Any, vs_error: Any) -> tuple[Any, Any]:  # noqa: ANN401 - numbers or arrays
-    """Ends of the interval that holds Vs with 95 %, m/s, from its relative standard error."""
-    half = NORMAL_95 * vs_error * vs
-    return vs - half, vs + half
-
-
 def departs(path_departure: Any) -> Any:  # noqa: ANN401 - number or array
     """Whether path_vs differs from vs by more than their errors allow; what has no path_vs (NaN) does not."""
     return path_departure > MOST_DEPARTURE

@@ -5,12 +5,18 @@ A field of a record that is one number or text of a cell is annotated with a `Qu
 added by a field here, and by a value where the record is made.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from functools import cache
 from types import NoneType
-from typing import Any, Literal, get_args, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+_NO_NUMBER = -1  # stands for None among whole numbers in files, all of whose real values are 0 or more
 
 
 class Bound(StrEnum):
@@ -46,6 +52,50 @@ class Quantity:
     """Stored quantities that it is derived from; empty for a stored one."""
     formula: Callable[..., Any] | None = None
     """Gives its value from a square root and the values of these, be they numbers, arrays or columns of a database."""
+    codes: Mapping[str, int] | None = None
+    """Whole numbers that stand for its texts in files, the flags of CF."""
+    ancillary: str = ""
+    """Quantities that qualify it (CF), separated by spaces."""
+
+    def attributes(self) -> dict[str, Any]:
+        """CF attributes of a variable."""
+        attributes: dict[str, Any] = {"long_name": self.meaning}
+        if self.kind != "text":
+            attributes["units"] = self.unit
+        if self.ancillary:
+            attributes["ancillary_variables"] = self.ancillary
+        if self.codes is not None:
+            attributes["standard_name"] = "status_flag"
+            attributes["flag_values"] = np.array(list(self.codes.values()), dtype=np.int8)
+            attributes["flag_meanings"] = " ".join(self.codes)
+        return attributes
+
+    @property
+    def gap(self) -> Any:  # noqa: ANN401 - text or number
+        """The value of missing entries in a file."""
+        return {"text": "", "whole": _NO_NUMBER, "real": np.nan}[self.kind]
+
+    def as_column(self, values: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
+        """Values, None or NaN where missing, as a file has them."""
+        if self.codes is not None:
+            return np.array([self.codes[text] for text in values], dtype=np.int8)
+        if self.kind == "text":
+            return np.array([text or "" for text in values], dtype=object)
+        numbers = np.array(values, dtype=np.float64)
+        if self.kind == "real":
+            return numbers
+        return np.where(np.isnan(numbers), _NO_NUMBER, numbers).astype(np.int64)
+
+    def as_values(self, column: NDArray[Any]) -> NDArray[np.object_]:
+        """Inverse of `as_column`: Python's own int, float or str, None where missing."""
+        if self.codes is not None:
+            names: NDArray[np.object_] = np.array(list(self.codes), dtype=object)
+            return np.take(names, column)
+        plain = column.astype(object)
+        missing = {"text": plain == "", "whole": column == _NO_NUMBER, "real": column != column}[self.kind]  # noqa: PLR0124 - NaN
+        if self.is_optional:
+            plain[missing] = None
+        return plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +109,8 @@ class Along:
     """Long name in files."""
     columns: str = ""
     """Dimension of its columns, if their number differs from cell to cell, too; empty if it does not."""
+    width: int = 0
+    """Number of its columns, if it has the same ones in each cell."""
 
     @property
     def elements(self) -> str:
@@ -66,9 +118,86 @@ class Along:
         return f"{self.dimension}_{self.columns}" if self.columns else self.dimension
 
 
-def quantities_of(record: type) -> tuple[Quantity, ...]:
-    """Return the quantities of a record class, in the order of its fields."""
-    return _quantities_of(record)
+class Record:  # noqa: PLW1641 - records that are keys have the hash that `dataclasses` makes
+    """Base of the frozen dataclasses with notes: numbers in their bounds, arrays read-only and compared by value.
+
+    A class with arrays is declared with ``@dataclass(frozen=True, slots=True, eq=False)``: the comparison that
+    `dataclasses` generates fails on arrays, because ``a == b`` is an array then.
+    """
+
+    __slots__ = ()
+
+    @classmethod
+    def quantities(cls) -> tuple[Quantity, ...]:
+        """Return the quantities, in the order of the fields."""
+        owner: Any = cls
+        return _quantities_of(owner)
+
+    @classmethod
+    def arrays(cls) -> dict[str, Along]:
+        """Return the notes of the arrays, by name."""
+        return {name: note for name, _, note in _annotated_fields(cls) if isinstance(note, Along)}
+
+    def __post_init__(self) -> None:
+        """Turn NumPy scalars into Python's numbers, which database drivers know, and copy arrays.
+
+        `ValueError`, naming the field, for NaN and infinity, numbers out of the bounds of their quantities, and arrays
+        of another shape or of values that their type can't hold.
+        """
+        owner: Any = type(self)
+        for name in _field_names(owner):
+            value = getattr(self, name)
+            if isinstance(value, np.generic):
+                value = value.item()
+                object.__setattr__(self, name, value)
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(
+                    f"{owner.__name__}.{name} is {value}; a missing number is None, never NaN or infinity."
+                )
+        for quantity in _quantities_of(owner):
+            if quantity.bound is not Bound.NONE:
+                value = getattr(self, quantity.name)
+                if value is not None and (value < 0 or (value == 0 and quantity.bound is Bound.POSITIVE)):
+                    raise ValueError(f"{owner.__name__}.{quantity.name} is {value}; {quantity.bound}.")
+        lengths: dict[str, int] = {}
+        for name, element, along in _array_types(owner):
+            array = _freeze(f"{owner.__name__}.{name}", getattr(self, name), element, along, lengths)
+            object.__setattr__(self, name, array)
+
+    def __eq__(self, other: object) -> bool:
+        if type(self) is not type(other):
+            return NotImplemented
+        owner: Any = type(self)
+        return all(_same(getattr(self, name), getattr(other, name)) for name in _field_names(owner))
+
+
+def _same(first: object, second: object) -> bool:
+    if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
+        return first.dtype == second.dtype and np.array_equal(first, second)
+    return bool(first == second)
+
+
+def _freeze(field: str, values: object, element: type[Any], along: Along, lengths: dict[str, int]) -> Any:  # noqa: ANN401 - an array
+    """Return a contiguous read-only copy; the first array along a dimension gives the others their length."""
+    given = np.asarray(values)
+    array = np.array(given, dtype=element, order="C", copy=True)
+    dimensions = [name for name in (along.dimension, along.columns) if name]
+    lengths |= {name: n for name, n in zip(dimensions, array.shape, strict=False) if name not in lengths}
+    shape = (*(lengths.get(name) for name in dimensions), *((along.width,) if along.width else ()))
+    if array.shape != shape:
+        wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise ValueError(f"{field} has shape {array.shape}; give an array of shape {wanted}.")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        raise ValueError(f"{field} holds NaN or infinity; store finite numbers or None.")
+    if array.dtype.kind in "iu" and not np.array_equal(array, given):
+        raise ValueError(f"{field} holds values that {array.dtype} can't represent.")
+    array.setflags(write=False)
+    return array
+
+
+@cache  # a million records use it
+def _field_names(record: type[Any]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(record))
 
 
 @cache
@@ -80,9 +209,15 @@ def _quantities_of(record: type) -> tuple[Quantity, ...]:
     )
 
 
-def array_fields(record: type) -> dict[str, Along]:
-    """Return the arrays of a record class, by name."""
-    return {name: note for name, _, note in _annotated_fields(record) if isinstance(note, Along)}
+@cache
+def _array_types(record: type) -> tuple[tuple[str, type[Any], Along], ...]:
+    """Name, type of the elements and note of each array; bytes are none."""
+    found = [(name, get_args(hint)[0], note) for name, hint, note in _annotated_fields(record)]
+    return tuple(
+        (name, get_args(get_args(kind)[1])[0], note)
+        for name, kind, note in found
+        if isinstance(note, Along) and get_origin(kind) is np.ndarray
+    )
 
 
 def _annotated_fields(record: type) -> list[tuple[str, Any, Any]]:
@@ -94,12 +229,3 @@ def _kind_of(hint: Any) -> Literal["real", "whole", "text"]:  # noqa: ANN401 - a
     plain = get_args(hint)[0]
     (kind,) = {choice for choice in get_args(plain) or (plain,) if choice is not NoneType}
     return "text" if issubclass(kind, str) else "whole" if issubclass(kind, int) else "real"
-
-
-def check_bounds(record: object) -> None:
-    """Refuse numbers out of the bounds of their quantities; `ValueError`, naming the field, the value and the cure."""
-    for quantity in quantities_of(type(record)):
-        if quantity.bound is not Bound.NONE:
-            value = getattr(record, quantity.name)
-            if value is not None and (value < 0 or (value == 0 and quantity.bound is Bound.POSITIVE)):
-                raise ValueError(f"{type(record).__name__}.{quantity.name} is {value}; {quantity.bound}.")

@@ -7,44 +7,32 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.storage.records.arrays import ComparedByValue, freeze_array, normalize_numbers
-from calcidem.storage.records.quantity import Along, Bound, Quantity, check_bounds
+from calcidem.storage.records.quantity import Along, Bound, Quantity, Record
 
 P_CONTACT = 1
 C_CONTACT = 2
 """What a cemented contact is in `CementPattern.kind`; 0 stands for sand where all contacts are listed."""
 
+_positive = partial(Quantity, bound=Bound.POSITIVE)
 _path = partial(Quantity, "1", origin="path")
 _graph = partial(Quantity, "1", origin="graph", bound=Bound.NOT_NEGATIVE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RecordedSection(ComparedByValue):
+class RecordedSection(Record):
     """Space-time section of a cell: motion at the stations and at the receiver, sampled at equal intervals."""
 
-    sampling_interval: Annotated[float, Quantity("s", "time between two samples")]
+    sampling_interval: Annotated[float, _positive("s", "time between two samples")]
     """A multiple of the cell's time step."""
     start_time: Annotated[float, Quantity("s", "time of the first sample after the pulse began")]
-    pulse_frequency: Annotated[float, Quantity("Hz", "frequency of the pulse")]
+    pulse_frequency: Annotated[float, _positive("Hz", "frequency of the pulse")]
     """Of the pulse ``v0 (1 - cos 2 pi f t)``."""
-    resolution: Annotated[float, Quantity("m s-1", "velocity of one count, 2^-20 of v0")]
+    resolution: Annotated[float, _positive("m s-1", "velocity of one count, 2^-20 of v0")]
     places: Annotated[NDArray[np.float64], Along("station", "m", "path to each station, and last to the receiver")]
     """Shape (X,)."""
     across: Annotated[NDArray[np.int32], Along("sample", "1", "velocity across the path, counts", "station")]
     along: Annotated[NDArray[np.int32], Along("sample", "1", "velocity along the path, counts", "station")]
     """Shape (T, X)."""
-
-    def __post_init__(self) -> None:
-        normalize_numbers(self)
-        for name in ("sampling_interval", "pulse_frequency", "resolution"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"RecordedSection.{name} is {getattr(self, name)}; give a positive number.")
-        places = freeze_array("RecordedSection", "places", self.places, np.float64, (None,))
-        object.__setattr__(self, "places", places)
-        samples = np.shape(self.across)[0] if np.ndim(self.across) else 0
-        for name in ("across", "along"):
-            array = freeze_array("RecordedSection", name, getattr(self, name), np.int32, (samples, len(places)))
-            object.__setattr__(self, name, array)
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -65,40 +53,36 @@ class RecordedSection(ComparedByValue):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CementPattern(ComparedByValue):
+class CementPattern(Record):
     """Which contacts of the packing are bonded: enough to rebuild the sample exactly."""
 
-    contacts: Annotated[NDArray[np.int32], Along("contact", "1", "indices of the two grains of a bonded contact")]
+    contacts: Annotated[
+        NDArray[np.int32], Along("contact", "1", "indices of the two grains of a bonded contact", width=2)
+    ]
     """In the order in which they were bonded. Shape (m, 2)."""
     kind: Annotated[NDArray[np.uint8], Along("contact", "1", "1 for a P contact, 2 for one in a C cluster")]
     """Shape (m,)."""
-    cluster_centres: Annotated[NDArray[np.float64], Along("cluster", "m", "position of the centre of a C cluster")]
+    cluster_centres: Annotated[
+        NDArray[np.float64], Along("cluster", "m", "position of the centre of a C cluster", width=2)
+    ]
     """Shape (k, 2)."""
 
     def __post_init__(self) -> None:
-        contacts = freeze_array("CementPattern", "contacts", self.contacts, np.int32, (None, 2))
-        kind = freeze_array("CementPattern", "kind", self.kind, np.uint8, (len(contacts),))
-        centres = freeze_array("CementPattern", "cluster_centres", self.cluster_centres, np.float64, (None, 2))
-        if not ((kind == P_CONTACT) | (kind == C_CONTACT)).all():
+        Record.__post_init__(self)
+        if not ((self.kind == P_CONTACT) | (self.kind == C_CONTACT)).all():
             raise ValueError("CementPattern.kind holds other values than 1 (P) and 2 (C); use these two.")
-        object.__setattr__(self, "contacts", contacts)
-        object.__setattr__(self, "kind", kind)
-        object.__setattr__(self, "cluster_centres", centres)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GrainPath(ComparedByValue):
+class GrainPath(Record):
     """The preferential path of a cell, from the transmitter to the receiver."""
 
     grains: Annotated[NDArray[np.int32], Along("grain", "1", "index of a grain along the preferential path")]
     """Shape (n,)."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "grains", freeze_array("GrainPath", "grains", self.grains, np.int32, (None,)))
-
 
 @dataclass(frozen=True, slots=True)
-class PathFeatures:
+class PathFeatures(Record):
     """Features of a cell's preferential path from the transmitter to the receiver."""
 
     path_contacts: Annotated[int, _path("contacts on the preferential path")]
@@ -117,7 +101,7 @@ class PathFeatures:
     """C_d,n (Eq. 9); None where it is singular (equal weights)."""
 
     def __post_init__(self) -> None:
-        normalize_numbers(self)
+        Record.__post_init__(self)
         if self.path_hertz_contacts + self.path_bonded_contacts != self.path_contacts:
             raise ValueError(
                 f"PathFeatures: {self.path_hertz_contacts} uncemented + {self.path_bonded_contacts} cemented contacts "
@@ -126,7 +110,7 @@ class PathFeatures:
 
 
 @dataclass(frozen=True, slots=True)
-class GraphSummary:
+class GraphSummary(Record):
     """What the contact graph of a cell is like as a whole; `ValueError` for numbers that contradict each other."""
 
     graph_contacts: Annotated[int, _graph("contacts between grains")]
@@ -142,8 +126,7 @@ class GraphSummary:
     """0 where cement alone joins transmitter and receiver, None where nothing does."""
 
     def __post_init__(self) -> None:
-        normalize_numbers(self)
-        check_bounds(self)
+        Record.__post_init__(self)
         if self.graph_bonded_contacts > self.graph_contacts:
             raise ValueError(
                 f"GraphSummary.graph_bonded_contacts is {self.graph_bonded_contacts} of {self.graph_contacts}; "

@@ -2,7 +2,7 @@
 
 import errno
 from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, closing, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from calcidem.storage.errors import (
     UnknownCampaignError,
 )
 from calcidem.storage.records import CampaignRecord, canonical_content, checked_seed
-from calcidem.storage.sql.engine import Address, execute_on_connect, make_engine, transaction
+from calcidem.storage.sql.engine import Address, Database
 from calcidem.storage.sql.tables import CAMPAIGN, CELL, is_empty, prepare_schema
 from calcidem.storage.store import Closable
 
@@ -39,28 +39,24 @@ class OpenDatabase(Closable):
         _refuse_wrong_file(address, read_only=read_only)
         if not read_only and address.path is not None and address.path.exists() and address.path.stat().st_size:
             # A file of another program is refused before a writing connection changes its journal mode.
-            looking = make_engine(address, read_only=True)
-            try:
-                with transaction(looking, address, write=False) as connection:
-                    is_empty(connection, address)
-            finally:
-                looking.dispose()
-        self._engine = make_engine(address, read_only=read_only)
+            with closing(Database(address, read_only=True)) as looking, looking.transaction(write=False) as connection:
+                is_empty(connection, address)
+        self._database = Database(address, read_only=read_only)
         try:
-            with transaction(self._engine, address, write=not read_only) as connection:
+            with self._database.transaction(write=not read_only) as connection:
                 statement = prepare_schema(connection, address, read_only=read_only)
             if statement is not None:
-                execute_on_connect(self._engine, statement)
+                self._database.execute_on_connect(statement)
             self._file = None if address.path is None else address.path.stat()
         except BaseException:
-            self._engine.dispose()
+            self._database.close()
             raise
 
     def _reading(self) -> AbstractContextManager[Connection]:
         self._refuse_closed()
         if self._shared is not None:
             return nullcontext(self._shared)
-        return transaction(self._engine, self.address, write=False)
+        return self._database.transaction(write=False)
 
     def _refuse_closed(self) -> None:
         if self._closed:
@@ -69,7 +65,7 @@ class OpenDatabase(Closable):
     def close(self) -> None:
         """Release all connections; a closed store may be closed again."""
         self._closed = True
-        self._engine.dispose()
+        self._database.close()
 
     @property
     def _campaign(self) -> int:
@@ -88,7 +84,7 @@ class OpenDatabase(Closable):
         """All campaigns, oldest first."""
         with self._reading() as connection:
             found = connection.execute(select(CAMPAIGN).order_by(CAMPAIGN.c.id)).all()
-            return tuple(campaign_record(connection, row) for row in found)
+            return tuple(self._campaign_of(connection, row) for row in found)
 
     def use_campaign(self, name: str | None = None) -> CampaignRecord:
         """Choose an existing campaign; without a name the only one there is.
@@ -102,36 +98,36 @@ class OpenDatabase(Closable):
                 names = ", ".join(f"'{row.name}'" for row in found) or "none"
                 wanted = f"no campaign '{name}'" if name is not None else f"{len(found)} campaigns"
                 raise UnknownCampaignError(f"{self.address} has {wanted}.", f"Name one of its campaigns: {names}.")
-            self._campaign_id, self._record = chosen[0].id, campaign_record(connection, chosen[0])
+            self._campaign_id, self._record = chosen[0].id, self._campaign_of(connection, chosen[0])
         return self._record
 
+    @staticmethod
+    def _campaign_of(connection: Connection, row: Row[Any]) -> CampaignRecord:
+        """Build a campaign with the seeds and contents of its planned cells.
 
-def campaign_record(connection: Connection, row: Row[Any]) -> CampaignRecord:
-    """Build a campaign with the seeds and contents of its planned cells.
+        `DamagedStoreError` if its configuration or its hash was changed.
+        """
 
-    `DamagedStoreError` if its configuration or its hash was changed.
-    """
+        def planned(column: Column[Any], normalize: Callable[[Any], Any]) -> Iterable[Any]:
+            """Values of a column; what damage has made of some others is left out."""
+            found = connection.scalars(select(column).where(CELL.c.campaign_id == row.id).distinct())
+            return (value for value in found if is_possible(normalize, value))
 
-    def planned(column: Column[Any], normalize: Callable[[Any], Any]) -> Iterable[Any]:
-        """Values of a column; what damage has made of some others is left out."""
-        found = connection.scalars(select(column).where(CELL.c.campaign_id == row.id).distinct())
-        return (value for value in found if is_possible(normalize, value))
-
-    record = CampaignRecord(
-        hash=row.hash,
-        name=row.name,
-        config=row.config,
-        contents=tuple(planned(CELL.c.content, canonical_content)),
-        seeds=tuple(planned(CELL.c.seed, checked_seed)),
-        created=row.created,
-    )
-    if record.checksum != row.checksum:
-        raise DamagedStoreError(
-            f"The configuration of campaign '{row.name}', or its hash {row.hash[:12]}, was changed after it had been "
-            "stored.",
-            "Import an exported file into a new database: its cells may be those of another campaign.",
+        record = CampaignRecord(
+            hash=row.hash,
+            name=row.name,
+            config=row.config,
+            contents=tuple(planned(CELL.c.content, canonical_content)),
+            seeds=tuple(planned(CELL.c.seed, checked_seed)),
+            created=row.created,
         )
-    return record
+        if record.checksum != row.checksum:
+            raise DamagedStoreError(
+                f"The configuration of campaign '{row.name}', or its hash {row.hash[:12]}, was changed after it had "
+                "been stored.",
+                "Import an exported file into a new database: its cells may be those of another campaign.",
+            )
+        return record
 
 
 def is_possible(normalize: Callable[[Any], object], value: object) -> bool:

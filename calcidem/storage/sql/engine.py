@@ -10,7 +10,7 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 from zipfile import BadZipFile
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, text
@@ -97,54 +97,108 @@ class Address:
     path: Path | None
     """The file of a SQLite store, None for a server."""
 
+    @classmethod
+    def parse(cls, path_or_url: str | os.PathLike[str]) -> Self:
+        """Understand a path (SQLite) or an URL such as ``postgresql+psycopg://user@host/database``.
+
+        `StoreUnavailableError` for an URL that can't be read or whose file name is missing.
+        """
+        text = os.fspath(path_or_url)
+        if "://" not in text:
+            path = Path(text).absolute()
+            return cls(URL.create("sqlite", database=str(path)), path)
+        try:
+            url = make_url(text)
+        except (ArgumentError, ValueError) as error:
+            raise StoreUnavailableError(
+                f"'{hide_passwords(text)}' is not a database URL.",
+                "Give a file name or dialect+driver://user@host/database.",
+            ) from error
+        if url.get_backend_name() == "postgresql" and url.drivername == "postgresql":
+            url = url.set(drivername="postgresql+psycopg")
+        if url.get_backend_name() != "sqlite":
+            password = password_of(text)
+            return cls(url if password is None else url.set(password=password), None)
+        if not url.database or url.database == ":memory:":
+            raise StoreUnavailableError(
+                f"'{text}' names no file.", "Give a file name; a store in memory would be lost."
+            )
+        return cls.parse(url.database)
+
     def __str__(self) -> str:
         """Return the path, or the URL without its password."""
         return str(self.path) if self.path else hide_passwords(self.url.render_as_string(hide_password=True))
 
 
-def parse_address(path_or_url: str | os.PathLike[str]) -> Address:
-    """Understand a path (SQLite) or an URL such as ``postgresql+psycopg://user@host/database``.
+class Database:
+    """Connections to a database, with transactions that are real on every backend.
 
-    `StoreUnavailableError` for an URL that can't be read or whose file name is missing.
+    Attributes
+    ----------
+    address : Address
     """
-    text = os.fspath(path_or_url)
-    if "://" not in text:
-        path = Path(text).absolute()
-        return Address(URL.create("sqlite", database=str(path)), path)
-    try:
-        url = make_url(text)
-    except (ArgumentError, ValueError) as error:
-        raise StoreUnavailableError(
-            f"'{hide_passwords(text)}' is not a database URL.",
-            "Give a file name or dialect+driver://user@host/database.",
-        ) from error
-    if url.get_backend_name() == "postgresql" and url.drivername == "postgresql":
-        url = url.set(drivername="postgresql+psycopg")
-    if url.get_backend_name() != "sqlite":
-        password = password_of(text)
-        return Address(url if password is None else url.set(password=password), None)
-    if not url.database or url.database == ":memory:":
-        raise StoreUnavailableError(f"'{text}' names no file.", "Give a file name; a store in memory would be lost.")
-    return parse_address(url.database)
 
+    def __init__(self, address: Address, *, read_only: bool) -> None:
+        """Connect when it is needed.
 
-def make_engine(address: Address, *, read_only: bool) -> Engine:
-    """Create an engine whose transactions are real on every backend.
+        A writer of SQLite chooses the journal: a write-ahead log on a local disk, a rollback journal (DELETE) on a
+        network file system, where the log doesn't work. `StoreUnavailableError` if the database's driver isn't
+        installed.
+        """
+        self.address = address
+        if address.path is not None:
+            self._engine = _sqlite_engine(address.path, read_only=read_only)
+            return
+        try:
+            engine = create_engine(address.url, pool_pre_ping=True)
+        except (NoSuchModuleError, ImportError) as error:
+            raise StoreUnavailableError(
+                f"The driver for {address} is missing ({error}).", "Install it: pip install 'psycopg[binary]'."
+            ) from error
+        self._engine = engine.execution_options(postgresql_readonly=True) if read_only else engine
 
-    A writer of SQLite chooses the journal: a write-ahead log on a local disk, a rollback journal (DELETE) on a network
-    file system, where the log doesn't work. `StoreUnavailableError` if the database's driver isn't installed.
-    """
-    if address.path is not None:
-        return _sqlite_engine(address.path, read_only=read_only)
-    try:
-        engine = create_engine(address.url, pool_pre_ping=True)
-    except (NoSuchModuleError, ImportError) as error:
-        raise StoreUnavailableError(
-            f"The driver for {address} is missing ({error}).", "Install it: pip install 'psycopg[binary]'."
-        ) from error
-    if read_only:
-        return engine.execution_options(postgresql_readonly=True)
-    return engine
+    @contextmanager
+    def transaction(self, *, write: bool) -> Iterator[Connection]:
+        """Open a connection with one transaction: committed at the end, rolled back on any error.
+
+        A writer waits for SQLite's lock at the beginning. An error of the database becomes a `StoreError` with the
+        address.
+        """
+        bound = self._engine.execution_options(**{_WRITES: True}) if write else self._engine
+        try:
+            with bound.begin() as connection:
+                yield connection
+        except SQLAlchemyError as error:
+            raise _translate_error(error, self.address) from error
+        except UNREADABLE as error:
+            if write or isinstance(error, DamagedStoreError):
+                raise  # what is wrong may be what was to be written
+            problem = f"{self.address}: something that is stored can't be read ({type(error).__name__}: {error})."
+            raise DamagedStoreError(problem, _CURE_OF_ERROR[DamagedStoreError]) from error
+
+    def execute_on_connect(self, statement: str) -> None:
+        """Have each reading connection of SQLite execute a statement before any other; open ones are closed."""
+
+        @event.listens_for(self._engine, "connect")
+        def execute(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
+            connection.execute("PRAGMA temp_store=MEMORY")  # whoever may only read a file may have no other to write
+            connection.execute("PRAGMA query_only=OFF")  # views for the time of the connection count as changes, too
+            connection.execute(statement)
+            connection.execute("PRAGMA query_only=ON")
+
+        self.close()
+
+    def bring_log_into_file(self) -> None:
+        """Copy the write-ahead log, if there is one, into the database file, as far as readers allow.
+
+        An error is ignored: what the log holds is stored, and the next attempt may succeed.
+        """
+        with suppress(SQLAlchemyError, sqlite3.Error), closing(self._engine.raw_connection()) as connection:
+            connection.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)")
+
+    def close(self) -> None:
+        """Close the connections."""
+        self._engine.dispose()
 
 
 def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
@@ -190,47 +244,6 @@ def may_be_damage(error: BaseException) -> bool:
     return getattr(error.orig, "sqlite_errorcode", 0) & _PRIMARY_CODE in _SQLITE_DAMAGE
 
 
-def execute_on_connect(engine: Engine, statement: str) -> None:
-    """Have each reading connection of a SQLite engine execute a statement before any other; open ones are closed."""
-
-    @event.listens_for(engine, "connect")
-    def execute(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
-        connection.execute("PRAGMA temp_store=MEMORY")  # whoever may only read a file may have no other to write
-        connection.execute("PRAGMA query_only=OFF")  # views for the time of the connection count as changes, too
-        connection.execute(statement)
-        connection.execute("PRAGMA query_only=ON")
-
-    engine.dispose()
-
-
-def bring_log_into_file(engine: Engine) -> None:
-    """Copy the write-ahead log, if there is one, into the database file, as far as readers allow.
-
-    An error is ignored: what the log holds is stored, and the next attempt may succeed.
-    """
-    with suppress(SQLAlchemyError, sqlite3.Error), closing(engine.raw_connection()) as connection:
-        connection.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)")
-
-
-@contextmanager
-def transaction(engine: Engine, address: Address, *, write: bool) -> Iterator[Connection]:
-    """Open a connection with one transaction: committed at the end, rolled back on any error.
-
-    A writer waits for SQLite's lock at the beginning. An error of the database becomes a `StoreError` with the address.
-    """
-    bound = engine.execution_options(**{_WRITES: True}) if write else engine
-    try:
-        with bound.begin() as connection:
-            yield connection
-    except SQLAlchemyError as error:
-        raise _translate_error(error, address) from error
-    except UNREADABLE as error:
-        if write or isinstance(error, DamagedStoreError):
-            raise  # what is wrong may be what was to be written
-        problem = f"{address}: something that is stored can't be read ({type(error).__name__}: {error})."
-        raise DamagedStoreError(problem, _CURE_OF_ERROR[DamagedStoreError]) from error
-
-
 def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
     """Return the error of the store that an error of the database means."""
     original = error.orig if isinstance(error, DBAPIError) else error
@@ -258,16 +271,15 @@ def measure_commits(path: Path, count: int) -> tuple[str, float]:
 
     `StoreError` if that can't be done there.
     """
-    address = parse_address(path)
-    engine = make_engine(address, read_only=False)
+    database = Database(Address.parse(path), read_only=False)
     try:
-        with transaction(engine, address, write=True) as connection:
+        with database.transaction(write=True) as connection:
             journal = str(connection.scalar(text("PRAGMA journal_mode")))
             connection.execute(text("CREATE TABLE trial (value BLOB)"))
         begin = time.perf_counter()
         for _ in range(count):
-            with transaction(engine, address, write=True) as connection:
+            with database.transaction(write=True) as connection:
                 connection.execute(text("INSERT INTO trial VALUES (zeroblob(8000))"))
         return journal, count / (time.perf_counter() - begin)
     finally:
-        engine.dispose()
+        database.close()

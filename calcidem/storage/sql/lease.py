@@ -93,89 +93,93 @@ class FileLock:
             self._descriptor = None
 
 
-def acknowledged_beside(database: Path | None) -> tuple[str, datetime] | None:
-    """Token and heartbeat of the last transaction that was acknowledged to a master that did not end in order.
+class Lease(FileLock):
+    """The right of one process to write a campaign: its row in the database, and the lock beside.
 
-    The lock file has them; None if there is none, or nothing is noted in it. Read it before the database.
+    Attributes
+    ----------
+    token : str or None
+        Mark of this process in its row, once that is stored.
     """
-    try:
-        token, heartbeat = Path(f"{database}.lock").read_text(encoding="ascii").split()
-        return token, datetime.fromisoformat(heartbeat)
-    except (OSError, ValueError):
-        return None
 
+    def __init__(self, database: Path | None) -> None:
+        super().__init__(database)
+        self.token: str | None = None
 
-def describe_loss(connection: Connection, token: str, heartbeat: datetime) -> str | None:
-    """Return a sentence on what a database lacks of what was acknowledged; None if it has everything."""
-    row = connection.execute(select(LEASE).where(LEASE.c.token == token)).first()
-    if row is not None and row.heartbeat >= heartbeat:
-        return None
-    since = "" if row is None else f"after {row.heartbeat:%Y-%m-%d %H:%M:%S.%f} and "
-    return (
-        f"What was stored {since}until {heartbeat:%Y-%m-%d %H:%M:%S.%f} UTC is no longer in the database: its "
-        "write-ahead log was damaged, or the file is another. The cells concerned are pending and will be computed "
-        "again."
-    )
+    def acknowledged(self) -> tuple[str, datetime] | None:
+        """Token and heartbeat of the last transaction that was acknowledged to a master that did not end in order.
 
+        The lock file has them; None if there is none, or nothing is noted in it. Read it before the database.
+        """
+        try:
+            token, heartbeat = ("" if self.path is None else self.path.read_text(encoding="ascii")).split()
+            return token, datetime.fromisoformat(heartbeat)
+        except (OSError, ValueError):
+            return None
 
-def claim_lease(
-    connection: Connection, campaign_id: int, token: str, *, former_is_dead: bool
-) -> tuple[datetime, LeaseHolder | None]:
-    """Write the lease's row for this process in a writing transaction; give its first heartbeat and a dead holder.
-
-    ``former_is_dead`` says that a former holder on this machine is gone, because this process has its file lock.
-    `LeaseHeldError` if the holder may be alive.
-    """
-    now, host = datetime.now(UTC), socket.gethostname()
-    former = lease_holder(connection, campaign_id, for_update=True)
-    if former is not None:
-        if former.may_live() and not (former.host == host and former_is_dead):
-            raise lease_held_error(former)
-        connection.execute(delete(LEASE).where(LEASE.c.campaign_id == campaign_id))
-    holder = LeaseHolder(host, os.getpid(), now, now)
-    connection.execute(insert(LEASE).values(campaign_id=campaign_id, token=token, **asdict(holder)))
-    return now, former
-
-
-def refuse_other_masters(connection: Connection, token: str | None) -> None:
-    """Raise `LeaseHeldError` if a living process other than the one with this token writes a campaign."""
-    for row in connection.execute(select(LEASE)).all():
-        if row.token != token and (holder := LeaseHolder(*row[2:])).may_live():
-            raise lease_held_error(holder)
-
-
-def lease_holder(connection: Connection, campaign_id: int, *, for_update: bool = False) -> LeaseHolder | None:
-    """Return who holds the lease of a campaign, None if nobody does."""
-    statement = select(*(LEASE.c[field.name] for field in fields(LeaseHolder))).where(
-        LEASE.c.campaign_id == campaign_id
-    )
-    row = connection.execute(statement.with_for_update() if for_update else statement).first()
-    return None if row is None else LeaseHolder(*row)
-
-
-def lease_held_error(holder: LeaseHolder | None) -> LeaseHeldError:
-    """Return the error that names the present master."""
-    if holder is None:
-        who, cure = "another process on this machine", "Wait until it has ended."
-    else:
-        who = f"process {holder.pid} on {holder.host} (last heartbeat at {holder.heartbeat:%H:%M:%S} UTC)"
-        free = holder.heartbeat + STALE_AFTER
-        cure = f"Wait until it has ended; if it died on another machine, its lease ends at {free:%H:%M:%S} UTC."
-    return LeaseHeldError(f"The campaign is being written by {who}.", cure)
-
-
-def renew_lease(connection: Connection, token: str) -> datetime:
-    """Move the heartbeat to now, and return it; `LeaseLostError` if the row is another process's by now."""
-    heartbeat = datetime.now(UTC)
-    renewed = connection.execute(update(LEASE).where(LEASE.c.token == token).values(heartbeat=heartbeat))
-    if renewed.rowcount == 0:
-        raise LeaseLostError(
-            "Another process has taken this campaign over because this one was silent for too long.",
-            "Nothing of this transaction was stored; end this process, the other one continues.",
+    @staticmethod
+    def describe_loss(connection: Connection, acknowledged: tuple[str, datetime] | None) -> str | None:
+        """Return a sentence on what a database lacks of what was acknowledged; None if it has everything."""
+        if acknowledged is None:
+            return None
+        token, heartbeat = acknowledged
+        row = connection.execute(select(LEASE).where(LEASE.c.token == token)).first()
+        if row is not None and row.heartbeat >= heartbeat:
+            return None
+        since = "" if row is None else f"after {row.heartbeat:%Y-%m-%d %H:%M:%S.%f} and "
+        return (
+            f"What was stored {since}until {heartbeat:%Y-%m-%d %H:%M:%S.%f} UTC is no longer in the database: its "
+            "write-ahead log was damaged, or the file is another. The cells concerned are pending and will be computed "
+            "again."
         )
-    return heartbeat
 
+    def claim(self, connection: Connection, campaign_id: int, token: str) -> tuple[datetime, LeaseHolder | None]:
+        """Write the row for this process in a writing transaction; give its first heartbeat and a dead former holder.
 
-def drop_lease(connection: Connection, token: str) -> None:
-    """Remove the row if it is still this master's."""
-    connection.execute(delete(LEASE).where(LEASE.c.token == token))
+        A former holder on this machine is dead if this process has its lock. `LeaseHeldError` if it may be alive.
+        """
+        now, host = datetime.now(UTC), socket.gethostname()
+        former = self.holder(connection, campaign_id, for_update=True)
+        if former is not None:
+            if former.may_live() and not (former.host == host and self.held):
+                raise self.held_error(former)
+            connection.execute(delete(LEASE).where(LEASE.c.campaign_id == campaign_id))
+        holder = LeaseHolder(host, os.getpid(), now, now)
+        connection.execute(insert(LEASE).values(campaign_id=campaign_id, token=token, **asdict(holder)))
+        return now, former
+
+    def refuse_other_masters(self, connection: Connection) -> None:
+        """Raise `LeaseHeldError` if a living process other than this one writes a campaign."""
+        for row in connection.execute(select(LEASE)).all():
+            if row.token != self.token and (holder := LeaseHolder(*row[2:])).may_live():
+                raise self.held_error(holder)
+
+    def renew(self, connection: Connection) -> datetime:
+        """Move the heartbeat to now, and return it; `LeaseLostError` if the row is another process's by now."""
+        heartbeat = datetime.now(UTC)
+        renewed = connection.execute(update(LEASE).where(LEASE.c.token == self.token).values(heartbeat=heartbeat))
+        if renewed.rowcount == 0:
+            raise LeaseLostError(
+                "Another process has taken this campaign over because this one was silent for too long.",
+                "Nothing of this transaction was stored; end this process, the other one continues.",
+            )
+        return heartbeat
+
+    @staticmethod
+    def holder(connection: Connection, campaign_id: int, *, for_update: bool = False) -> LeaseHolder | None:
+        """Return who holds the lease of a campaign, None if nobody does."""
+        columns = (LEASE.c[field.name] for field in fields(LeaseHolder))
+        statement = select(*columns).where(LEASE.c.campaign_id == campaign_id)
+        row = connection.execute(statement.with_for_update() if for_update else statement).first()
+        return None if row is None else LeaseHolder(*row)
+
+    @staticmethod
+    def held_error(holder: LeaseHolder | None) -> LeaseHeldError:
+        """Return the error that names the present master."""
+        if holder is None:
+            who, cure = "another process on this machine", "Wait until it has ended."
+        else:
+            who = f"process {holder.pid} on {holder.host} (last heartbeat at {holder.heartbeat:%H:%M:%S} UTC)"
+            free = holder.heartbeat + STALE_AFTER
+            cure = f"Wait until it has ended; if it died on another machine, its lease ends at {free:%H:%M:%S} UTC."
+        return LeaseHeldError(f"The campaign is being written by {who}.", cure)

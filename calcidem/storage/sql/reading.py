@@ -44,7 +44,7 @@ from calcidem.storage.records.arrays import unpack_arrays
 from calcidem.storage.sql.checksums import arrays_text, covered_columns, is_intact, row_checksums
 from calcidem.storage.sql.database import OpenDatabase, is_possible
 from calcidem.storage.sql.engine import UNREADABLE, may_be_damage
-from calcidem.storage.sql.lease import acknowledged_beside, describe_loss, lease_holder
+from calcidem.storage.sql.lease import Lease
 from calcidem.storage.sql.tables import (
     ARRAYS,
     ATTEMPT,
@@ -99,7 +99,7 @@ class StoreReader(OpenDatabase):
     def lease_holder(self) -> LeaseHolder | None:
         """Return who holds the lease, None if nobody does; it may have died (`LeaseHolder.may_live`)."""
         with self._reading() as connection:
-            return lease_holder(connection, self._campaign)
+            return Lease.holder(connection, self._campaign)
 
     def packing(self, index: int = 0) -> PackingRecord:
         """Return a packing of the campaign.
@@ -109,7 +109,7 @@ class StoreReader(OpenDatabase):
         with self._reading() as connection:
             statement = select(PACKING).where(PACKING.c.campaign_id == self._campaign, PACKING.c.number == index)
             if (row := connection.execute(statement).mappings().first()) is not None:
-                return packing_of(dict(row))
+                return self._packing_of(dict(row))
         raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {self.packing_indices()}.")
 
     def content_hashes(self) -> dict[int, str | None]:
@@ -174,7 +174,7 @@ class StoreReader(OpenDatabase):
             # Of a large campaign few are, and to look for these first takes a tenth of the time.
             may_be = select(ATTEMPT.c.cell_id).where(or_(ATTEMPT.c.number > 1, ATTEMPT.c.outcome == "lost"))
             repeated = statement.where(CELL.c.id.in_(may_be)).having(or_(func.max(number) > 1, losses > 0))
-            for part in [repeated] if listed is None else [statement.where(cell_in(c)) for c in chunks(listed)]:
+            for part in [repeated] if listed is None else [statement.where(self._cell_in(c)) for c in chunks(listed)]:
                 for seed, content, attempts, lost in connection.execute(part):
                     counts[CellKey(seed, content)] = AttemptCount(attempts, int(lost))
         return counts
@@ -183,7 +183,7 @@ class StoreReader(OpenDatabase):
         """All attempts at the selected cells that are as they were stored, by seed, content and number."""
         for chunk in self._chunks(selection):
             with self._reading() as connection:
-                found = [attempt for _, attempt in attempts_or_damage(connection, chunk) if attempt is not None]
+                found = [attempt for _, attempt in self._attempts_or_damage(connection, chunk) if attempt is not None]
             yield from found
 
     # Outcomes
@@ -293,7 +293,7 @@ class StoreReader(OpenDatabase):
         Returned are the damaged cells, each with a clause on its damaged parts, and sentences on all other damage: of
         packings, runs, attempts, or the file.
         """
-        noted = acknowledged_beside(self.address.path)
+        noted = Lease(self.address.path).acknowledged()
         outcomes = self.results(with_arrays=True)
         damaged = {result.key: result.reason for result in outcomes if result.status is CellStatus.DAMAGED}
         others = [f"Run {number}: {_DAMAGED_RUN}" for number, run in self.runs() if run.exit_state == _DAMAGED_RUN]
@@ -304,16 +304,62 @@ class StoreReader(OpenDatabase):
                 others.append(f"Packing {index}: {error.problem}")
         with self._reading() as connection:
             cells = connection.scalars(select(CELL.c.id).where(CELL.c.campaign_id == self._campaign)).all()
-            for row, attempt in (found for chunk in chunks(cells) for found in attempts_or_damage(connection, chunk)):
+            for row, attempt in (
+                found for chunk in chunks(cells) for found in self._attempts_or_damage(connection, chunk)
+            ):
                 if attempt is None:
                     cell = "a cell" if row is None else f"seed {row[1]}, {row[2]} %"
                     others.append(f"An attempt at {cell} is not what was stored.")
             if connection.dialect.name == "sqlite":
                 lines = connection.exec_driver_sql("PRAGMA integrity_check(20)").scalars().all()
                 others += [f"The file: {line}." for line in lines if line != "ok"]
-            if noted is not None and (lost := describe_loss(connection, *noted)) is not None:
+            if (lost := Lease.describe_loss(connection, noted)) is not None:
                 others.append(lost)
         return damaged, others
+
+    @staticmethod
+    def _cell_in(keys: Sequence[CellKey]) -> ColumnElement[bool]:
+        """Condition that a cell is one of the keys.
+
+        SQLite doesn't search an index for a list of pairs, but it does for the lists of their parts.
+        """
+        seeds, contents = {key.seed for key in keys}, {key.content for key in keys}
+        listed = tuple_(CELL.c.seed, CELL.c.content).in_([(key.seed, key.content) for key in keys])
+        return and_(CELL.c.seed.in_(sorted(seeds)), CELL.c.content.in_(sorted(contents)), listed)
+
+    @staticmethod
+    def _attempts_or_damage(
+        connection: Connection, cells: Sequence[int]
+    ) -> Iterator[tuple[Sequence[Any] | None, AttemptRecord | None]]:
+        """Rows of the attempts at cells, None where one can't be read, and what they stand for, None if damaged."""
+        names = covered_columns(ATTEMPT)
+        statement = select(CELL.c.id, *_BY_KEY, ATTEMPT.c.checksum, ATTEMPT.c.forgiven, *(ATTEMPT.c[n] for n in names))
+        statement = statement.join(ATTEMPT, ATTEMPT.c.cell_id == CELL.c.id).order_by(*_BY_KEY, ATTEMPT.c.number)
+        rows = [row for _, row in _readable_rows(connection, statement, CELL.c.id, cells)]
+        readable = [row for row in rows if row is not None]
+        columns = list(zip(*readable, strict=True))
+        named = (
+            {"seed": columns[1], "content": columns[2]} | dict(zip(names, columns[5:], strict=True)) if readable else {}
+        )
+        checksums = iter(row_checksums(ATTEMPT, named) if readable else ())
+        for row in rows:
+            if row is None or row[3] != next(checksums):
+                yield row, None
+            else:
+                values = dict(zip(names, row[5:], strict=True))
+                yield row, AttemptRecord(CellKey(row[1], row[2]), forgiven=bool(row[4]), **values)
+
+    @staticmethod
+    def _packing_of(row: Mapping[str, Any]) -> PackingRecord:
+        """Build a packing from its row; `DamagedStoreError` if the row was changed after it had been stored."""
+        if not is_intact(PACKING, row):
+            raise DamagedStoreError(
+                f"The stored packing {row['number']} was changed after it had been stored.",
+                "The results of its cells can be read as before; 'calcidem run' replaces it by the same one of the "
+                "cache.",
+            )
+        values = {field.name: row[field.name] for field in fields(PackingRecord) if field.name in row}
+        return PackingRecord(index=row["number"], **(values | unpack_arrays(row["grains"])))
 
 
 # Conditions
@@ -339,16 +385,6 @@ def _conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bo
     if selection.since is not None:
         found.append(CELL.c.id.in_(select(ATTEMPT.c.cell_id).where(ATTEMPT.c.recorded >= selection.since)))
     return found
-
-
-def cell_in(keys: Sequence[CellKey]) -> ColumnElement[bool]:
-    """Condition that a cell is one of the keys.
-
-    SQLite doesn't search an index for a list of pairs, but it does for the lists of their parts.
-    """
-    seeds, contents = {key.seed for key in keys}, {key.content for key in keys}
-    listed = tuple_(CELL.c.seed, CELL.c.content).in_([(key.seed, key.content) for key in keys])
-    return and_(CELL.c.seed.in_(sorted(seeds)), CELL.c.content.in_(sorted(contents)), listed)
 
 
 def _is_selected(status: str, selection: Selection) -> bool:
@@ -579,37 +615,6 @@ def _array_records(text: str | None, arrays: Mapping[str, bytes], wanted: Collec
         unpacked = unpack_arrays(content).items()
         records[name] = kind(**{field: array if array.ndim else array.item() for field, array in unpacked})
     return records
-
-
-def attempts_or_damage(
-    connection: Connection, cells: Sequence[int]
-) -> Iterator[tuple[Sequence[Any] | None, AttemptRecord | None]]:
-    """Rows of the attempts at some cells, None where one can't be read, and what they stand for, None if damaged."""
-    names = covered_columns(ATTEMPT)
-    statement = select(CELL.c.id, *_BY_KEY, ATTEMPT.c.checksum, ATTEMPT.c.forgiven, *(ATTEMPT.c[n] for n in names))
-    statement = statement.join(ATTEMPT, ATTEMPT.c.cell_id == CELL.c.id).order_by(*_BY_KEY, ATTEMPT.c.number)
-    rows = [row for _, row in _readable_rows(connection, statement, CELL.c.id, cells)]
-    readable = [row for row in rows if row is not None]
-    columns = list(zip(*readable, strict=True))
-    named = {"seed": columns[1], "content": columns[2]} | dict(zip(names, columns[5:], strict=True)) if readable else {}
-    checksums = iter(row_checksums(ATTEMPT, named) if readable else ())
-    for row in rows:
-        if row is None or row[3] != next(checksums):
-            yield row, None
-        else:
-            values = dict(zip(names, row[5:], strict=True))
-            yield row, AttemptRecord(CellKey(row[1], row[2]), forgiven=bool(row[4]), **values)
-
-
-def packing_of(row: Mapping[str, Any]) -> PackingRecord:
-    """Build a packing from its row; `DamagedStoreError` if the row was changed after it had been stored."""
-    if not is_intact(PACKING, row):
-        raise DamagedStoreError(
-            f"The stored packing {row['number']} was changed after it had been stored.",
-            "The results of its cells can be read as before; 'calcidem run' replaces it by the same one of the cache.",
-        )
-    values = {field.name: row[field.name] for field in fields(PackingRecord) if field.name in row}
-    return PackingRecord(index=row["number"], **(values | unpack_arrays(row["grains"])))
 
 
 def _run_of(row: Mapping[str, Any]) -> RunRecord:

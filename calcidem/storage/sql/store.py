@@ -32,14 +32,12 @@ from calcidem.storage.records import (
     WorkerRecord,
 )
 from calcidem.storage.records.arrays import pack_arrays
-from calcidem.storage.records.campaign import refuse_other_campaign, refuse_other_packing
 from calcidem.storage.records.run import as_utc
-from calcidem.storage.sql import lease
 from calcidem.storage.sql.checksums import arrays_text, covered_columns, seal
-from calcidem.storage.sql.database import campaign_record
-from calcidem.storage.sql.engine import Address, bring_log_into_file, parse_address, transaction
-from calcidem.storage.sql.reading import StoreReader, attempts_or_damage, cell_in, chunks, packing_of
-from calcidem.storage.sql.tables import ARRAYS, ATTEMPT, CAMPAIGN, CELL, PACKING, RESULT, RUN
+from calcidem.storage.sql.engine import Address
+from calcidem.storage.sql.lease import Lease
+from calcidem.storage.sql.reading import StoreReader, chunks
+from calcidem.storage.sql.tables import ARRAYS, ATTEMPT, CAMPAIGN, CELL, LEASE, PACKING, RESULT, RUN
 from calcidem.storage.store import RETRIED_BY_DEFAULT
 
 _CHECKPOINT_INTERVAL = 10.0
@@ -55,7 +53,7 @@ def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) 
     `OlderSchemaError`, `StoreUnavailableError`, `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a
     database that is refused is left as it was.
     """
-    return Store(parse_address(path_or_url), read_only=read_only)
+    return Store(Address.parse(path_or_url), read_only=read_only)
 
 
 def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Store":
@@ -70,6 +68,14 @@ def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
         store.close()
         raise
     return store
+
+
+class _Known(NamedTuple):
+    """A planned cell, and its outcome if it has one."""
+
+    id: int
+    status: str | None
+    attempt: int | None
 
 
 class Store(StoreReader):
@@ -108,10 +114,9 @@ class Store(StoreReader):
 
     def __init__(self, address: Address, *, read_only: bool = False) -> None:
         self._run_id: int | None = None
-        self._token: str | None = None
         self._next_checkpoint = 0.0
         super().__init__(address, read_only=read_only)
-        self._lock = lease.FileLock(None if read_only else address.path)
+        self._lease = Lease(None if read_only else address.path)
 
     # Transactions
 
@@ -125,7 +130,7 @@ class Store(StoreReader):
         chosen = self._campaign_id, self._record, self._run_id
         try:
             with self._writing() as connection:
-                lease.refuse_other_masters(connection, self._token)
+                self._lease.refuse_other_masters(connection)
                 yield
         except BaseException:
             self._campaign_id, self._record, self._run_id = chosen
@@ -141,21 +146,21 @@ class Store(StoreReader):
         self._refuse_replaced()
         if self.read_only:
             raise ReadOnlyStoreError(f"{self.address} was opened for reading only.", "Open it for writing.")
-        with transaction(self._engine, self.address, write=True) as connection:
-            heartbeat = None if self._token is None else lease.renew_lease(connection, self._token)
+        with self._database.transaction(write=True) as connection:
+            heartbeat = None if self._lease.token is None else self._lease.renew(connection)
             self._shared = connection
             try:
                 yield connection
             finally:
                 self._shared = None
-        if self._token is not None and heartbeat is not None:
-            self._lock.note(self._token, heartbeat)
+        if self._lease.token is not None and heartbeat is not None:
+            self._lease.note(self._lease.token, heartbeat)
         if time.monotonic() > self._next_checkpoint:
             self._bring_log_into_file()
 
     def _bring_log_into_file(self) -> None:
         if self.address.path is not None and not self.read_only:
-            bring_log_into_file(self._engine)
+            self._database.bring_log_into_file()
             self._next_checkpoint = time.monotonic() + _CHECKPOINT_INTERVAL
 
     def _refuse_replaced(self) -> None:
@@ -197,13 +202,13 @@ class Store(StoreReader):
             is_it = or_(CAMPAIGN.c.hash == campaign.hash, CAMPAIGN.c.name == campaign.name)
             found = connection.execute(select(CAMPAIGN).where(is_it)).all()
             for row in sorted(found, key=lambda row: bool(row.hash != campaign.hash)):
-                refuse_other_campaign(campaign_record(connection, row), campaign)
+                self._campaign_of(connection, row).refuse_other(campaign)
             if not found:
                 own = {name: getattr(campaign, name) for name in ("hash", "name", "config", "created", "checksum")}
                 connection.execute(insert(CAMPAIGN).values(own))
             (row,) = connection.execute(select(CAMPAIGN).where(CAMPAIGN.c.hash == campaign.hash))
             _plan_cells(connection, row.id, starmap(CellKey, product(campaign.seeds, campaign.contents)))
-            record = campaign_record(connection, row)
+            record = self._campaign_of(connection, row)
         self._campaign_id, self._record = row.id, record
         return record
 
@@ -254,23 +259,23 @@ class Store(StoreReader):
         lost. `LeaseHeldError` if another living process is the master; the message says which, and when it would count
         as dead.
         """
-        if self._token is not None:
+        if self._lease.token is not None:
             self.renew_lease()
             return ()
-        if not self._lock.acquire():
-            raise lease.lease_held_error(self.lease_holder())
-        noted = lease.acknowledged_beside(self.address.path) if self._lock.held else None
+        if not self._lease.acquire():
+            raise self._lease.held_error(self.lease_holder())
+        noted = self._lease.acknowledged() if self._lease.held else None
         token = uuid.uuid4().hex
         try:
             with self._writing() as connection:
-                lost = None if noted is None else lease.describe_loss(connection, *noted)
-                heartbeat, former = lease.claim_lease(connection, self._campaign, token, former_is_dead=self._lock.held)
-                self._lock.forget()
+                lost = self._lease.describe_loss(connection, noted)
+                heartbeat, former = self._lease.claim(connection, self._campaign, token)
+                self._lease.forget()
         except BaseException:
-            self._lock.release()
+            self._lease.release()
             raise
-        self._token = token
-        self._lock.note(token, heartbeat)
+        self._lease.token = token
+        self._lease.note(token, heartbeat)
         sentences = []
         if former is not None:
             sentences.append(
@@ -289,15 +294,15 @@ class Store(StoreReader):
 
     def release_lease(self) -> None:
         """Give the lease back; does nothing without one."""
-        if self._token is not None:
-            token, self._token = self._token, None
+        token, self._lease.token = self._lease.token, None
+        if token is not None:
             try:
                 self._refuse_replaced()
-                self._lock.forget()
-                with transaction(self._engine, self.address, write=True) as connection:
-                    lease.drop_lease(connection, token)
+                self._lease.forget()
+                with self._database.transaction(write=True) as connection:
+                    connection.execute(delete(LEASE).where(LEASE.c.token == token))
             finally:
-                self._lock.release()
+                self._lease.release()
 
     # Outcomes
 
@@ -320,7 +325,7 @@ class Store(StoreReader):
                 seal(PACKING, [row])
                 connection.execute(insert(PACKING).values(row | {"campaign_id": self._campaign}))
                 return
-            refuse_other_packing(packing_of(dict(found)), packing)
+            self._packing_of(dict(found)).refuse_other(packing)
             kept = dict(found) | {"content_hash": found["content_hash"] or packing.content_hash}
             kept["state"] = packing.state if replace_state else found["state"]
             connection.execute(update(PACKING).where(is_it).values(seal(PACKING, [kept])[0]))
@@ -333,7 +338,7 @@ class Store(StoreReader):
         stored, recorded = 0, datetime.now(UTC)
         with self._writing() as connection:
             for batch in _distinct_batches(result.packed() for result in results):
-                known = _known_cells(connection, self._campaign, [result.key for result in batch])
+                known = self._known_cells(connection, [result.key for result in batch])
                 accepted = [
                     (known[result.key].id, result)
                     for result in batch
@@ -401,7 +406,7 @@ class Store(StoreReader):
         """
         with self._writing() as connection:
             for chunk in chunks(attempts):
-                known = _known_cells(connection, self._campaign, [attempt.key for attempt in chunk])
+                known = self._known_cells(connection, [attempt.key for attempt in chunk])
                 ids = {attempt.key: known[attempt.key].id for attempt in chunk}
                 listed = _attempt_in([(ids[attempt.key], attempt.number) for attempt in chunk])
                 statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number).where(listed)
@@ -437,14 +442,28 @@ class Store(StoreReader):
         """Make damaged cells (of `integrity`) pending again, and drop their attempts that are damaged."""
         with self._writing() as connection:
             for chunk in chunks(keys):
-                ids = {row.id: key for key, row in _known_cells(connection, self._campaign, chunk).items()}
+                ids = {row.id: key for key, row in self._known_cells(connection, chunk).items()}
                 _drop_outcomes(connection, ids)
-                found = attempts_or_damage(connection, list(ids))
+                found = self._attempts_or_damage(connection, list(ids))
                 good = {(attempt.key, attempt.number) for _, attempt in found if attempt is not None}
                 statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number).where(ATTEMPT.c.cell_id.in_(ids))
                 stored = connection.execute(statement).all()
                 if bad := [(cell_id, number) for cell_id, number in stored if (ids[cell_id], number) not in good]:
                     connection.execute(delete(ATTEMPT).where(_attempt_in(bad)))
+
+    def _known_cells(self, connection: Connection, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
+        """What is known of planned cells; `UnknownCellError` if one is not planned."""
+        statement = select(CELL.c.seed, CELL.c.content, CELL.c.id, RESULT.c.status, RESULT.c.attempt)
+        statement = statement.outerjoin(RESULT, RESULT.c.cell_id == CELL.c.id)
+        statement = statement.where(CELL.c.campaign_id == self._campaign, self._cell_in(keys))
+        known = {CellKey(seed, content): _Known(*row) for seed, content, *row in connection.execute(statement)}
+        for key in keys:
+            if key not in known:
+                raise UnknownCellError(
+                    f"Seed {key.seed} with content {key.content} % is not part of the campaign's plan.",
+                    "Extend the plan (begin_campaign or extend) before storing its outcome.",
+                )
+        return known
 
 
 def _plan_cells(connection: Connection, campaign_id: int, keys: Iterable[CellKey]) -> int:
@@ -466,29 +485,6 @@ def _distinct_batches(results: Iterable[PackedResult]) -> Iterator[list[PackedRe
                 batch = {}
             batch[result.key] = result
         yield list(batch.values())
-
-
-class _Known(NamedTuple):
-    """A planned cell, and its outcome if it has one."""
-
-    id: int
-    status: str | None
-    attempt: int | None
-
-
-def _known_cells(connection: Connection, campaign_id: int, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
-    """What is known of planned cells; `UnknownCellError` if one is not planned."""
-    statement = select(CELL.c.seed, CELL.c.content, CELL.c.id, RESULT.c.status, RESULT.c.attempt)
-    statement = statement.outerjoin(RESULT, RESULT.c.cell_id == CELL.c.id)
-    statement = statement.where(CELL.c.campaign_id == campaign_id, cell_in(keys))
-    known = {CellKey(seed, content): _Known(*row) for seed, content, *row in connection.execute(statement)}
-    for key in keys:
-        if key not in known:
-            raise UnknownCellError(
-                f"Seed {key.seed} with content {key.content} % is not part of the campaign's plan.",
-                "Extend the plan (begin_campaign or extend) before storing its outcome.",
-            )
-    return known
 
 
 def _gives_way(known: _Known, result: PackedResult, *, replace_done: bool) -> bool:

@@ -55,7 +55,7 @@ from calcidem.storage.records import (
     Quantity,
     RunRecord,
 )
-from calcidem.storage.records.quantity import Bound, quantities_of
+from calcidem.storage.records.quantity import Bound
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.store import LeaseHolder
 
@@ -186,7 +186,7 @@ PACKING = Table(
     Column("checksum", BigInteger),
     UniqueConstraint("campaign_id", "number"),
     CheckConstraint("number >= 0", name="number_not_negative"),
-    *(_check_of(quantity) for quantity in quantities_of(PackingRecord) if _condition_of(quantity)),
+    *(_check_of(quantity) for quantity in PackingRecord.quantities() if _condition_of(quantity)),
 )
 """A packing with its report (`PackingRecord`); `grains` has x, y and radius."""
 

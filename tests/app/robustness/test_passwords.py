@@ -16,7 +16,7 @@ from sqlalchemy import create_engine, text
 from calcidem.storage.errors import StoreError
 from calcidem.storage.passwords import PASSWORDS_VARIABLE, hide_passwords, keep_passwords_back
 from calcidem.storage.records import RunRecord
-from calcidem.storage.sql.engine import parse_address
+from calcidem.storage.sql.engine import Address
 
 if TYPE_CHECKING:
     from conftest import Workshop
@@ -46,7 +46,7 @@ def test_a_password_leaves_the_command_line_and_is_found_again(typed: str, shown
     """What the command goes on with has no password; the store finds it, and shows none."""
     (word,) = keep_passwords_back([typed])
     assert word == shown
-    address = parse_address(word.removeprefix("--db="))
+    address = Address.parse(word.removeprefix("--db="))
     assert address.url.password == PASSWORD
     assert MARK not in str(address)
 
