@@ -13,16 +13,7 @@ from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.processes import ProcessIdentity, ProcessWatch
-from calcidem.sweep.protocol import (
-    MASTER,
-    Incoming,
-    Tag,
-    acknowledge_failures,
-    failed_ranks,
-    is_over,
-    start_receive,
-    start_send,
-)
+from calcidem.sweep.protocol import MASTER, Incoming, Ranks, Tag
 from calcidem.sweep.sweep_end import SweepEnd
 from calcidem.sweep.workers import Loss
 
@@ -64,7 +55,8 @@ class MPIWorkers(Generic[CellT]):
     """
 
     def __init__(self, comm: MPI.Comm, options: SweepOptions, fault_tolerant: bool) -> None:
-        self._comm = comm
+        self._ranks = Ranks(comm)
+        self._size = comm.Get_size()
         self._options = options
         self._slowest = 0.0  # seconds for a unit of cost
         self._next_watchdog = 0.0
@@ -76,9 +68,7 @@ class MPIWorkers(Generic[CellT]):
         self._known_failed: frozenset[int] = frozenset()
         self._given_up: set[int] = set()
         self._first_missed: dict[int, float] = {}
-        self._expected = set(range(comm.Get_size())) - {
-            MASTER
-        }  # ranks not lost so far, whether they have reported or not
+        self._expected = set(range(self._size)) - {MASTER}  # ranks not lost so far, whether they have reported or not
 
     @property
     def count(self) -> int:
@@ -90,7 +80,7 @@ class MPIWorkers(Generic[CellT]):
         """Whether all are lost, or one is and the MPI library cannot continue without it."""
         if not self._expected:
             return "all workers are lost"
-        broken = not self._fault_tolerant and self.count < self._comm.Get_size() - 1
+        broken = not self._fault_tolerant and self.count < self._size - 1
         return "a worker is lost and MPI cannot continue without it" if broken else ""
 
     @property
@@ -144,7 +134,7 @@ class MPIWorkers(Generic[CellT]):
         failed = self._failed()
         if failed != self._known_failed:
             self._known_failed = failed
-            acknowledge_failures(self._comm)
+            self._ranks.acknowledge_failures()
         silent = dict.fromkeys(failed & self._expected, "MPI reports that its process failed")
         silent |= dict.fromkeys(self._watch.find_ended(), "its process ended")
         now = time.monotonic()
@@ -188,7 +178,7 @@ class MPIWorkers(Generic[CellT]):
 
         def all_stopped() -> bool:
             self._receive()  # a worker that joins only now waits to be heard before it listens
-            for rank in [rank for rank, request in requests.items() if is_over(request)]:
+            for rank in [rank for rank, request in requests.items() if self._ranks.is_over(request)]:
                 del requests[rank]
             return requests.keys() <= self._gone()
 
@@ -213,22 +203,22 @@ class MPIWorkers(Generic[CellT]):
 
     def _failed(self) -> frozenset[int]:
         # Without ULFM there are never any, and many an MPI library does not even have the call.
-        return failed_ranks(self._comm) if self._fault_tolerant else frozenset()
+        return self._ranks.failed() if self._fault_tolerant else frozenset()
 
     def _send(self, value: Any, rank: int, tag: Tag) -> MPI.Request | None:  # noqa: ANN401 - any picklable
         """Begin to send; return None if the receiver has just died, which `_find_lost` reports."""
         try:
-            return start_send(self._comm, value, rank, tag)
+            return self._ranks.send(value, rank, tag)
         except MPI.Exception as error:
             self._raise_unless_rank_failed(error)
             return None
 
     def _probe(self) -> Incoming | None:
         try:
-            return start_receive(self._comm, MPI.ANY_SOURCE)
+            return self._ranks.receive(MPI.ANY_SOURCE)
         except MPI.Exception as error:
             self._raise_unless_rank_failed(error)
-            acknowledge_failures(self._comm)
+            self._ranks.acknowledge_failures()
             return None
 
     def _raise_unless_rank_failed(self, error: MPI.Exception) -> None:

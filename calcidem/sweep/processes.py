@@ -6,8 +6,6 @@ import os
 import platform
 import select
 import signal
-import threading
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -48,27 +46,6 @@ def keep_freed_memory() -> None:
         library = ctypes.CDLL(None)
         library.mallopt(_M_TRIM_THRESHOLD, _MEMORY_KEPT)
         library.mallopt(_M_MMAP_THRESHOLD, _LARGEST_BLOCK_KEPT)
-
-
-def end_after(other: ProcessIdentity, grace: float, exit_code: int) -> None:
-    """End this process some seconds after another one of the same machine has ended, unless it ends by itself.
-
-    A thread sleeps until then. It is for ends that MPI does not see as a failure, such as an `exit(1)` behind its back:
-    whoever waited for a message of that process would do so for ever.
-    """
-    if other.machine != ProcessIdentity.of_this_process().machine:
-        return
-    try:
-        descriptor = os.pidfd_open(other.process)
-    except OSError:
-        return  # before Linux 5.3, or it has just ended and MPI is being informed
-
-    def wait_and_end() -> None:
-        select.select([descriptor], [], [])
-        time.sleep(grace)
-        os._exit(exit_code)
-
-    threading.Thread(target=wait_and_end, name="watch-master", daemon=True).start()
 
 
 class ProcessWatch:

@@ -46,21 +46,6 @@ def duration(seconds: float | None) -> str:
     return f"{days} d {hours} h"
 
 
-def end_line(end: SweepEnd) -> str:
-    """Return one line about how a sweep ended."""
-    tally = end.tally
-    parts = [
-        f"{end.state} after {duration(end.seconds)}",
-        f"{tally.settled} cells settled",
-        f"{tally.failed} failed" if tally.failed else "",
-        f"{tally.timed_out} timed out" if tally.timed_out else "",
-        f"{tally.quarantined} quarantined" if tally.quarantined else "",
-        f"{pluralize(tally.lost_workers, 'worker')} lost" if tally.lost_workers else "",
-        end.detail,
-    ]
-    return ", ".join(part for part in parts if part)
-
-
 def pluralize(number: int, noun: str, plural: str = "") -> str:
     """Return a number with its noun: `1 worker`, `2 workers`."""
     return f"{number} {noun}" if number == 1 else f"{number} {plural or f'{noun}s'}"

@@ -12,7 +12,7 @@ that an idle rank costs next to nothing and a dead or silent partner cannot hold
 synchronous: once one has completed, the other side has begun to receive it. The tags are the sweep's own; the
 communicator may carry other traffic before and after a sweep, but not during one.
 
-The collective operations (`broadcast`, `gather`, `share_on_node`) sleep while they wait, too: those of MPI
+The collective operations of `Ranks` sleep while they wait, too: those of MPI
 that block keep a core busy on every rank that waits, which is most of them while rank 0 makes a packing.
 """
 
@@ -44,35 +44,6 @@ class Tag(IntEnum):
     END = 7405
 
 
-def start_send(comm: MPI.Comm, value: Any, destination: int, tag: Tag) -> MPI.Request:  # noqa: ANN401 - any picklable
-    """Begin to send a picklable value; the request must be kept and tested."""
-    payload = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
-    return comm.Issend([payload, MPI.BYTE], destination, tag)
-
-
-def is_over(request: MPI.Request) -> bool:
-    """Tell whether a message has been received, or its receiver has died (ULFM)."""
-    try:
-        return request.Test()
-    except MPI.Exception:
-        return True
-
-
-def release(comm: MPI.Comm, ranks: Collection[int], limit: float) -> None:
-    """Let other ranks end, which wait for it; return once they know, or after ``limit`` seconds."""
-    requests = []
-    for rank in ranks:
-        with suppress(MPI.Exception):  # it has died
-            requests.append(comm.Issend([b"", MPI.BYTE], rank, Tag.END))
-    wait_until(lambda: all(is_over(request) for request in requests), limit)
-
-
-def wait_for_release(comm: MPI.Comm) -> None:
-    """Return once rank 0 lets this one end, or has died (ULFM)."""
-    with suppress(MPI.Exception):
-        wait_until(comm.Irecv([bytearray(), MPI.BYTE], MASTER, Tag.END).Test)
-
-
 @dataclass(slots=True)
 class Incoming:
     """A message being received."""
@@ -92,73 +63,102 @@ class Incoming:
         return pickle.loads(self._buffer)  # noqa: S301 - written by another rank of the same program
 
 
-def start_receive(comm: MPI.Comm, source: int) -> Incoming | None:
-    """Begin to receive a message if one is waiting, else return None.
+class Ranks:
+    """The ranks of a communicator: messages between two, and operations of all together."""
 
-    `mpi4py.MPI.Exception` if the source, or with ANY_SOURCE a rank not yet acknowledged as failed, has died (ULFM).
-    """
-    status = MPI.Status()
-    message = comm.Improbe(source, MPI.ANY_TAG, status)
-    if message is None:
-        return None
-    buffer = bytearray(status.Get_count(MPI.BYTE))
-    request = message.Irecv([buffer, MPI.BYTE])
-    return Incoming(status.Get_source(), Tag(status.Get_tag()), buffer, request)
+    def __init__(self, comm: MPI.Comm) -> None:
+        self._comm = comm
 
+    def send(self, value: Any, destination: int, tag: Tag) -> MPI.Request:  # noqa: ANN401 - any picklable
+        """Begin to send a picklable value; the request must be kept and tested."""
+        payload = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
+        return self._comm.Issend([payload, MPI.BYTE], destination, tag)
 
-def failed_ranks(comm: MPI.Comm) -> frozenset[int]:
-    """Return the ranks that MPI knows to have failed; none without ULFM."""
-    group = comm.Get_failed()
-    try:
-        if group.Get_size() == 0:
-            return frozenset()
-        everyone = comm.Get_group()
+    def receive(self, source: int) -> Incoming | None:
+        """Begin to receive a message if one is waiting, else return None.
+
+        `mpi4py.MPI.Exception` if the source, or with ANY_SOURCE a rank not yet acknowledged as failed, has died (ULFM).
+        """
+        status = MPI.Status()
+        message = self._comm.Improbe(source, MPI.ANY_TAG, status)
+        if message is None:
+            return None
+        buffer = bytearray(status.Get_count(MPI.BYTE))
+        request = message.Irecv([buffer, MPI.BYTE])
+        return Incoming(status.Get_source(), Tag(status.Get_tag()), buffer, request)
+
+    @staticmethod
+    def is_over(request: MPI.Request) -> bool:
+        """Tell whether a message has been received, or its receiver has died (ULFM)."""
         try:
-            return frozenset(group.Translate_ranks(range(group.Get_size()), everyone))
+            return request.Test()
+        except MPI.Exception:
+            return True
+
+    def failed(self) -> frozenset[int]:
+        """Return the ranks that MPI knows to have failed; none without ULFM."""
+        group = self._comm.Get_failed()
+        try:
+            if group.Get_size() == 0:
+                return frozenset()
+            everyone = self._comm.Get_group()
+            try:
+                return frozenset(group.Translate_ranks(range(group.Get_size()), everyone))
+            finally:
+                everyone.Free()
         finally:
-            everyone.Free()
-    finally:
+            group.Free()
+
+    def acknowledge_failures(self) -> None:
+        """Let probes for any source work again after ranks have failed."""
+        group = self._comm.Get_failed()
+        self._comm.Ack_failed(group.Get_size())
         group.Free()
 
+    def release(self, ranks: Collection[int], limit: float) -> None:
+        """Let other ranks end, which wait for it; return once they know, or after ``limit`` seconds."""
+        requests = []
+        for rank in ranks:
+            with suppress(MPI.Exception):  # it has died
+                requests.append(self._comm.Issend([b"", MPI.BYTE], rank, Tag.END))
+        wait_until(lambda: all(self.is_over(request) for request in requests), limit)
 
-def acknowledge_failures(comm: MPI.Comm) -> None:
-    """Let probes for any source work again after ranks have failed."""
-    group = comm.Get_failed()
-    comm.Ack_failed(group.Get_size())
-    group.Free()
+    def wait_for_release(self) -> None:
+        """Return once rank 0 lets this one end, or has died (ULFM)."""
+        with suppress(MPI.Exception):
+            wait_until(self._comm.Irecv([bytearray(), MPI.BYTE], MASTER, Tag.END).Test)
 
+    def broadcast(self, value: ValueT | None) -> ValueT:
+        """Return on all ranks the picklable value that rank 0 gives; what the others give is ignored."""
+        payload = (
+            bytearray(pickle.dumps(value, pickle.HIGHEST_PROTOCOL)) if self._comm.Get_rank() == MASTER else bytearray()
+        )
+        size = np.array([len(payload)], dtype=np.int64)
+        wait_until(self._comm.Ibcast(size, MASTER).Test)
+        if self._comm.Get_rank() != MASTER:
+            payload = bytearray(int(size[0]))
+        wait_until(self._comm.Ibcast([payload, MPI.BYTE], MASTER).Test)
+        received: ValueT = pickle.loads(payload)  # noqa: S301 - written by rank 0 of the same program
+        return received
 
-def broadcast(comm: MPI.Comm, value: ValueT | None) -> ValueT:
-    """Return on all ranks the picklable value that rank 0 gives; what the others give is ignored."""
-    payload = bytearray(pickle.dumps(value, pickle.HIGHEST_PROTOCOL)) if comm.Get_rank() == MASTER else bytearray()
-    size = np.array([len(payload)], dtype=np.int64)
-    wait_until(comm.Ibcast(size, MASTER).Test)
-    if comm.Get_rank() != MASTER:
-        payload = bytearray(int(size[0]))
-    wait_until(comm.Ibcast([payload, MPI.BYTE], MASTER).Test)
-    received: ValueT = pickle.loads(payload)  # noqa: S301 - written by rank 0 of the same program
-    return received
+    def gather(self, value: ValueT) -> list[ValueT]:
+        """Return on rank 0 the picklable values that all ranks give, in the order of the ranks, and none elsewhere."""
+        payload = np.frombuffer(pickle.dumps(value, pickle.HIGHEST_PROTOCOL), dtype=np.uint8)
+        sizes = np.zeros(self._comm.Get_size(), dtype=np.int64)
+        wait_until(self._comm.Igather(np.array([payload.size], dtype=np.int64), sizes, MASTER).Test)
+        received = np.empty(sizes.sum(), dtype=np.uint8)
+        wait_until(self._comm.Igatherv(payload, [received, sizes, MPI.BYTE], MASTER).Test)
+        ends = np.cumsum(sizes)
+        parts = (received[end - size : end] for end, size in zip(ends, sizes, strict=True))
+        return [pickle.loads(part.tobytes()) for part in parts] if self._comm.Get_rank() == MASTER else []  # noqa: S301 - as above
 
+    def share_on_node(self, actions: Sequence[Callable[[], object]]) -> None:
+        """Call each action on one rank of each node, and return on all ranks once all are done.
 
-def gather(comm: MPI.Comm, value: ValueT) -> list[ValueT]:
-    """Return on rank 0 the picklable values that all ranks give, in the order of the ranks, and none elsewhere."""
-    payload = np.frombuffer(pickle.dumps(value, pickle.HIGHEST_PROTOCOL), dtype=np.uint8)
-    sizes = np.zeros(comm.Get_size(), dtype=np.int64)
-    wait_until(comm.Igather(np.array([payload.size], dtype=np.int64), sizes, MASTER).Test)
-    received = np.empty(sizes.sum(), dtype=np.uint8)
-    wait_until(comm.Igatherv(payload, [received, sizes, MPI.BYTE], MASTER).Test)
-    ends = np.cumsum(sizes)
-    parts = (received[end - size : end] for end, size in zip(ends, sizes, strict=True))
-    return [pickle.loads(part.tobytes()) for part in parts] if comm.Get_rank() == MASTER else []  # noqa: S301 - as above
-
-
-def share_on_node(comm: MPI.Comm, actions: Sequence[Callable[[], object]]) -> None:
-    """Call each action on one rank of each node, and return on all ranks once all are done.
-
-    Meant to fill a compile cache that the ranks of a node share.
-    """
-    node = comm.Split_type(MPI.COMM_TYPE_SHARED)
-    for action in actions[node.Get_rank() :: node.Get_size()]:
-        action()
-    node.Free()
-    wait_until(comm.Ibarrier().Test)
+        Meant to fill a compile cache that the ranks of a node share.
+        """
+        node = self._comm.Split_type(MPI.COMM_TYPE_SHARED)
+        for action in actions[node.Get_rank() :: node.Get_size()]:
+            action()
+        node.Free()
+        wait_until(self._comm.Ibarrier().Test)

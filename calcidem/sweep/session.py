@@ -2,7 +2,10 @@
 
 import logging
 import os
+import select
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -12,12 +15,14 @@ from calcidem.launch.channel import command_listens, tell_command
 from calcidem.launch.starter import die_with_parent
 from calcidem.sweep.backoff import wait_until
 from calcidem.sweep.environment import NO_DEVICE_SEARCH, fault_tolerance_enabled, launcher, refuse_ranks_off_linux
-from calcidem.sweep.processes import ProcessIdentity, end_after
+from calcidem.sweep.processes import ProcessIdentity
 from calcidem.sweep.signals import StopRequest, leave_signals_to_master
 from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, MasterLostError, SweepEnd
 
 if TYPE_CHECKING:
     from mpi4py import MPI  # importing it starts MPI, which a serial run must do without
+
+    from calcidem.sweep.protocol import Ranks
 
 ValueT = TypeVar("ValueT")
 
@@ -49,6 +54,7 @@ class Session:
 
     def __init__(self) -> None:
         self.comm: MPI.Comm | None = None
+        self._ranks: Ranks | None = None
         self.rank = 0
         self.size = 1
         self.stop_request = StopRequest(end_at_once=self._abort_mpi)
@@ -70,7 +76,10 @@ class Session:
             mpi4py.rc.thread_level = "funneled"  # only the main thread calls MPI
             from mpi4py import MPI  # noqa: PLC0415 - as above
 
+            from calcidem.sweep.protocol import Ranks  # noqa: PLC0415 - as above
+
             self.comm = MPI.COMM_WORLD
+            self._ranks = Ranks(self.comm)
             self.rank, self.size = self.comm.Get_rank(), self.comm.Get_size()
         if self.rank == 0:
             self.stop_request.__enter__()
@@ -79,7 +88,7 @@ class Session:
         if self.size > 1:
             master = self.broadcast(ProcessIdentity.of_this_process())
             if self.rank != 0:
-                end_after(master, _MASTER_GONE_GRACE, EXIT_RESUMABLE)
+                _end_after(master, _MASTER_GONE_GRACE, EXIT_RESUMABLE)
         tell_command("joined")
         return self
 
@@ -109,31 +118,25 @@ class Session:
 
     def broadcast(self, value: ValueT | None) -> ValueT:
         """Return on all ranks the value that rank 0 gives, without keeping a core busy while waiting."""
-        if self.comm is None:
+        if self._ranks is None:
             if value is None:
                 raise ValueError("value is None on rank 0: give the value to broadcast")
             return value
-        from calcidem.sweep.protocol import broadcast  # noqa: PLC0415 - as above
-
-        return broadcast(self.comm, value)
+        return self._ranks.broadcast(value)
 
     def gather(self, value: ValueT) -> list[ValueT]:
         """Return on rank 0 the values that all ranks give, in the order of the ranks, and none on the others."""
-        if self.comm is None:
+        if self._ranks is None:
             return [value]
-        from calcidem.sweep.protocol import gather  # noqa: PLC0415 - as above
-
-        return gather(self.comm, value)
+        return self._ranks.gather(value)
 
     def share_on_node(self, actions: Sequence[Callable[[], object]]) -> None:
         """Call each action on one rank of each node, for instance to compile; return once all are done."""
-        if self.comm is None:
+        if self._ranks is None:
             for action in actions:
                 action()
             return
-        from calcidem.sweep.protocol import share_on_node  # noqa: PLC0415 - as above
-
-        share_on_node(self.comm, actions)
+        self._ranks.share_on_node(actions)
 
     def end(self, exit_code: int, sweep_end: SweepEnd | None = None) -> NoReturn:
         """End this rank in order; every rank calls this, rank 0 after all its work, files closed.
@@ -147,17 +150,15 @@ class Session:
         """
         self._flush(exit_code)
         self._ending = True
-        if self.comm is not None and self.size > 1:
+        if self._ranks is not None and self.size > 1:
             # A rank that ends early makes mpirun end the others: always without ULFM, and now and then with it.
-            from calcidem.sweep.protocol import release, wait_for_release  # noqa: PLC0415 - as above
-
             deaf = frozenset() if sweep_end is None else sweep_end.unresponsive_ranks
             if deaf and not (fault_tolerance_enabled() and command_listens()):
                 self._abort_mpi(exit_code)  # with ULFM a command ends those that are left, and more quietly
             if self.rank == 0:
-                release(self.comm, set(range(1, self.size)) - deaf, _RELEASE_LIMIT)
+                self._ranks.release(set(range(1, self.size)) - deaf, _RELEASE_LIMIT)
             else:
-                wait_for_release(self.comm)
+                self._ranks.wait_for_release()
                 exit_code = EXIT_COMPLETE
             if fault_tolerance_enabled():
                 os._exit(exit_code)  # MPI_Finalize would wait for lost ranks for ever
@@ -192,11 +193,33 @@ class Session:
 
     def _others_have_ended(self) -> bool:
         """Tell whether all other ranks end within half a second."""
-        from calcidem.sweep.protocol import failed_ranks  # noqa: PLC0415 - as above
+        comm, ranks = self.comm, self._ranks
+        if comm is None or ranks is None:
+            return False
 
-        def all_failed(comm: "MPI.Comm") -> bool:
+        def all_failed() -> bool:
             comm.Iprobe(self.rank)  # MPI takes note of failures only while it is at work
-            return len(failed_ranks(comm)) == self.size - 1
+            return len(ranks.failed()) == self.size - 1
 
-        comm = self.comm
-        return comm is not None and wait_until(lambda: all_failed(comm), limit=0.5)
+        return wait_until(all_failed, limit=0.5)
+
+
+def _end_after(other: ProcessIdentity, grace: float, exit_code: int) -> None:
+    """End this process some seconds after another one of the same machine has ended, unless it ends by itself.
+
+    A thread sleeps until then. It is for ends that MPI does not see as a failure, such as an `exit(1)` behind its back:
+    whoever waited for a message of that process would do so for ever.
+    """
+    if other.machine != ProcessIdentity.of_this_process().machine:
+        return
+    try:
+        descriptor = os.pidfd_open(other.process)
+    except OSError:
+        return  # before Linux 5.3, or it has just ended and MPI is being informed
+
+    def wait_and_end() -> None:
+        select.select([descriptor], [], [])
+        time.sleep(grace)
+        os._exit(exit_code)
+
+    threading.Thread(target=wait_and_end, name="watch-master", daemon=True).start()

@@ -10,7 +10,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import velocities
 from calcidem.analysis.measured import Target, misfits, root_mean_square_misfit
-from calcidem.app.report.comparison import measured_table
+from calcidem.app.report.comparison import _measured_table
 
 VS = xr.DataArray(
     [[190.0, 290.0], [200.0, 300.0], [210.0, 310.0]],
@@ -56,8 +56,8 @@ def test_measured_velocities_lie_over_every_figure_of_vs_against_content(analysi
 
 def test_a_report_has_the_misfit_only_where_something_was_measured(analysis: CampaignAnalysis) -> None:
     """Without a file there is no table; with one it has a row for each content in the campaign's range."""
-    assert measured_table(analysis) is None
-    table = measured_table(replace(analysis, measured=(Target(0.66, 380.0, 30.0, 5), Target(99.0, 2000.0))))
+    assert _measured_table(analysis) is None
+    table = _measured_table(replace(analysis, measured=(Target(0.66, 380.0, 30.0, 5), Target(99.0, 2000.0))))
     assert table is not None
     assert [row[0] for row in table.rows] == ["0.66"]
     assert "outside the campaign's range: 1" in table.caption

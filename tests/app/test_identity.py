@@ -12,7 +12,7 @@ from calcidem.app.campaign import identity
 from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
-from calcidem.app.campaign.status import read_status
+from calcidem.app.campaign.status import CampaignStatus
 from calcidem.app.campaign.stored_packing import identify_packing, packing_record
 from calcidem.app.config import schema
 from calcidem.app.config.schema import PHYSICS_VERSION, CampaignPlan, Configuration
@@ -119,7 +119,7 @@ def test_a_content_hash_that_is_missing_is_computed(
     with open_campaign(tmp_path / "old.db") as old_campaign:
         assert old_campaign.packing().content_hash is None
         assert old_campaign.content_hash() == known
-    assert read_status(tmp_path / "old.db").content_hashes == {0: known}
+    assert CampaignStatus.read(tmp_path / "old.db").content_hashes == {0: known}
     merge_databases([str(tmp_path / "old.db")], tmp_path / "merged.db")
     with open_store(tmp_path / "new.db") as new, open_campaign(tmp_path / "merged.db") as merged:
         import_netcdf(file, new, identify_packing)

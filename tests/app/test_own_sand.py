@@ -10,7 +10,7 @@ import pytest
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.own_sand import OwnSand, own_sand_text, parse_quantity, read_own_disks
+from calcidem.app.config.own_sand import OwnDisks, OwnSand, parse_quantity
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation
 from calcidem.dem.sample.packing import Packing
@@ -20,7 +20,7 @@ from calcidem.dem.wave.measurement import measure
 
 def part_with_velocity(own: OwnSand, seeds: int) -> float:
     """Part of the cells that have a velocity, and check it without cement: the file expects it."""
-    configuration = read_configuration(tomllib.loads(own_sand_text(own)))
+    configuration = read_configuration(tomllib.loads(own.text()))
     packing = new_packing(configuration, lambda _: None)
     check_against_packing(configuration, packing)
     experiment = configuration.experiment(packing)
@@ -40,7 +40,7 @@ def test_a_written_configuration_needs_no_edit(own: tuple[float, float, str]) ->
 def test_a_written_configuration_is_that_of_the_grain() -> None:
     """Lengths and modulus follow the grain, stress over modulus the overlap; the velocity depends on stress alone."""
     fine, coarse = (OwnSand(size, 100e3, "quartz", (0.0, 2.0)) for size in (0.3e-3, 3e-3))
-    written = [read_configuration(tomllib.loads(own_sand_text(own))) for own in (fine, coarse)]
+    written = [read_configuration(tomllib.loads(own.text())) for own in (fine, coarse)]
     lengths = [(c.packing.width, c.pattern.c_diameter, c.wave.receiver_half_width) for c in written]
     np.testing.assert_allclose(lengths[1], 10.0 * np.array(lengths[0]), rtol=1e-3)  # four digits are written
     assert written[1].sand.shear_modulus == pytest.approx(written[0].sand.shear_modulus / 10.0, rel=1e-3)
@@ -58,13 +58,13 @@ def test_own_disks_are_written_with_lengths_of_their_box(tmp_path: Path) -> None
     place = np.stack(np.meshgrid(np.arange(0.5, 36.0), np.arange(0.5, 60.0)), axis=-1).reshape(-1, 2)
     radius = np.resize([0.3, 0.4, 0.5], len(place))
     write_disks_csv(*(1e-3 * place).T, 1e-3 * radius, tmp_path / "disks.csv")
-    disks = read_own_disks(tmp_path / "disks.csv", tmp_path / "elsewhere")
+    disks = OwnDisks.read(tmp_path / "disks.csv", tmp_path / "elsewhere")
     assert (disks.file, disks.count) == ("../disks.csv", 2160)
     assert disks.width == pytest.approx(36e-3)
     assert disks.height == pytest.approx(60e-3 * np.pi * np.mean(radius**2) / 0.8, rel=1e-3)
     own = OwnSand(disks.diameters[1], 100e3, "quartz", (0.0, 2.0), disks)
     (tmp_path / "elsewhere").mkdir()
-    written = read_configuration(tomllib.loads(own_sand_text(own)), folder=tmp_path / "elsewhere")
+    written = read_configuration(tomllib.loads(own.text()), folder=tmp_path / "elsewhere")
     assert written.packing.diameter == pytest.approx((0.6e-3, 1e-3))
     assert written.wave.transmitter_half_width == pytest.approx(0.45 * disks.height, rel=1e-3)
 
@@ -84,9 +84,9 @@ def test_grain_sizes_and_stresses_have_units() -> None:
 def test_sands_that_cannot_be_computed_are_refused() -> None:
     """A stress that crushes grains of quartz, and more calcite than there are pores."""
     with pytest.raises(ConfigurationError, match=r"packing\.stress = 9e\+08: presses disks"):
-        own_sand_text(OwnSand(1e-3, 900e6, "quartz", (0.0,)))
+        OwnSand(1e-3, 900e6, "quartz", (0.0,)).text()
     with pytest.raises(ConfigurationError, match="contents = 60: calcite fills the pores at 23"):
-        own_sand_text(OwnSand(1e-3, 100e3, "quartz", (0.0, 60.0)))
+        OwnSand(1e-3, 100e3, "quartz", (0.0, 60.0)).text()
 
 
 @pytest.mark.full

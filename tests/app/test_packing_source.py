@@ -190,7 +190,7 @@ def test_a_changed_row_is_replaced_by_the_same_packing(
     store: Store, told: list[str], packing: Packing, column: str
 ) -> None:
     """A packing whose row was changed is not used: readers take the same one of the cache, and a run puts it back."""
-    with store._database._engine.begin() as connection:
+    with store._connections._engine.begin() as connection:
         connection.exec_driver_sql(f"UPDATE packing SET {column} = '0.5'")  # noqa: S608 - a test's own
     with pytest.raises(DamagedStoreError):
         readable_packing(store, 0)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calcidem.app.campaign.merge import merge_databases, missing_lines
+from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.parts import planned_batches
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
@@ -66,7 +66,7 @@ def test_eight_parts_merged_equal_one_run(workshop: "Workshop", expected: "Cells
     out = workshop.folder / "most.db"
     merged = merge_databases([str(workshop.folder / part) for part in parts[1:]], out)
     assert {(key.seed, key.content) for key in merged.missing} == set(batch.cells)
-    (line,) = missing_lines(merged)
+    (line,) = merged.missing_lines()
     assert line == f"  {batch.group:g} %: 2 cells, seeds {batch.cells[0][0]}-{batch.cells[1][0]}"
     done = workshop.run("run", "c.toml", "--db", str(out))
     assert done.code == 0, done.errors

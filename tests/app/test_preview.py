@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.app.campaign import expected_cost as cost
+from calcidem.app.campaign import preview
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.parts import planned_batches
 from calcidem.app.campaign.preview import _rough_time, _waves
@@ -63,8 +63,8 @@ def test_costs_are_those_of_cells_that_were_computed(
     small_configuration: Configuration, small_packing: Packing, small_database: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Steps, and bytes of the database, within a factor of two; speeds are those of the samples."""
-    monkeypatch.setattr(cost, "_seconds_of_arithmetic", lambda: cost._SECONDS_WHERE_MEASURED)
-    speeds = cost.expected_speeds(small_configuration, small_packing)
+    monkeypatch.setattr(preview, "_seconds_of_arithmetic", lambda: preview._SECONDS_WHERE_MEASURED)
+    speeds = preview._expected_speeds(small_configuration, small_packing)
     with open_campaign(str(small_database)) as campaign:
         done = [result for result in campaign.select() if result.vs is not None]
     for result in done:
@@ -72,12 +72,12 @@ def test_costs_are_those_of_cells_that_were_computed(
             assert speeds[result.key.content] == pytest.approx(result.vs, rel=0.5)
     contents = {result.key.content for result in done}
     batches = [b for b in planned_batches(small_configuration) if b.cells[0][1] in contents]
-    found = cost.expected_cost(small_configuration, speeds, batches)
+    found = preview._expected_cost(small_configuration, speeds, batches)
     steps = sum(8.0 * np.mean([r.steps for r in done if r.key.content == b.cells[0][1]]) for b in batches)
     computed = steps * len(small_packing.radius) * 5e-9 + 0.02 * sum(len(batch.cells) for batch in batches)
     assert 0.5 < found.seconds / computed < 2.0
     assert 0.5 < 0.5 * found.disk / small_database.stat().st_size < 2.0
-    half = cost.expected_cost(small_configuration, speeds, batches[::2])
+    half = preview._expected_cost(small_configuration, speeds, batches[::2])
     assert half.seconds < found.seconds
     assert half.disk < found.disk
 

@@ -22,14 +22,13 @@ from calcidem.app.report import cell_data
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.cell_figures import draw_cell
-from calcidem.app.report.comparison import published_table
+from calcidem.app.report.comparison import _published_table
 from calcidem.app.report.folder import write_files
 from calcidem.app.report.one_cell import describe_cell
-from calcidem.app.report.page import unnamed_page, write_report
-from calcidem.app.report.provenance import configuration_table, parameter_table
-from calcidem.app.report.results import growth_table, outcome_table, velocity_table
+from calcidem.app.report.page import _MEANINGS, _explained_terms, unnamed_page, write_report
+from calcidem.app.report.provenance import _configuration_table, _parameter_table
+from calcidem.app.report.results import _growth_table, _outcome_table, _velocity_table
 from calcidem.app.report.sections import TABLES, make_or_explain
-from calcidem.app.report.terms import _MEANINGS, explained_terms
 from calcidem.app.report.wording import decimal, probability, significant, time_span
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
@@ -117,7 +116,7 @@ def test_missing_and_failed_cells_are_counted_apart(page: str, small_database: P
     """The cell that was not computed and the one that failed are in different columns, with the reason."""
     with open_campaign(small_database) as campaign:
         analysis = campaign.analyse()
-        table, outcomes = velocity_table(analysis), outcome_table(analysis)
+        table, outcomes = _velocity_table(analysis), _outcome_table(analysis)
         failed = analysis.outcomes["failed"].sel(content=[0.34, 9.0]).values.tolist()
     rows = {row[0]: dict(zip(table.header, row, strict=True)) for row in table.rows}
     assert (rows["0.34"]["missing"], rows["0.34"]["failed"]) == ("1", str(failed[0]))
@@ -130,7 +129,7 @@ def test_missing_and_failed_cells_are_counted_apart(page: str, small_database: P
 def test_calibrated_parameters_are_named() -> None:
     """What differs from the published or the literal value is marked, what agrees is not."""
     with open_campaign(TUTORIAL) as campaign:
-        table = parameter_table(campaign.config)
+        table = _parameter_table(campaign.config)
     assert table is not None
     marked = {table.rows[place][0] for place in table.marked}
     assert {"sand.wave_stiffness_factor", "pattern.p_share", "packing.stress"} <= marked
@@ -142,7 +141,7 @@ def test_a_frequency_that_chose_itself_is_given_with_its_values() -> None:
     frequency = (("seed", "content"), [[np.nan, 69e3, np.nan], [np.nan, 69e3, 130e3]])
     cells = xr.Dataset({"frequency": frequency}, {"content": [0.0, 0.5, 3.0]})
     analysis = SimpleNamespace(config={"wave": {"frequency": "auto", "damping": 0.3}}, cells=cells)
-    assert configuration_table(analysis).rows[0] == ("wave.frequency", "auto: 69 kHz at 0.5 %, 130 kHz at 3 %")  # type: ignore[arg-type]
+    assert _configuration_table(analysis).rows[0] == ("wave.frequency", "auto: 69 kHz at 0.5 %, 130 kHz at 3 %")  # type: ignore[arg-type]
 
 
 def test_another_sand_is_not_held_beside_the_paper(page: str, small_database: Path) -> None:
@@ -150,9 +149,9 @@ def test_another_sand_is_not_held_beside_the_paper(page: str, small_database: Pa
     assert "published" not in re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL).lower()
     with open_campaign(small_database) as campaign:
         analysis = campaign.analyse()
-        assert parameter_table(campaign.config) is None
-        assert published_table(analysis) is None
-        assert growth_table(analysis) is None
+        assert _parameter_table(campaign.config) is None
+        assert _published_table(analysis) is None
+        assert _growth_table(analysis) is None
 
 
 def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
@@ -241,7 +240,7 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
 def test_published_table_stands_beside_the_published_sand() -> None:
     """The tutorial's contents have published rows."""
     with open_campaign(TUTORIAL) as campaign:
-        table = published_table(campaign.analyse())
+        table = _published_table(campaign.analyse())
     assert table is not None
     assert [row[0] for row in table.rows] == ["0.66", "2.55", "5", "9"]
 
@@ -347,7 +346,7 @@ def test_words_are_explained_where_they_stand(small_report: Path) -> None:
     """Each explained word is one of a table, and stands with its meaning below that table."""
     with open_campaign(TUTORIAL) as campaign:
         tables = [make_or_explain(make, campaign.analyse())[0] for make in TABLES.values()]
-    explained = {word for table in tables if table is not None for word, _ in explained_terms(table)}
+    explained = {word for table in tables if table is not None for word, _ in _explained_terms(table)}
     assert explained | {"static speed"} == set(_MEANINGS)  # a column that only some campaigns have
     text = small_report.read_text(encoding="utf-8")
     assert f"<dt>skewness</dt><dd>{_MEANINGS['skewness']}</dd>" in text

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from live_page import ADDRESS, PATIENCE, Live, serve, start
 
-from calcidem.app.campaign.status import read_status
+from calcidem.app.campaign.status import CampaignStatus
 from calcidem.app.serve.beside_run import page_beside_run
 from calcidem.app.serve.columns import CellColumns
 from calcidem.app.serve.feed import CampaignFeed
@@ -198,7 +198,7 @@ def test_a_feed_notices_whatever_happens_to_its_database(tmp_path: Path) -> None
     record(database, 2, 5.0, 1000.0)
     feed.refresh()
     assert feed.status()["problem"] == ""
-    assert feed.status()["cells"] == read_status(database).counts == {"done": 1, "failed": 1, "pending": 4}
+    assert feed.status()["cells"] == CampaignStatus.read(database).counts == {"done": 1, "failed": 1, "pending": 4}
     with open_store(database) as store:
         store.use_campaign()
         store.retry([CellStatus.FAILED])

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def test_every_constraint_is_in_the_database(open_here: Callable[..., Store]) -> None:
     """All tables, columns and checks of the models are in a database that was made."""
-    with open_here()._database._engine.connect() as connection:
+    with open_here()._connections._engine.connect() as connection:
         found = inspect(connection)
         assert set(found.get_table_names()) == set(_METADATA.tables)
         for name, table in _METADATA.tables.items():
@@ -36,7 +36,7 @@ def test_every_constraint_is_in_the_database(open_here: Callable[..., Store]) ->
 def test_a_view_has_whole_cells(store: Store, records: "Records") -> None:
     """Whoever asks the database itself finds each planned cell in one row, with its campaign and all quantities."""
     store.record_results([records.with_arrays(1, 5.0), records.failed(2, 5.0)])
-    with store._database._engine.connect() as connection:
+    with store._connections._engine.connect() as connection:
         found = connection.execute(text("SELECT * FROM cells WHERE content = 5 ORDER BY seed")).mappings().all()
     assert [(row["campaign"], row["seed"], row["status"], row["vs"]) for row in found] == [
         ("quick", 0, CellStatus.PENDING, None),
@@ -70,7 +70,7 @@ def test_a_quantity_that_is_added_is_missing_in_older_cells(tmp_path: Path, reco
         store.record_results([records.with_arrays(2, 5.0)])
         assert not store.integrity()[0]
         assert [found.broken_bonds for found in store.results()] == [None, 3]
-        with store._database._engine.connect() as connection:
+        with store._connections._engine.connect() as connection:
             assert connection.scalar(text("SELECT count(broken_bonds) FROM cells")) == 1
     with sqlite3.connect(path) as connection, pytest.raises(sqlite3.IntegrityError, match="broken_bonds"):
         connection.execute("UPDATE result SET broken_bonds = -1")
@@ -84,7 +84,7 @@ def test_a_server_lets_only_a_writer_add_a_quantity(
     if "postgresql" not in address:
         pytest.skip("of servers alone")
     assert postgresql_socket
-    with open_here()._database._engine.begin() as connection:
+    with open_here()._connections._engine.begin() as connection:
         connection.execute(text("DROP VIEW cells"))
         connection.execute(text("ALTER TABLE result DROP COLUMN broken_bonds"))
         connection.execute(text("CREATE VIEW cells AS SELECT 1 AS one"))
@@ -92,7 +92,7 @@ def test_a_server_lets_only_a_writer_add_a_quantity(
         open_here(read_only=True)
     open_here()
     open_here(read_only=True)
-    with open_here()._database._engine.begin() as connection:
+    with open_here()._connections._engine.begin() as connection:
         connection.execute(text("ALTER TABLE result ADD COLUMN later FLOAT"))
     with pytest.raises(NewerSchemaError, match="the quantities later"):
         open_here()

@@ -1,11 +1,8 @@
 """Checks that a stored campaign is the expected one, and that its cells are those of this program."""
 
-from datetime import UTC, datetime
-
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CampaignRecord
-from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import Store
 
 
@@ -46,19 +43,7 @@ def choose_campaign(store: Store, configuration: Configuration) -> bool:
     return False
 
 
-def record_of(configuration: Configuration) -> CampaignRecord:
-    """Return the campaign of a configuration as it is stored, without its plan."""
-    return CampaignRecord(
-        hash=configuration.hash,
-        name=configuration.campaign.name,
-        config=canonical_json(configuration.physics),
-        contents=(),
-        seeds=(),
-        created=datetime.now(UTC),
-    )
-
-
 def refuse_other_configuration(record: CampaignRecord, configuration: Configuration) -> None:
     """Raise `CampaignMismatchError` unless a stored campaign has the physics of a configuration."""
     refuse_other_physics(record)
-    record.refuse_other(record_of(configuration))
+    record.refuse_other(configuration.record())

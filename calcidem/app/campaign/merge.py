@@ -68,6 +68,31 @@ class Merged:
     lacking: tuple[str, ...]
     """Quantities of done cells that one source has and another lacks, which may be older than they are."""
 
+    def conflict_lines(self, sources: list[str]) -> list[str]:
+        """One line for each conflict, up to a number."""
+        lines = [
+            f"  seed {conflict.key.seed}, {conflict.key.content:g} %: "
+            + ", ".join(
+                f"Vs {velocity:.9g} m/s in {sources[source]}" for source, velocity in conflict.velocities.items()
+            )
+            + f" (different: {', '.join(conflict.quantities)})"
+            for conflict in self.conflicts[:_MOST_CONFLICTS]
+        ]
+        more = len(self.conflicts) - _MOST_CONFLICTS
+        return [*lines, f"  and {more} more"] if more > 0 else lines
+
+    def missing_lines(self) -> list[str]:
+        """One line for each content that has pending cells, with their seeds as ranges."""
+        lines = []
+        for content in sorted({key.content for key in self.missing}):
+            seeds = [key.seed for key in self.missing if key.content == content]
+            begins = [seed for seed, before in zip(seeds, [None, *seeds], strict=False) if before != seed - 1]
+            ends = [seed for seed, after in zip(seeds, [*seeds[1:], None], strict=True) if after != seed + 1]
+            ranges = [str(a) if a == b else f"{a}-{b}" for a, b in zip(begins, ends, strict=True)]
+            more = f" and {len(ranges) - _MOST_RANGES} more ranges" if len(ranges) > _MOST_RANGES else ""
+            lines.append(f"  {content:g} %: {len(seeds)} cells, seeds {', '.join(ranges[:_MOST_RANGES])}{more}")
+        return lines
+
 
 def merge_databases(
     sources: list[str], out: Path, prefer: str | None = None, campaign_name: str | None = None
@@ -88,38 +113,13 @@ def merge_databases(
         if merged.conflicts and prefer is None:
             raise MergeConflictError(
                 "\n".join(
-                    [f"{len(merged.conflicts)} done cells have different values:", *conflict_lines(merged, sources)]
+                    [f"{len(merged.conflicts)} done cells have different values:", *merged.conflict_lines(sources)]
                 )
                 + "\n",
                 "Nothing was written. Such values come from another kind of CPU or another version of calcidem; "
                 "give --prefer with the database to take.",
             )
     return merged
-
-
-def conflict_lines(merged: Merged, sources: list[str]) -> list[str]:
-    """One line for each conflict, up to a number."""
-    lines = [
-        f"  seed {conflict.key.seed}, {conflict.key.content:g} %: "
-        + ", ".join(f"Vs {velocity:.9g} m/s in {sources[source]}" for source, velocity in conflict.velocities.items())
-        + f" (different: {', '.join(conflict.quantities)})"
-        for conflict in merged.conflicts[:_MOST_CONFLICTS]
-    ]
-    more = len(merged.conflicts) - _MOST_CONFLICTS
-    return [*lines, f"  and {more} more"] if more > 0 else lines
-
-
-def missing_lines(merged: Merged) -> list[str]:
-    """One line for each content that has pending cells, with their seeds as ranges."""
-    lines = []
-    for content in sorted({key.content for key in merged.missing}):
-        seeds = [key.seed for key in merged.missing if key.content == content]
-        begins = [seed for seed, before in zip(seeds, [None, *seeds], strict=False) if before != seed - 1]
-        ends = [seed for seed, after in zip(seeds, [*seeds[1:], None], strict=True) if after != seed + 1]
-        ranges = [str(a) if a == b else f"{a}-{b}" for a, b in zip(begins, ends, strict=True)]
-        more = f" and {len(ranges) - _MOST_RANGES} more ranges" if len(ranges) > _MOST_RANGES else ""
-        lines.append(f"  {content:g} %: {len(seeds)} cells, seeds {', '.join(ranges[:_MOST_RANGES])}{more}")
-    return lines
 
 
 def _merge_campaigns(sources: Sequence[Store], target: Store, prefer: int | None) -> Merged:

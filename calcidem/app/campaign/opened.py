@@ -100,6 +100,21 @@ class Sample:
         """The cemented contacts; None for none."""
         return self.scene.bonds
 
+    def write(self, file: Path) -> Path:
+        """Write it in one step: ``.vtu`` for ParaView, ``.csv`` for its disks alone.
+
+        `ValueError` for another ending, `StoreError` if the library for VTK isn't installed.
+        """
+        suffix = file.suffix.lower()
+        if suffix not in SUFFIXES:
+            raise ValueError(f"{file} ends with '{suffix}': give it one of the endings {', '.join(SUFFIXES)}")
+        with write_atomically(file) as temporary:
+            if suffix == ".csv":
+                write_packing_csv(self.packing, temporary)
+            else:
+                _write_vtu(self, temporary)
+        return file
+
 
 def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Campaign":
     """Open a campaign for reading; a run may write it meanwhile.
@@ -554,22 +569,6 @@ def _contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.ui
         first, second = divmod(min(strange), count)
         raise ValueError(f"disks {first} and {second} are cemented but do not touch: not the packing of this cell")
     return np.array([kinds.get(key, CementKind.NONE) for key in contacts.tolist()], dtype=np.uint8)
-
-
-def write_sample(sample: Sample, file: Path) -> Path:
-    """Write a sample in one step: ``.vtu`` for ParaView, ``.csv`` for its disks alone.
-
-    `ValueError` for another ending, `StoreError` if the library for VTK isn't installed.
-    """
-    suffix = file.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise ValueError(f"{file} ends with '{suffix}': give it one of the endings {', '.join(SUFFIXES)}")
-    with write_atomically(file) as temporary:
-        if suffix == ".csv":
-            write_packing_csv(sample.packing, temporary)
-        else:
-            _write_vtu(sample, temporary)
-    return file
 
 
 def _write_vtu(sample: Sample, file: Path) -> None:

@@ -5,17 +5,16 @@ It loads nothing that is large: the command that starts the ranks reads it, too.
 
 import json
 import time
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Protocol, Self
 
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.sweep.batch import Batch
-from calcidem.sweep.forecast import Forecast
 from calcidem.sweep.outcome import BatchOutcome, Place
-from calcidem.sweep.progress import Progress, end_line, pluralize
+from calcidem.sweep.progress import Progress, duration, pluralize
 from calcidem.sweep.sweep_end import SweepEnd
 
 _SHORTEST_INTERVAL = 0.2
@@ -23,6 +22,71 @@ _SHORTEST_INTERVAL = 0.2
 
 _LONGEST_TEXT = 3500
 """Largest snapshot in bytes; a larger one is sent without the contents."""
+
+
+class _Forecast:
+    """Counts cells and measures their cost in each group of batches.
+
+    A measured group counts with its own mean seconds for each cell. Others count with their estimated cost, scaled by
+    the ratio of measured to estimated cost elsewhere.
+
+    Parameters
+    ----------
+    batches
+        All batches of the sweep.
+    """
+
+    def __init__(self, batches: Iterable[Batch[Any]]) -> None:
+        self._cells: Counter[Hashable] = Counter()
+        self._remaining: Counter[Hashable] = Counter()
+        self._cost: dict[Hashable, float] = defaultdict(float)
+        self._seconds: dict[Hashable, float] = defaultdict(float)
+        self._measured: Counter[Hashable] = Counter()
+        self.extend(batches)
+
+    def extend(self, batches: Iterable[Batch[Any]]) -> None:
+        """Count further batches."""
+        for batch in batches:
+            self._cells[batch.group] += len(batch.cells)
+            self._remaining[batch.group] += len(batch.cells)
+            self._cost[batch.group] += batch.cost
+
+    @property
+    def total(self) -> int:
+        """Number of cells of all batches."""
+        return self._cells.total()
+
+    def _estimate(self, group: Hashable) -> float:
+        """Expected cost of a cell, in the unit of the batches."""
+        return self._cost[group] / self._cells[group]
+
+    @property
+    def settled(self) -> int:
+        """Number of cells that are settled."""
+        return self.total - self._remaining.total()
+
+    def record(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Count a final outcome; only results measure the cost of a cell."""
+        group, cells = outcome.batch.group, len(outcome.batch.cells)
+        self._remaining[group] -= cells
+        if outcome.failure is None:
+            self._seconds[group] += outcome.seconds
+            self._measured[group] += cells
+
+    def seconds_left(self, workers: int) -> float | None:
+        """Return the seconds that the remaining cells need on this number of workers, or None if unknown."""
+        estimated = sum(self._estimate(group) * cells for group, cells in self._measured.items())
+        if self.settled == self.total:
+            return 0.0
+        if estimated == 0.0 or workers < 1:
+            return None
+        scale = sum(self._seconds.values()) / estimated
+        work = 0.0
+        for group, cells in self._remaining.items():
+            measured = self._measured[group]
+            per_cell = self._seconds[group] / measured if measured else self._estimate(group) * scale
+            work += cells * per_cell
+        return work / workers
 
 
 class RunStage(StrEnum):
@@ -123,7 +187,7 @@ class ProgressReporter(Progress):
         self._last = RunProgress(RunStage.STARTING)
         self._began = time.monotonic()
         self._next = 0.0
-        self._forecast = Forecast([])
+        self._forecast = _Forecast([])
         self._contents: dict[float, list[int]] = {}
         self._outcomes: Counter[str] = Counter()
 
@@ -153,7 +217,7 @@ class ProgressReporter(Progress):
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Begin to count cells."""
-        self._forecast = Forecast(batches)
+        self._forecast = _Forecast(batches)
         self._outcomes.clear()
         self._contents = {}
         self._count(batches)
@@ -196,7 +260,7 @@ class ProgressReporter(Progress):
     def on_end(self, end: SweepEnd) -> None:
         """Tell how it ended."""
         self._tell_cells(0, 0, at_once=True)
-        self._display.note(end_line(end))
+        self._display.note(_end_line(end))
 
     def _tell_cells(self, workers: int, running: int, *, at_once: bool = False) -> None:
         progress = RunProgress(
@@ -220,3 +284,18 @@ class ProgressReporter(Progress):
             self._next = now + _SHORTEST_INTERVAL
             self._last = replace(progress, seconds=now - self._began)
             self._display.show(self._last)
+
+
+def _end_line(end: SweepEnd) -> str:
+    """Return one line about how a sweep ended."""
+    tally = end.tally
+    parts = [
+        f"{end.state} after {duration(end.seconds)}",
+        f"{tally.settled} cells settled",
+        f"{tally.failed} failed" if tally.failed else "",
+        f"{tally.timed_out} timed out" if tally.timed_out else "",
+        f"{tally.quarantined} quarantined" if tally.quarantined else "",
+        f"{pluralize(tally.lost_workers, 'worker')} lost" if tally.lost_workers else "",
+        end.detail,
+    ]
+    return ", ".join(part for part in parts if part)

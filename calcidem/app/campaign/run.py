@@ -12,7 +12,7 @@ from itertools import starmap
 from typing import TYPE_CHECKING, Self
 
 from calcidem.app.campaign.display import choose_display
-from calcidem.app.campaign.identity import choose_campaign, record_of
+from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import Tell, provide_packing
 from calcidem.app.campaign.parts import planned_batches
 from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
@@ -115,7 +115,7 @@ def run(
                 work.batches,
                 CellComputation(configuration, work.packing),
                 work.sink,
-                options=sweep_options(configuration),
+                options=SweepOptions(time_limit=configuration.run.time_limit),
                 progress=reporter,
                 stop_request=StopRequest(),  # no signal sets it: an interrupt goes to the caller
                 more=work.more,
@@ -126,11 +126,6 @@ def run(
             for line in work.demand.lines() if work.demand else ():
                 display.note(line)
     return open_campaign(configuration.database, configuration.campaign.name)
-
-
-def sweep_options(configuration: Configuration) -> SweepOptions:
-    """Limits of the sweep as the configuration has them."""
-    return SweepOptions(time_limit=configuration.run.time_limit)
 
 
 class CampaignRun:
@@ -204,7 +199,7 @@ class CampaignRun:
 
         store = open_store(configuration.database)
         try:
-            store.begin_campaign(record_of(configuration))
+            store.begin_campaign(configuration.record())
             for sentence in _acquire_lease(store, tell, check):
                 tell(sentence)
         except BaseException:
@@ -221,9 +216,9 @@ class CampaignRun:
         if plan.until is None:
             own = {cell for batch in planned_batches(self.configuration) for cell in batch.cells}
         else:
-            from calcidem.app.campaign.until import SeedDemand, known_velocities  # noqa: PLC0415 - statistics
+            from calcidem.app.campaign.until import SeedDemand  # noqa: PLC0415 - statistics
 
-            self.demand = SeedDemand(plan, known_velocities(self.store, plan))
+            self.demand = SeedDemand.of_store(self.store, plan)
             own = set(self.demand.cells)
             self.store.plan(starmap(CellKey, own))
         self.store.use_campaign(plan.name)  # with the whole plan

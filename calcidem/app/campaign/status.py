@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,13 +116,46 @@ class CampaignStatus:
         """Number of cells without an outcome."""
         return self.counts.get(CellStatus.PENDING, 0)
 
+    @classmethod
+    def of(cls, store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> Self:
+        """Gather how far a campaign is, in a few short queries, from `STATUS_QUANTITIES` of its planned cells."""
+        contents = np.array(sorted(set(columns["content"].tolist())))
+        rows = [columns["content"] == content for content in contents]
+        seconds = [_mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
+        expected = _expected_seconds(contents, np.array(seconds))
+        statuses = tuple(
+            _content_status(float(content), {name: values[row] for name, values in columns.items()}, measured, cost)
+            for content, row, measured, cost in zip(contents, rows, seconds, expected, strict=True)
+        )
+        counts: Counter[CellStatus] = Counter()
+        for status in statuses:
+            counts.update(status.counts)
+        runs = store.runs()
+        number, last = runs[-1] if runs else (None, None)
+        workers = max(1, last.ranks - 1) if last is not None else 1
+        return cls(
+            name=store.record.name,
+            hash=store.record.hash,
+            content_hashes=_content_hashes(store),
+            seeds=store.record.seeds,
+            contents=statuses,
+            counts=counts,
+            budget=error_budget(columns),
+            troubles=troubles,
+            last_run=last,
+            run_number=number,
+            running=_is_being_written(store),
+            workers=workers,
+            seconds_left=sum(status.seconds_left for status in statuses) / workers,
+        )
 
-def read_status(database: str | os.PathLike[str], campaign_name: str | None = None) -> CampaignStatus:
-    """Progress of a stored campaign now; `StoreError` if the database can't be read or has no such campaign."""
-    with read_campaign(database, campaign_name) as store:
-        columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"])
-        columns["seconds"] = _sampled_seconds(store, columns)
-        return campaign_status(store, columns, _troubles_of(store, columns))
+    @classmethod
+    def read(cls, database: str | os.PathLike[str], campaign_name: str | None = None) -> Self:
+        """Progress of a stored campaign now; `StoreError` if the database can't be read or has no such campaign."""
+        with read_campaign(database, campaign_name) as store:
+            columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"])
+            columns["seconds"] = _sampled_seconds(store, columns)
+            return cls.of(store, columns, _troubles_of(store, columns))
 
 
 def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
@@ -138,39 +171,6 @@ def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArr
     if np.count_nonzero(places) == len(found):  # else cells were planned meanwhile
         seconds[places] = found
     return seconds
-
-
-def campaign_status(store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> CampaignStatus:
-    """Gather how far a campaign is, in a few short queries, from `STATUS_QUANTITIES` of its planned cells."""
-    contents = np.array(sorted(set(columns["content"].tolist())))
-    rows = [columns["content"] == content for content in contents]
-    seconds = [_mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
-    expected = _expected_seconds(contents, np.array(seconds))
-    statuses = tuple(
-        _content_status(float(content), {name: values[row] for name, values in columns.items()}, measured, cost)
-        for content, row, measured, cost in zip(contents, rows, seconds, expected, strict=True)
-    )
-    counts: Counter[CellStatus] = Counter()
-    for status in statuses:
-        counts.update(status.counts)
-    runs = store.runs()
-    number, last = runs[-1] if runs else (None, None)
-    workers = max(1, last.ranks - 1) if last is not None else 1
-    return CampaignStatus(
-        name=store.record.name,
-        hash=store.record.hash,
-        content_hashes=_content_hashes(store),
-        seeds=store.record.seeds,
-        contents=statuses,
-        counts=counts,
-        budget=error_budget(columns),
-        troubles=troubles,
-        last_run=last,
-        run_number=number,
-        running=_is_being_written(store),
-        workers=workers,
-        seconds_left=sum(status.seconds_left for status in statuses) / workers,
-    )
 
 
 def _content_hashes(store: Store) -> dict[int, str | None]:

@@ -1,6 +1,7 @@
 """How many seeds each content needs for the requested intervals of mean and scatter (``[campaign] until``)."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Self
 
 import numpy as np
 
@@ -77,14 +78,16 @@ class SeedDemand:
         found = next_seed_count([self._known[cell] for cell in cells], most, mean=until.mean, sd=until.sd)
         return found if found > count else 0
 
-
-def known_velocities(store: Store, plan: CampaignPlan) -> dict[Cell, float]:
-    """Velocities of all cells of a plan's contents that have an outcome, m/s; NaN where it is none."""
-    wanted = Selection(contents=plan.contents)
-    pending = {(key.seed, key.content) for key in store.pending(contents=plan.contents)}
-    columns = store.table(("seed", "content", "vs"), wanted)
-    cells = zip(columns["seed"].tolist(), columns["content"].tolist(), strict=True)
-    return {cell: vs for cell, vs in zip(cells, columns["vs"].tolist(), strict=True) if cell not in pending}
+    @classmethod
+    def of_store(cls, store: Store, plan: CampaignPlan) -> Self:
+        """Take the velocities of the cells of a plan's contents that have an outcome."""
+        wanted = Selection(contents=plan.contents)
+        pending = {(key.seed, key.content) for key in store.pending(contents=plan.contents)}
+        columns = store.table(("seed", "content", "vs"), wanted)
+        cells = zip(columns["seed"].tolist(), columns["content"].tolist(), strict=True)
+        return cls(
+            plan, {cell: vs for cell, vs in zip(cells, columns["vs"].tolist(), strict=True) if cell not in pending}
+        )
 
 
 def _outcome_velocities(outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> dict[Cell, float]:

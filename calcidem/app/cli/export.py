@@ -72,12 +72,12 @@ def export_command(
         with read_campaign(database, campaign) as store:
             export_netcdf(store, out, without=without or ())
     else:
-        from calcidem.app.campaign.opened import SUFFIXES, open_campaign, write_sample
+        from calcidem.app.campaign.opened import SUFFIXES, open_campaign
 
         if seed is None or content is None or without:
             raise typer.BadParameter("one sample has both --seed and --content, and nothing --without")
         if out.suffix.lower() not in SUFFIXES:
             raise typer.BadParameter(f"'{out}' ends with none of {', '.join(SUFFIXES)}", param_hint="OUT")
         with open_campaign(database, campaign) as opened:
-            write_sample(opened.sample(seed=seed, content=content), out)
+            opened.sample(seed=seed, content=content).write(out)
     typer.echo(f"Wrote {out}")

@@ -87,7 +87,7 @@ def _example_text(preset: Preset, *, full: bool) -> str:
 def _own_text(size: str | Path, stress: str, mineral: str, contents: str, folder: Path) -> str:
     """Text of the configuration of a sand: its size in words or the file of its disks, the others in words."""
     # As above.
-    from calcidem.app.config.own_sand import MINERALS, OwnSand, own_sand_text, parse_quantity, read_own_disks
+    from calcidem.app.config.own_sand import MINERALS, OwnDisks, OwnSand, parse_quantity
 
     def parse(option: str, quantity: str, text: str) -> float:
         try:
@@ -95,7 +95,7 @@ def _own_text(size: str | Path, stress: str, mineral: str, contents: str, folder
         except ValueError as error:
             raise typer.BadParameter(str(error), param_hint=option) from error
 
-    disks = read_own_disks(size, folder) if isinstance(size, Path) else None
+    disks = OwnDisks.read(size, folder) if isinstance(size, Path) else None
     diameter = float(f"{disks.diameters[1]:.3g}") if disks else parse("--grain-size", "grain size", str(size))
     pressure = parse("--stress", "stress", stress)
     if mineral not in MINERALS:
@@ -107,4 +107,4 @@ def _own_text(size: str | Path, stress: str, mineral: str, contents: str, folder
         percentages = [parse_percentage(part) for part in contents.split(",")]
     except typer.BadParameter as error:
         raise typer.BadParameter(error.message, param_hint="--contents") from error
-    return own_sand_text(OwnSand(diameter, pressure, mineral, percentages, disks))
+    return OwnSand(diameter, pressure, mineral, percentages, disks).text()

@@ -35,8 +35,6 @@ def merge_command(
 
 def _merge_lines(merged: "Merged", sources: list[str], out: Path) -> list[str]:
     """What was done, for a person."""
-    from calcidem.app.campaign.merge import conflict_lines, missing_lines
-
     taken = [f"  {number} cells from {source}" for source, number in zip(sources, merged.taken, strict=True)]
     lines = [
         f"Wrote {out}: {merged.settled} of {merged.settled + len(merged.missing)} planned cells are finished",
@@ -50,8 +48,8 @@ def _merge_lines(merged: "Merged", sources: list[str], out: Path) -> list[str]:
         lines.append(f"  {merged.overruled} cells that went wrong in one database are done in another")
     if merged.conflicts:
         lines.append(f"  {len(merged.conflicts)} done cells had different values, resolved by --prefer:")
-        lines += ["  " + line for line in conflict_lines(merged, sources)]
+        lines += ["  " + line for line in merged.conflict_lines(sources)]
     if merged.missing:
-        lines += ["Missing:", *missing_lines(merged)]
+        lines += ["Missing:", *merged.missing_lines()]
         lines.append(f"'calcidem run CONFIG --db {out}' computes them.")
     return lines

@@ -25,9 +25,9 @@ def serve_command(
 
     The printed address has a secret token. Ctrl-C ends the server. Databases are only read.
     """
-    from calcidem.app.serve.address import take_address
+    from calcidem.app.serve.address import PageAddress
 
-    address = take_address(host, port)
+    address = PageAddress.take(host, port)
     from calcidem.app.serve.server import LivePage
 
     if campaign and len(databases) > 1:

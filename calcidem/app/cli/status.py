@@ -40,9 +40,9 @@ def status_command(
     campaign: CampaignName = None,
 ) -> None:
     """Show the progress of a campaign, also while it runs: cells, Vs so far, time left, failures."""
-    from calcidem.app.campaign.status import read_status
+    from calcidem.app.campaign.status import CampaignStatus
 
-    read = partial(read_status, database, campaign)
+    read = partial(CampaignStatus.read, database, campaign)
     found = _until_finished(read, interval) if watch else iter([read()])
     try:
         _show_status(found, half_width, layout, one_per_line=watch)

@@ -13,6 +13,7 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -70,6 +71,20 @@ class OwnDisks:
     """Smallest, mean and largest, m."""
     count: int
     """Number of the disks."""
+
+    @classmethod
+    def read(cls, file: Path, folder: Path) -> Self:
+        """Read disks for a configuration in a folder; `PackingFileError`, naming the line, if they are none."""
+        x, y, radius = checked_disks(file)
+        width = float(f"{np.max(x + radius):.6g}")
+        at_rest = float(np.pi * np.sum(radius**2)) / (_SOLID * width)  # below the lid, which compresses loose disks
+        return cls(
+            file=os.path.relpath(file, folder),
+            width=width,
+            height=min(float(np.max(y + radius)), at_rest),
+            diameters=(2.0 * float(radius.min()), 2.0 * float(radius.mean()), 2.0 * float(radius.max())),
+            count=len(radius),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,19 +151,17 @@ class OwnSand:
         stiffness = 3.0 / 8.0 * tangent * (1.0 + self.sand.shear_ratio)
         return _REAL_OVER_LATTICE * math.pi * self.grain_size * cutoff_frequency(stiffness, mass)
 
+    def text(self) -> str:
+        """Text of the configuration of a sand, with the reason of each number.
 
-def read_own_disks(file: Path, folder: Path) -> OwnDisks:
-    """Read disks for a configuration in a folder; `PackingFileError`, naming the line, if they are none."""
-    x, y, radius = checked_disks(file)
-    width = float(f"{np.max(x + radius):.6g}")
-    at_rest = float(np.pi * np.sum(radius**2)) / (_SOLID * width)  # below the lid, which compresses loose disks
-    return OwnDisks(
-        file=os.path.relpath(file, folder),
-        width=width,
-        height=min(float(np.max(y + radius)), at_rest),
-        diameters=(2.0 * float(radius.min()), 2.0 * float(radius.mean()), 2.0 * float(radius.max())),
-        count=len(radius),
-    )
+        `ConfigurationError` if no such sand can be computed.
+        """
+        if problems := _content_problems(self):
+            raise ConfigurationError("the sand", problems)
+        text = _commented(self)
+        if self.disks is None:  # of disks in a file there may be more to say, which 'run --check' does
+            read_configuration(tomllib.loads(text), "the sand")  # refuses a stress that crushes the grains
+        return text
 
 
 def parse_quantity(quantity: str, text: str) -> float:
@@ -169,19 +182,6 @@ def parse_quantity(quantity: str, text: str) -> float:
         unit = next(iter(units)) if quantity == "stress" else "m"
         raise ValueError(f"'{text}' is not between {low:g} {unit} and {high:g} {unit}: {cure}")
     return value
-
-
-def own_sand_text(own: OwnSand) -> str:
-    """Text of the configuration of a sand, with the reason of each number.
-
-    `ConfigurationError` if no such sand can be computed.
-    """
-    if problems := _content_problems(own):
-        raise ConfigurationError("the sand", problems)
-    text = _commented(own)
-    if own.disks is None:  # of disks in a file there may be more to say, which 'run --check' does
-        read_configuration(tomllib.loads(text), "the sand")  # refuses a stress that crushes the grains
-    return text
 
 
 def _content_problems(own: OwnSand) -> list[Problem]:

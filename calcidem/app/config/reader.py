@@ -10,16 +10,18 @@ import unicodedata
 from collections.abc import Mapping
 from dataclasses import is_dataclass, replace
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from calcidem.app.config.checks import cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem, phrase, quote
-from calcidem.app.config.own_disks import take_own_disks
 from calcidem.app.config.schema import (
+    SETTLED_BY_FILE,
     Bonding,
     Calibration,
     CampaignPlan,
@@ -32,6 +34,7 @@ from calcidem.dem.engine.fields import accepted_values, field_hints
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import PackingRule
+from calcidem.dem.sample.packing_file import checked_disks
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
 
@@ -65,6 +68,10 @@ _SMALLEST_NUMBER, _LARGEST_NUMBER = 1e-30, 1e30
 
 TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
 """Keys that a file does not have, because another one has the same meaning."""
+
+
+_CONCERNED = ("packing.file", *(f"packing.{key}" for key in SETTLED_BY_FILE))
+"""Fields that nothing else can be compared with when the file is not as it should be."""
 
 
 def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any] | None = None) -> Configuration:
@@ -139,7 +146,7 @@ def read_configuration(
     configuration, wrong = _validate(given)
     problems += wrong
     if configuration.packing_draw.file is not None:
-        configuration, wrong = take_own_disks(configuration, document["packing"], folder)
+        configuration, wrong = _take_own_disks(configuration, document["packing"], folder)
         problems += wrong
     configuration = replace(
         configuration, pattern=replace(configuration.pattern, sand_density=configuration.sand.density)
@@ -251,3 +258,32 @@ def _unknown_name(name: str, what: str, known: list[str], section: str = "") -> 
     else:
         cure = f"there are {', '.join(known)}"
     return Problem(f"{place}: unknown {what}; {cure}", (place,))
+
+
+def _take_own_disks(
+    configuration: Configuration, given: Mapping[str, Any], folder: Path
+) -> tuple[Configuration, list[Problem]]:
+    """Look at the file of ``[packing]``, and put what it settles into the configuration.
+
+    ``given`` is the section as it was given; the file's name is relative to ``folder``. Given are the configuration
+    with the size of the box and of the disks, where the file is as it should be, and what is wrong with the file or
+    contradicts it.
+    """
+    problems = [
+        Problem(
+            f"packing.{key} = {quote(given[key])}: the disks in packing.file settle it; leave one of the two out",
+            (f"packing.{key}", "packing.file"),
+        )
+        for key in SETTLED_BY_FILE
+        if key in given
+    ]
+    rule, draw = configuration.packing, configuration.packing_draw
+    try:
+        path = (folder / Path(str(draw.file)).expanduser()).absolute()
+        _, y, radius = checked_disks(path, rule.width)
+        smallest, largest = (2.0 * float(value) for value in (radius.min(), radius.max()))
+        rule = replace(rule, height=float(np.max(y + radius)), diameter=(smallest, largest))
+        draw = replace(draw, file=str(path), file_sha256=sha256(path.read_bytes()).hexdigest())
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError also where ~ has no folder
+        problems.append(Problem(f"packing.file = {quote(draw.file)}: {error}", _CONCERNED))
+    return replace(configuration, packing=rule, packing_draw=draw), problems

@@ -1,10 +1,11 @@
 """Every key of a configuration with its type, default, unit, meaning and bounds, taken from the classes that use it."""
 
 import inspect
+import json
 import re
 import textwrap
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from types import NoneType
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.reader import SECTIONS, TAKEN_FROM_ELSEWHERE, read_configuration
 from calcidem.dem.engine.fields import accepted_values, field_hints, unit_of
+from calcidem.storage.records import CampaignRecord
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
@@ -107,3 +109,37 @@ def _kind_in_words(hint: Any) -> str:  # noqa: ANN401 - a type hint has no type 
         count = f"{len(inner)} " if len(inner) > 1 else ""
         return f"list of {count}{_kind_in_words(inner[0])}s"
     return _WORDS.get(hint) or " or ".join(dict.fromkeys(_WORDS.get(type(arm)) or _kind_in_words(arm) for arm in inner))
+
+
+def stored_text(record: CampaignRecord, disks: str) -> str:
+    """Text of a configuration with the identity of a stored campaign.
+
+    ``disks`` is a CSV file with the disks at rest: it stands for a file of disks that the campaign was made from, which
+    no database has. With it the identity is another one.
+    """
+    physics, seeds = record.parameters, record.seeds
+    plan = {
+        "name": record.name,
+        "seeds": len(seeds) if seeds == tuple(range(1, len(seeds) + 1)) else seeds,
+        "contents": record.contents,
+        "root_seed": physics["root_seed"],
+    }
+    packing = dict(physics["packing"])
+    if packing.pop("file_sha256", None) is not None:
+        packing["file"] = disks
+    lines = [f"# Campaign {record.hash}, written from its database."]
+    for section, values in {"campaign": plan, **physics, "packing": packing}.items():
+        if isinstance(values, Mapping):
+            lines += ["", f"[{section}]", *_lines_of_keys(section, values)]
+    return "\n".join((*lines, ""))
+
+
+def _lines_of_keys(section: str, values: Mapping[str, Any]) -> Iterator[str]:
+    """Lines of a section; a table within it is written in one line."""
+    for name, value in values.items():
+        if value is None or f"{section}.{name}" in TAKEN_FROM_ELSEWHERE:
+            continue
+        if isinstance(value, Mapping):
+            yield f"{name} = {{ {', '.join(_lines_of_keys(f'{section}.{name}', value))} }}"
+        else:
+            yield f"{name} = {json.dumps(value, ensure_ascii=False) if isinstance(value, str) else written(value)}"

@@ -8,6 +8,7 @@ import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
@@ -28,8 +29,8 @@ from calcidem.dem.wave.pulse import EXCITATION
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import StoreError
-from calcidem.storage.records import LARGEST_SEED, canonical_content
-from calcidem.storage.records.canonical import canonical_hash
+from calcidem.storage.records import LARGEST_SEED, CampaignRecord, canonical_content
+from calcidem.storage.records.canonical import canonical_hash, canonical_json
 from calcidem.storage.sql.engine import Address
 
 if TYPE_CHECKING:
@@ -458,6 +459,17 @@ class Configuration:
         """File name of the export: beside the database, or in the output folder if that is on a server."""
         path = Address.parse(self.database).path
         return self.output / f"{self.campaign.name}.nc" if path is None else path.with_suffix(".nc")
+
+    def record(self) -> CampaignRecord:
+        """Return the campaign as it is stored, without its plan."""
+        return CampaignRecord(
+            hash=self.hash,
+            name=self.campaign.name,
+            config=canonical_json(self.physics),
+            contents=(),
+            seeds=(),
+            created=datetime.now(UTC),
+        )
 
     def experiment(self, packing: Packing) -> Experiment:
         """Everything that the cells share, with the packing they are made from."""

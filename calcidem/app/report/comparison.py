@@ -1,6 +1,7 @@
 """Tables that hold the campaign beside the published study and beside measured velocities."""
 
 import math
+from collections.abc import Callable
 
 from scipy import stats
 
@@ -15,7 +16,7 @@ _SIGNIFICANCE = 0.05
 _MANY_ERRORS = 2.0
 
 
-def published_table(analysis: CampaignAnalysis) -> Table | None:
+def _published_table(analysis: CampaignAnalysis) -> Table | None:
     """Mean, deviation and normality beside the published ones; None for other sands and contents."""
     published = published_velocities(analysis)
     if not published:
@@ -60,7 +61,7 @@ def published_table(analysis: CampaignAnalysis) -> Table | None:
     )
 
 
-def measured_table(analysis: CampaignAnalysis) -> Table | None:
+def _measured_table(analysis: CampaignAnalysis) -> Table | None:
     """Mean and scatter beside measured ones; None if none are given."""
     if not analysis.measured:
         return None
@@ -117,3 +118,10 @@ def _differs(here: Distribution, published: PublishedVelocity) -> bool:
 
 def _normal(verdict: bool | None) -> str:
     return ABSENT if verdict is None else "yes" if verdict else "no"
+
+
+COMPARISON_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
+    "measured": _measured_table,
+    "published": _published_table,
+}
+"""Makers of these tables by their names in files; None where a campaign has nothing to show."""

@@ -20,7 +20,7 @@ from calcidem.app.campaign.opened import Campaign
 from calcidem.app.campaign.stored_packing import identify_packing, readable_packing
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.config.stored_text import stored_text
+from calcidem.app.config.reference import stored_text
 from calcidem.app.report.page import write_report
 from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.storage.errors import DamagedStoreError, OutputRefusedError

@@ -1,6 +1,6 @@
 """Tables of what was run: parameters beside the published ones, runs, and the packing."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
@@ -34,7 +34,7 @@ _CHOSEN = {
 """Keys without a published value: the value that a literal reading gives, if any, and what they mean."""
 
 
-def parameter_table(config: Mapping[str, Any]) -> Table | None:
+def _parameter_table(config: Mapping[str, Any]) -> Table | None:
     """Calibrated and chosen parameters, and those unlike the published ones (marked); None for other sands."""
     if not is_published_sand(config):
         return None
@@ -59,7 +59,7 @@ def parameter_table(config: Mapping[str, Any]) -> Table | None:
     )
 
 
-def configuration_table(analysis: CampaignAnalysis) -> Table:
+def _configuration_table(analysis: CampaignAnalysis) -> Table:
     """The whole physical configuration, with the frequencies that were chosen by themselves."""
     texts = {key: _value_text(value) for key, value in flat_parameters(analysis.config).items()}
     if texts.get("wave.frequency") == "auto":
@@ -86,7 +86,7 @@ def _value_text(value: object) -> str:
             return str(value)
 
 
-def run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
+def _run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
     """Each run of the program on this campaign."""
     rows = tuple(
         (
@@ -112,7 +112,7 @@ def _source(run: RunRecord) -> str:
     return run.git_commit[:10] + (" with local changes" if run.git_dirty else "")
 
 
-def packing_table(analysis: CampaignAnalysis) -> Table:
+def _packing_table(analysis: CampaignAnalysis) -> Table:
     """Quality of the packings, one column each."""
     graphs, notes = analysis.graphs, ("in two dimensions", "")
     if is_published_sand(analysis.config):
@@ -166,3 +166,12 @@ def _stresses(first: PackingGraph) -> list[tuple[str, Any, str]]:
         return lambda graph: decimal(graph.packing.wall_stress[wall] / 1e3, 3)
 
     return [(f"stress on the {wall} wall (kPa)", stress_on(wall), "") for wall in first.packing.wall_stress]
+
+
+PROVENANCE_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
+    "parameters": lambda analysis: _parameter_table(analysis.config),
+    "packing": _packing_table,
+    "runs": lambda analysis: _run_table(analysis.store.runs()),
+    "configuration": _configuration_table,
+}
+"""Makers of these tables by their names in files; None where a campaign has nothing to show."""

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 import xarray as xr
@@ -29,7 +30,7 @@ _MOST_NAMED_SEEDS = 10
 _MEANING = ("wavelengths_on_path", "wavelength_over_d50", "content_of_contacts", "static_speed")
 
 
-def velocity_table(analysis: CampaignAnalysis) -> Table:
+def _velocity_table(analysis: CampaignAnalysis) -> Table:
     """Vs at each content with its intervals."""
     rows = [
         (
@@ -73,7 +74,7 @@ def velocity_table(analysis: CampaignAnalysis) -> Table:
     )
 
 
-def meaning_table(analysis: CampaignAnalysis) -> Table:
+def _meaning_table(analysis: CampaignAnalysis) -> Table:
     """Quantities of the velocities: modulus, wavelengths, calcite and, where computed, static speed."""
     cells, static = analysis.cells, bool(np.isfinite(analysis.cells["static_speed"]).any())
     rows = []
@@ -125,7 +126,7 @@ def near_field_rows(analysis: CampaignAnalysis) -> list[int]:
     return [place for place, number in enumerate(found) if number < FEWEST_WAVELENGTHS]
 
 
-def outcome_table(analysis: CampaignAnalysis) -> Table | None:
+def _outcome_table(analysis: CampaignAnalysis) -> Table | None:
     """Cells without a velocity by outcome and reason, the most frequent first; None if there are none."""
     status, reason = analysis.status.to_numpy(), analysis.cells["reason"].to_numpy()
     contents = np.broadcast_to(analysis.vs["content"].to_numpy(), status.shape)
@@ -158,7 +159,7 @@ def count_reasons(
     return [(*key, sorted(where[key]), count) for key, count in found.most_common(_MOST_REASONS)]
 
 
-def growth_table(analysis: CampaignAnalysis) -> Table | None:
+def _growth_table(analysis: CampaignAnalysis) -> Table | None:
     """Growth of the mean in the published four stages; None for other sands, or if no stage has two contents."""
     if not is_published_sand(analysis.config):
         return None
@@ -184,7 +185,7 @@ def growth_table(analysis: CampaignAnalysis) -> Table | None:
     )
 
 
-def feature_table(analysis: CampaignAnalysis) -> Table:
+def _feature_table(analysis: CampaignAnalysis) -> Table:
     """The eight features, their definitions, and how they go with Vs."""
     matrices, tests = analysis.correlations, analysis.feature_tests
 
@@ -216,7 +217,7 @@ def feature_table(analysis: CampaignAnalysis) -> Table:
     )
 
 
-def law_table(analysis: CampaignAnalysis) -> Table:
+def _law_table(analysis: CampaignAnalysis) -> Table:
     """The laws between C_d,n and Vs with their intervals and errors."""
     published = {law.name: law for law in published_study().laws}
     compared = is_published_sand(analysis.config)
@@ -264,7 +265,7 @@ def law_table(analysis: CampaignAnalysis) -> Table:
     )
 
 
-def cost_table(analysis: CampaignAnalysis) -> Table:
+def _cost_table(analysis: CampaignAnalysis) -> Table:
     """Numerical error beside statistical error, and what the cells cost."""
     cells = analysis.cells
     rows = []
@@ -306,7 +307,7 @@ def cost_table(analysis: CampaignAnalysis) -> Table:
     )
 
 
-def departure_table(analysis: CampaignAnalysis) -> Table | None:
+def _departure_table(analysis: CampaignAnalysis) -> Table | None:
     """How far path_vs and vs agree at each content, and where they do not; None where no cell has both."""
     if not analysis.budget.compared:
         return None
@@ -333,3 +334,16 @@ def departure_table(analysis: CampaignAnalysis) -> Table | None:
         tuple(rows),
         frozenset(i for i, budget in enumerate(analysis.budgets) if budget.departing),
     )
+
+
+RESULT_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
+    "velocities": _velocity_table,
+    "meaning": _meaning_table,
+    "outcomes": _outcome_table,
+    "growth": _growth_table,
+    "features": _feature_table,
+    "laws": _law_table,
+    "errors_and_cost": _cost_table,
+    "two_velocities": _departure_table,
+}
+"""Makers of these tables by their names in files; None where a campaign has nothing to show."""

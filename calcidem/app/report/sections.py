@@ -1,42 +1,18 @@
 """What a report has: tables by name, and the sections in which tables and figures stand."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.app.report.comparison import measured_table, published_table
-from calcidem.app.report.provenance import configuration_table, packing_table, parameter_table, run_table
-from calcidem.app.report.results import (
-    cost_table,
-    departure_table,
-    feature_table,
-    growth_table,
-    law_table,
-    meaning_table,
-    outcome_table,
-    velocity_table,
-)
+from calcidem.app.report.comparison import COMPARISON_TABLES
+from calcidem.app.report.provenance import PROVENANCE_TABLES
+from calcidem.app.report.results import RESULT_TABLES
 from calcidem.app.report.wording import Table
 
 Made = TypeVar("Made")
 
-TABLES: Mapping[str, Callable[[CampaignAnalysis], Table | None]] = {
-    "velocities": velocity_table,
-    "meaning": meaning_table,
-    "outcomes": outcome_table,
-    "growth": growth_table,
-    "features": feature_table,
-    "laws": law_table,
-    "errors_and_cost": cost_table,
-    "two_velocities": departure_table,
-    "measured": measured_table,
-    "published": published_table,
-    "parameters": lambda analysis: parameter_table(analysis.config),
-    "packing": packing_table,
-    "runs": lambda analysis: run_table(analysis.store.runs()),
-    "configuration": configuration_table,
-}
+TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = RESULT_TABLES | COMPARISON_TABLES | PROVENANCE_TABLES
 """Makers of tables by their names in files; None where a campaign has nothing to show."""
 
 

@@ -5,6 +5,7 @@ import importlib.util
 import secrets
 import socket
 from dataclasses import dataclass, field
+from typing import Self
 
 _USUAL_HOST = "127.0.0.1"
 
@@ -37,28 +38,28 @@ class PageAddress:
         object.__setattr__(self, "port", port)
         object.__setattr__(self, "url", f"http://{host}:{port}/?token={self.token}")
 
+    @classmethod
+    def take(cls, host: str = _USUAL_HOST, port: int = 0) -> Self:
+        """Listen on a port, 0 for any that is free.
 
-def take_address(host: str = _USUAL_HOST, port: int = 0) -> PageAddress:
-    """Listen on a port, 0 for any that is free.
-
-    `PageAddressError` if the port is in use or not to be had, the host is none of this machine, or a library is not
-    installed.
-    """
-    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
-    if missing:
-        raise PageAddressError(
-            f"the live page needs {' and '.join(missing)}; install it: pip install 'calcidem[serve]'"
-        )
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((host, port))
-        listener.listen()
-    except OSError as error:
-        listener.close()
-        raise PageAddressError(_explained(error, host, port)) from error
-    return PageAddress(listener, host, secrets.token_urlsafe(32))
+        `PageAddressError` if the port is in use or not to be had, the host is none of this machine, or a library is not
+        installed.
+        """
+        missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
+        if missing:
+            raise PageAddressError(
+                f"the live page needs {' and '.join(missing)}; install it: pip install 'calcidem[serve]'"
+            )
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        listener = socket.socket(family, socket.SOCK_STREAM)
+        try:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind((host, port))
+            listener.listen()
+        except OSError as error:
+            listener.close()
+            raise PageAddressError(_explained(error, host, port)) from error
+        return cls(listener, host, secrets.token_urlsafe(32))
 
 
 def _explained(error: OSError, host: str, port: int) -> str:

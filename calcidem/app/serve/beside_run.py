@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-from calcidem.app.serve.address import take_address
+from calcidem.app.serve.address import PageAddress
 
 _TIME_TO_TELL = 3.0
 """Seconds that the page has for telling browsers how the run has ended."""
@@ -19,7 +19,7 @@ def page_beside_run(database: str | os.PathLike[str], campaign: str, say: Callab
 
     `PageAddressError` if the page can't be opened.
     """
-    address = take_address()
+    address = PageAddress.take()
     descriptor = address.listener.fileno()
     process = subprocess.Popen(
         [sys.executable, "-m", "calcidem.app.serve"],

@@ -12,7 +12,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableErr
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.patterns import with_patterns
-from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus, campaign_status
+from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
 from calcidem.app.report.cell_data import (
     MOST_FULL_RECORDS,
     SHORT_RECORD,
@@ -131,7 +131,7 @@ class CampaignFeed:
             if self._store is None or self._columns is None:
                 return told
             with suppress(StoreError):  # the next refresh reports it
-                found = campaign_status(self._store, self._columns.rows(STATUS_QUANTITIES), ())
+                found = CampaignStatus.of(self._store, self._columns.rows(STATUS_QUANTITIES), ())
                 told |= _told_status(found) | {"reasons": self._reasons(self._columns)}
             return told
 

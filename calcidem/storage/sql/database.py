@@ -15,7 +15,7 @@ from calcidem.storage.errors import (
     UnknownCampaignError,
 )
 from calcidem.storage.records import CampaignRecord, canonical_content, checked_seed
-from calcidem.storage.sql.engine import Address, Database
+from calcidem.storage.sql.engine import Address, Connections
 from calcidem.storage.sql.tables import CAMPAIGN, CELL, is_empty, prepare_schema
 from calcidem.storage.store import Closable
 
@@ -39,24 +39,27 @@ class OpenDatabase(Closable):
         _refuse_wrong_file(address, read_only=read_only)
         if not read_only and address.path is not None and address.path.exists() and address.path.stat().st_size:
             # A file of another program is refused before a writing connection changes its journal mode.
-            with closing(Database(address, read_only=True)) as looking, looking.transaction(write=False) as connection:
+            with (
+                closing(Connections(address, read_only=True)) as looking,
+                looking.transaction(write=False) as connection,
+            ):
                 is_empty(connection, address)
-        self._database = Database(address, read_only=read_only)
+        self._connections = Connections(address, read_only=read_only)
         try:
-            with self._database.transaction(write=not read_only) as connection:
+            with self._connections.transaction(write=not read_only) as connection:
                 statement = prepare_schema(connection, address, read_only=read_only)
             if statement is not None:
-                self._database.execute_on_connect(statement)
+                self._connections.execute_on_connect(statement)
             self._file = None if address.path is None else address.path.stat()
         except BaseException:
-            self._database.close()
+            self._connections.close()
             raise
 
     def _reading(self) -> AbstractContextManager[Connection]:
         self._refuse_closed()
         if self._shared is not None:
             return nullcontext(self._shared)
-        return self._database.transaction(write=False)
+        return self._connections.transaction(write=False)
 
     def _refuse_closed(self) -> None:
         if self._closed:
@@ -65,7 +68,7 @@ class OpenDatabase(Closable):
     def close(self) -> None:
         """Release all connections; a closed store may be closed again."""
         self._closed = True
-        self._database.close()
+        self._connections.close()
 
     @property
     def _campaign(self) -> int:

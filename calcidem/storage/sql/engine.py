@@ -130,7 +130,7 @@ class Address:
         return str(self.path) if self.path else hide_passwords(self.url.render_as_string(hide_password=True))
 
 
-class Database:
+class Connections:
     """Connections to a database, with transactions that are real on every backend.
 
     Attributes
@@ -271,7 +271,7 @@ def measure_commits(path: Path, count: int) -> tuple[str, float]:
 
     `StoreError` if that can't be done there.
     """
-    database = Database(Address.parse(path), read_only=False)
+    database = Connections(Address.parse(path), read_only=False)
     try:
         with database.transaction(write=True) as connection:
             journal = str(connection.scalar(text("PRAGMA journal_mode")))

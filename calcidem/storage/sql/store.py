@@ -146,7 +146,7 @@ class Store(StoreReader):
         self._refuse_replaced()
         if self.read_only:
             raise ReadOnlyStoreError(f"{self.address} was opened for reading only.", "Open it for writing.")
-        with self._database.transaction(write=True) as connection:
+        with self._connections.transaction(write=True) as connection:
             heartbeat = None if self._lease.token is None else self._lease.renew(connection)
             self._shared = connection
             try:
@@ -160,7 +160,7 @@ class Store(StoreReader):
 
     def _bring_log_into_file(self) -> None:
         if self.address.path is not None and not self.read_only:
-            self._database.bring_log_into_file()
+            self._connections.bring_log_into_file()
             self._next_checkpoint = time.monotonic() + _CHECKPOINT_INTERVAL
 
     def _refuse_replaced(self) -> None:
@@ -299,7 +299,7 @@ class Store(StoreReader):
             try:
                 self._refuse_replaced()
                 self._lease.forget()
-                with self._database.transaction(write=True) as connection:
+                with self._connections.transaction(write=True) as connection:
                     connection.execute(delete(LEASE).where(LEASE.c.token == token))
             finally:
                 self._lease.release()

@@ -185,7 +185,7 @@ def test_what_nobody_foresaw_leaves_a_log(bench: Workbench, monkeypatch: pytest.
     def fail(*_arguments: object, **_options: object) -> NoReturn:
         raise ZeroDivisionError(EVIL_STORED)
 
-    monkeypatch.setattr("calcidem.app.campaign.status.read_status", fail)
+    monkeypatch.setattr("calcidem.app.campaign.status.CampaignStatus.read", fail)
     with pytest.raises(AssertionError, match="ZeroDivisionError"):
         bench.judge("status", "quick.db")
     (log,) = bench.folder.glob("calcidem-error-*.log")

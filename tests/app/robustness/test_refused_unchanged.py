@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from unchanged import unchanged_if_refused
 
-from calcidem.app.campaign.identity import record_of
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.preview import preview_lines
 from calcidem.app.campaign.run import CampaignRun
@@ -38,7 +37,7 @@ def begun(tmp_path: Path, small_configuration: Configuration, small_packing: Pac
     path = tmp_path / "begun.db"
     plan = small_configuration.campaign
     with open_store(path) as store:
-        store.begin_campaign(record_of(small_configuration))
+        store.begin_campaign(small_configuration.record())
         store.extend(plan.seed_numbers, plan.contents)
         store.save_packing(packing_record(small_packing, index=0, packing_hash=small_configuration.packing_hash))
     return replace(small_configuration, run=RunOptions(database=str(path), output=str(tmp_path / "results")))

@@ -12,7 +12,7 @@ from rich.console import Console
 from scipy import stats
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.status import _is_being_written, read_status
+from calcidem.app.campaign.status import CampaignStatus, _is_being_written
 from calcidem.app.cli.status_view import status_view
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import open_store
@@ -83,7 +83,7 @@ def test_a_content_not_yet_measured_is_forecast_from_its_neighbours(complete: Pa
     with open_store(complete) as store:
         store.use_campaign()
         store.extend((1,), (7.0,))
-    found = read_status(str(complete))
+    found = CampaignStatus.read(str(complete))
     costs = {content.content: content.seconds_per_cell for content in found.contents}
     assert np.isnan(costs[7.0])
     assert found.seconds_left == pytest.approx((costs[5.0] + costs[9.0]) / 2)
@@ -96,7 +96,7 @@ def test_a_campaign_without_outcomes_can_be_shown(part: Callable[..., Path]) -> 
         store.use_campaign()
         store.extend((1, 2), (0.0, 5.0))
     console = Console(width=100, record=True)
-    console.print(status_view(read_status(str(empty)), console.width))
+    console.print(status_view(CampaignStatus.read(str(empty)), console.width))
     shown = console.export_text()
     assert "0 of 4 cells finished (0 %)" in shown
     assert "Time left" not in shown
@@ -108,7 +108,7 @@ def test_a_matrix_wider_than_the_terminal_is_condensed(complete: Path) -> None:
         contents = store.use_campaign().contents
         store.extend(range(1, 401), contents)
     console = Console(width=100, record=True)
-    console.print(status_view(read_status(str(complete)), console.width))
+    console.print(status_view(CampaignStatus.read(str(complete)), console.width))
     lines = console.export_text().splitlines()
     assert max(map(len, lines)) <= 100
     assert sum(re.search(r"[+n]\.{20}", line) is not None for line in lines) == 5

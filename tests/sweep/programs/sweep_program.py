@@ -16,10 +16,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from calcidem.app.campaign.progress import _end_line
 from calcidem.sweep.batch import Batch, Cell, plan_batches
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome, Place
-from calcidem.sweep.progress import Progress, end_line
+from calcidem.sweep.progress import Progress
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.session import Session
 from calcidem.sweep.sweep_end import SweepEnd
@@ -106,7 +107,7 @@ class Told(Progress):
 
     def on_end(self, end: SweepEnd) -> None:
         """Tell how it ended."""
-        sys.stderr.write(f"{end_line(end)}\n")
+        sys.stderr.write(f"{_end_line(end)}\n")
 
 
 def endless_loop() -> None:
