@@ -22,7 +22,7 @@ from places import CHECKOUT
 from rich.console import Console
 
 import calcidem
-from calcidem.app.campaign.display import LineDisplay, LiveDisplay, _CallbackDisplay
+from calcidem.app.campaign.display import LiveDisplay, _CallbackDisplay, _LineDisplay
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.launch import channel
@@ -74,7 +74,7 @@ def tell_a_story(display: ProgressDisplay) -> None:
 def test_lines_tell_what_matters() -> None:
     """In a log there are lines for the start, a failure, a loss, the time left and the end, without colours."""
     stream = io.StringIO()
-    tell_a_story(LineDisplay(Console(file=stream, width=60), shortest=0.0))
+    tell_a_story(_LineDisplay(Console(file=stream, width=60), shortest=0.0))
     text = stream.getvalue()
     assert "compiling the kernels" in text
     assert "the kernel for samples with cement (1 of 2), 23 functions finished, now wall_forces" in text
@@ -91,7 +91,7 @@ def test_lines_tell_what_matters() -> None:
 def test_a_log_is_not_filled() -> None:
     """Between two lines of a stage there is a pause."""
     stream = io.StringIO()
-    display = LineDisplay(Console(file=stream, width=60))
+    display = _LineDisplay(Console(file=stream, width=60))
     for _ in range(100):
         display.show(RunProgress(RunStage.COMPUTING))
     assert stream.getvalue() == ""

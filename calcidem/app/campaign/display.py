@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.campaign.progress import ProgressDisplay, RunProgress, RunStage
-from calcidem.launch.channel import tell_progress
+from calcidem.launch.channel import command_listens, tell_progress
 from calcidem.sweep.environment import launcher
 from calcidem.sweep.progress import duration, pluralize
 
@@ -38,24 +38,7 @@ _VERBS = {
 }
 
 
-class SilentDisplay:
-    """A `calcidem.app.campaign.progress.ProgressDisplay` that shows nothing."""
-
-    def show(self, progress: RunProgress) -> None:
-        """Take it."""
-
-    def note(self, text: str) -> None:
-        """Take it."""
-
-    def __enter__(self) -> Self:
-        """Use it in a `with` statement."""
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        """Do nothing."""
-
-
-class _CallbackDisplay(SilentDisplay):
+class _CallbackDisplay(ProgressDisplay):
     """Hands everything to a function of the caller.
 
     Parameters
@@ -72,7 +55,7 @@ class _CallbackDisplay(SilentDisplay):
         self._callback(progress)
 
 
-class LineDisplay(SilentDisplay):
+class _LineDisplay(ProgressDisplay):
     """Writes a line at growing intervals, for logs of batch systems and for pipes.
 
     Parameters
@@ -106,7 +89,7 @@ class LineDisplay(SilentDisplay):
         self._console.print(f"{time.strftime('%H:%M:%S')} {text}", markup=False, highlight=False, soft_wrap=True)
 
 
-class ChannelDisplay(SilentDisplay):
+class _ChannelDisplay(ProgressDisplay):
     """Lets the command that started the ranks draw the display: its terminal is the real one.
 
     Parameters
@@ -127,7 +110,7 @@ class ChannelDisplay(SilentDisplay):
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-class LiveDisplay:
+class LiveDisplay(ProgressDisplay):
     """Draws the progress at the foot of a terminal; all other text goes above it.
 
     Parameters
@@ -216,8 +199,15 @@ def choose_display(progress: Callable[[RunProgress], object] | bool | None) -> P
     console = Console(highlight=False)
     is_terminal = console.is_terminal and launcher() is None  # mpirun gives a rank a pseudo-terminal that none reads
     if progress is False or not (progress or is_terminal or console.is_jupyter):
-        return SilentDisplay()
-    return LiveDisplay(console) if is_terminal and not console.is_jupyter else LineDisplay(console)
+        return ProgressDisplay()
+    return LiveDisplay(console) if is_terminal and not console.is_jupyter else _LineDisplay(console)
+
+
+def command_display(console: Console) -> ProgressDisplay:
+    """The display of a command: on a terminal, drawn here or by the command that started the ranks; lines in a log."""
+    if not console.is_terminal:
+        return _LineDisplay(console)
+    return _ChannelDisplay(console) if command_listens() else LiveDisplay(console)
 
 
 def _described(progress: RunProgress) -> list[str]:

@@ -9,7 +9,7 @@ from collections import Counter, defaultdict
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.sweep.batch import Batch
@@ -157,8 +157,8 @@ class RunProgress:
         return cls(RunStage(values.pop("stage")), contents=contents, **values)
 
 
-class ProgressDisplay(Protocol):
-    """Receives the progress of a run; as a context manager it clears the display on exit."""
+class ProgressDisplay:
+    """Receives the progress of a run; as a context manager it clears the display on exit. This one shows nothing."""
 
     def show(self, progress: RunProgress) -> None:
         """Show how far the run is, in the place of what was shown before."""
@@ -168,6 +168,7 @@ class ProgressDisplay(Protocol):
 
     def __enter__(self) -> Self:
         """Begin."""
+        return self
 
     def __exit__(self, *exception: object) -> None:
         """End."""

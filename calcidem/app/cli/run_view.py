@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterator
 
-from calcidem.app.campaign.display import ChannelDisplay, LineDisplay, LiveDisplay, SilentDisplay
+from calcidem.app.campaign.display import command_display
 from calcidem.app.campaign.progress import ProgressDisplay
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.cli.exit_codes import tell_error
@@ -11,7 +11,6 @@ from calcidem.app.cli.tables import make_console, vs_table
 from calcidem.app.cli.terminal import IS_QUIET, printable
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
-from calcidem.launch.channel import command_listens
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.store import Selection
 from calcidem.sweep.environment import available_cores, launcher
@@ -33,12 +32,8 @@ class TerminalView:
         self.console.print(printable(text), markup=False, soft_wrap=True)
 
     def display(self) -> ProgressDisplay:
-        """A picture on a terminal, drawn here or by the command that started the ranks; lines in a log."""
-        if self.quiet:
-            return SilentDisplay()
-        if not self.console.is_terminal:
-            return LineDisplay(self.console)
-        return ChannelDisplay(self.console) if command_listens() else LiveDisplay(self.console)
+        """That of `command_display`, unless only results are wanted."""
+        return ProgressDisplay() if self.quiet else command_display(self.console)
 
     def begin(self, work: CampaignRun) -> None:
         """Report on the packing, and on cores that stay idle."""

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from calcidem.analysis.error_budget import budget_text
 from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, CampaignStatus, ContentStatus, Trouble, worst_status
-from calcidem.app.cli.tables import MEAN_IN_DOUBT, departure_mark, departure_remark, doubt_mark, format_number
+from calcidem.app.cli.tables import format_number, marks_of, remarks_on
 from calcidem.app.cli.terminal import printable
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, pluralize
@@ -50,10 +50,8 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
     columns = max(_NARROWEST_MATRIX, width - _WIDTH_OF_NUMBERS)
     parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
     parts += [_matrix_table(status, columns), _legend(status, columns)]
-    if any(doubt_mark(content.counts) for content in status.contents):
-        parts.append(Text(f"  ! {MEAN_IN_DOUBT}"))
-    if status.budget.departing:
-        parts.append(Text(f"  {departure_remark(status.budget.departing)}"))
+    marks = [marks_of(content.counts, content.budget.departing) for content in status.contents]
+    parts += [Text(f"  {remark}") for remark in remarks_on(marks, status.budget.departing)]
     if status.counts.get(CellStatus.DONE):
         parts.append(Text(f"  standard error of Vs: {budget_text(status.budget)}"))
     if half_width is not None:
@@ -99,8 +97,8 @@ def _matrix_table(status: CampaignStatus, columns: int) -> Table:
         table.add_row(
             f"{content.content:g}",
             _matrix_row(content, status.seeds, per_character),
-            f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}{doubt_mark(content.counts)}"
-            f"{departure_mark(content.budget.departing)}",
+            f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}"
+            f"{marks_of(content.counts, content.budget.departing)}",
             format_number(content.mean),
             format_number(content.interval.half_width, "+- {:.1f}"),
             format_number(content.deviation),

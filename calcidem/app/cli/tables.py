@@ -4,7 +4,7 @@ import math
 import os
 import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,18 +52,17 @@ def vs_table(store: Store, selection: Selection) -> Table:
     for name in ("content %", "done", *velocities, "G0 MPa", "L/lambda", "seconds"):
         table.add_column(name, justify="right")
     table.add_column("other cells")
-    doubtful = False
+    marks = []
     for content in np.unique(columns["content"]):
         here = columns["content"] == content
         vs = columns["vs"][here].astype(float)
         budget = error_budget({name: columns[name][here] for name in BUDGET_QUANTITIES})
-        doubt = doubt_mark(Counter(map(CellStatus, columns["status"][here])))
-        doubtful = doubtful or bool(doubt)
+        marks.append(marks_of(Counter(map(CellStatus, columns["status"][here])), budget.departing))
         seconds = np.nansum(columns["seconds"][here].astype(float))
         moments = _moments(vs[np.isfinite(vs)])
         table.add_row(
             f"{content:g}",
-            f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}{doubt}{departure_mark(budget.departing)}",
+            f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}{marks[-1]}",
             *map(format_number, (*moments[:2], budget.scatter, *moments[2:])),
             format_number(small_strain_modulus(moments[0]) / 1e6, "{:.4g}"),
             _wavelengths_text(columns["wavelengths_on_path"][here]),
@@ -76,10 +75,7 @@ def vs_table(store: Store, selection: Selection) -> Table:
     ]
     if any(str(cell).endswith("*") for column in table.columns for cell in column.cells):
         remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
-    if doubtful:
-        remarks.append(f"! {MEAN_IN_DOUBT}")
-    if whole.departing:
-        remarks.append(departure_remark(whole.departing))
+    remarks += remarks_on(marks, whole.departing)
     if count := int(np.count_nonzero(columns["broken_bonds"] > 0)):
         remarks.append(
             f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
@@ -90,27 +86,25 @@ def vs_table(store: Store, selection: Selection) -> Table:
     return table
 
 
-def departure_mark(departing: int) -> str:
-    """Mark beside the number of cells where the two velocities of some differ."""
-    return " ~" if departing else ""
+def marks_of(counts: Mapping[CellStatus, int], departing: int) -> str:
+    """Marks beside the number of cells of a content: where failed ones may bias the mean, or two velocities differ.
 
-
-def departure_remark(departing: int) -> str:
-    """What that mark means, and how to find the cells."""
-    return (
-        f"~ vs and path_vs differ by more than their errors in {pluralize(departing, 'cell')}: "
-        f"'calcidem query DB --where \"path_departure > {MOST_DEPARTURE:g}\"'"
-    )
-
-
-MEAN_IN_DOUBT = "possible selection bias: cells without velocity may shift the mean by more than its standard error"
-
-
-def doubt_mark(counts: Mapping[CellStatus, int]) -> str:
-    """Mark beside the number of cells where those that failed may bias the mean (`calcidem.analysis.outcomes`)."""
+    `calcidem.analysis.outcomes` has the first; ``departing`` is the number of cells with the second.
+    """
     done = counts.get(CellStatus.DONE, 0)
     failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0) - counts.get(CellStatus.DAMAGED, 0)
-    return " !" if is_in_doubt(done, failed) else ""
+    return f"{' !' if is_in_doubt(done, failed) else ''}{' ~' if departing else ''}"
+
+
+def remarks_on(marks: Iterable[str], departing: int) -> Iterator[str]:
+    """What these marks mean, and how to find the cells."""
+    if any("!" in mark for mark in marks):
+        yield "! possible selection bias: cells without velocity may shift the mean by more than its standard error"
+    if departing:
+        yield (
+            f"~ vs and path_vs differ by more than their errors in {pluralize(departing, 'cell')}: "
+            f"'calcidem query DB --where \"path_departure > {MOST_DEPARTURE:g}\"'"
+        )
 
 
 def _wavelengths_text(on_path: NDArray[np.float64]) -> str:

@@ -8,22 +8,8 @@ from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
+import sqlalchemy as sa
 from numpy.typing import NDArray
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    Integer,
-    Select,
-    SQLColumnExpression,
-    Table,
-    and_,
-    case,
-    cast,
-    func,
-    or_,
-    select,
-    tuple_,
-)
 
 from calcidem.storage.errors import DamagedStoreError, QueryError, UnknownCellError
 from calcidem.storage.records import (
@@ -93,7 +79,7 @@ class StoreReader(OpenDatabase):
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
         """All runs of the campaign with their numbers, oldest first; of a damaged one nothing is given but that."""
         with self._reading() as connection:
-            statement = select(RUN).where(RUN.c.campaign_id == self._campaign).order_by(RUN.c.id)
+            statement = sa.select(RUN).where(RUN.c.campaign_id == self._campaign).order_by(RUN.c.id)
             return tuple((row["id"], _run_of(dict(row))) for row in connection.execute(statement).mappings())
 
     def lease_holder(self) -> LeaseHolder | None:
@@ -107,7 +93,7 @@ class StoreReader(OpenDatabase):
         `UnknownCellError` if there is none of that index (yet); `DamagedStoreError` if it is not what was stored.
         """
         with self._reading() as connection:
-            statement = select(PACKING).where(PACKING.c.campaign_id == self._campaign, PACKING.c.number == index)
+            statement = sa.select(PACKING).where(PACKING.c.campaign_id == self._campaign, PACKING.c.number == index)
             if (row := connection.execute(statement).mappings().first()) is not None:
                 return self._packing_of(dict(row))
         raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {self.packing_indices()}.")
@@ -115,7 +101,7 @@ class StoreReader(OpenDatabase):
     def content_hashes(self) -> dict[int, str | None]:
         """Return the content hash of each stored packing by its index, ascending; None where an old one has none."""
         with self._reading() as connection:
-            statement = select(PACKING.c.number, PACKING.c.content_hash)
+            statement = sa.select(PACKING.c.number, PACKING.c.content_hash)
             statement = statement.where(PACKING.c.campaign_id == self._campaign).order_by(PACKING.c.number)
             return {row.number: row.content_hash for row in connection.execute(statement)}
 
@@ -145,25 +131,25 @@ class StoreReader(OpenDatabase):
 
     def mark(self) -> StoreMark:
         """Return what shows whether anything has changed in the database: two equal marks, and no outcome is new."""
-        counts = [select(func.count()).select_from(table).scalar_subquery() for table in (CELL, ATTEMPT, RESULT)]
+        counts = [sa.select(sa.func.count()).select_from(table).scalar_subquery() for table in (CELL, ATTEMPT, RESULT)]
         with self._reading() as connection:
-            recorded = select(func.max(ATTEMPT.c.recorded)).scalar_subquery()
-            found: list[Any] = list(connection.execute(select(*counts, recorded)).one())
+            recorded = sa.select(sa.func.max(ATTEMPT.c.recorded)).scalar_subquery()
+            found: list[Any] = list(connection.execute(sa.select(*counts, recorded)).one())
         return StoreMark(*found)
 
     def settled(self) -> int:
         """Count the planned cells that have an outcome."""
-        statement = select(func.count()).select_from(RESULT).join(CELL, RESULT.c.cell_id == CELL.c.id)
+        statement = sa.select(sa.func.count()).select_from(RESULT).join(CELL, RESULT.c.cell_id == CELL.c.id)
         with self._reading() as connection:
             return connection.scalar(statement.where(CELL.c.campaign_id == self._campaign)) or 0
 
     def attempt_counts(self, keys: Iterable[CellKey] | None = None) -> dict[CellKey, AttemptCount]:
         """Count the attempts of these cells (0 if never tried), or of all that were tried again or lost a worker."""
-        losses = func.sum(case((and_(ATTEMPT.c.outcome == "lost", ATTEMPT.c.forgiven.is_(False)), 1), else_=0))
+        losses = sa.func.sum(sa.case((sa.and_(ATTEMPT.c.outcome == "lost", ATTEMPT.c.forgiven.is_(False)), 1), else_=0))
         # SQLite lets damage put a text, a fraction or a number beyond all attempts there; the next attempt counts on.
-        number = case((ATTEMPT.c.number.between(1, _MOST_ATTEMPTS), cast(ATTEMPT.c.number, Integer)), else_=0)
+        number = sa.case((ATTEMPT.c.number.between(1, _MOST_ATTEMPTS), sa.cast(ATTEMPT.c.number, sa.Integer)), else_=0)
         statement = (
-            select(CELL.c.seed, CELL.c.content, func.max(number), losses)
+            sa.select(CELL.c.seed, CELL.c.content, sa.func.max(number), losses)
             .join(ATTEMPT, ATTEMPT.c.cell_id == CELL.c.id)
             .where(CELL.c.campaign_id == self._campaign)
             .group_by(CELL.c.id, CELL.c.seed, CELL.c.content)
@@ -172,8 +158,8 @@ class StoreReader(OpenDatabase):
         counts = dict.fromkeys(listed or (), AttemptCount())
         with self._reading() as connection:
             # Of a large campaign few are, and to look for these first takes a tenth of the time.
-            may_be = select(ATTEMPT.c.cell_id).where(or_(ATTEMPT.c.number > 1, ATTEMPT.c.outcome == "lost"))
-            repeated = statement.where(CELL.c.id.in_(may_be)).having(or_(func.max(number) > 1, losses > 0))
+            may_be = sa.select(ATTEMPT.c.cell_id).where(sa.or_(ATTEMPT.c.number > 1, ATTEMPT.c.outcome == "lost"))
+            repeated = statement.where(CELL.c.id.in_(may_be)).having(sa.or_(sa.func.max(number) > 1, losses > 0))
             for part in [repeated] if listed is None else [statement.where(self._cell_in(c)) for c in chunks(listed)]:
                 for seed, content, attempts, lost in connection.execute(part):
                     counts[CellKey(seed, content)] = AttemptCount(attempts, int(lost))
@@ -222,7 +208,7 @@ class StoreReader(OpenDatabase):
         Unlike in `results`, the cells' numbers are neither read nor checked. Of damaged arrays there is a clause on the
         damage.
         """
-        statement = join_results(select(CELL.c.id, *_BY_KEY, RESULT.c.arrays)).where(RESULT.c.arrays != "")
+        statement = join_results(sa.select(CELL.c.id, *_BY_KEY, RESULT.c.arrays)).where(RESULT.c.arrays != "")
         for chunk in self._chunks(selection):
             with self._reading() as connection:
                 arrays = _arrays_of(connection, chunk, ARRAY_RECORDS)
@@ -238,7 +224,7 @@ class StoreReader(OpenDatabase):
 
         No transaction stays open between the pieces: an open one would keep a writer from emptying its log.
         """
-        statement = join_results(select(CELL.c.id)).where(*_conditions(self._campaign, selection)).order_by(*_BY_KEY)
+        statement = join_results(sa.select(CELL.c.id)).where(*_conditions(self._campaign, selection)).order_by(*_BY_KEY)
         with self._reading() as connection:
             _refuse_unknown_contents(connection, self.record.name, self._campaign, selection)
             return chunks(connection.scalars(statement).all())
@@ -267,7 +253,7 @@ class StoreReader(OpenDatabase):
         fetched = tuple(dict.fromkeys(stored for name in names for stored in QUANTITY_BY_NAME[name].needs or (name,)))
         seeks_damage = CellStatus.DAMAGED in (selection.statuses or ())
         outcomes = _Outcomes(None if seeks_damage else fetched)
-        statement = join_results(select(*outcomes.columns)).where(*_conditions(self._campaign, selection))
+        statement = join_results(sa.select(*outcomes.columns)).where(*_conditions(self._campaign, selection))
         columns = [(EXPRESSIONS[name.removeprefix("-")], name.startswith("-")) for name in sort]
         order = [(column.desc() if falls else column.asc()).nulls_last() for column, falls in columns]
         with self._reading() as connection:
@@ -279,7 +265,7 @@ class StoreReader(OpenDatabase):
             except UNREADABLE as error:
                 if sort or limit is not None or not may_be_damage(error):
                     raise  # where a value can't be read there is no order
-            cells = select(CELL.c.id).where(CELL.c.campaign_id == self._campaign).order_by(*_BY_KEY)
+            cells = sa.select(CELL.c.id).where(CELL.c.campaign_id == self._campaign).order_by(*_BY_KEY)
             found = (
                 row
                 for chunk in chunks(connection.scalars(cells).all())
@@ -303,7 +289,7 @@ class StoreReader(OpenDatabase):
             except DamagedStoreError as error:
                 others.append(f"Packing {index}: {error.problem}")
         with self._reading() as connection:
-            cells = connection.scalars(select(CELL.c.id).where(CELL.c.campaign_id == self._campaign)).all()
+            cells = connection.scalars(sa.select(CELL.c.id).where(CELL.c.campaign_id == self._campaign)).all()
             for row, attempt in (
                 found for chunk in chunks(cells) for found in self._attempts_or_damage(connection, chunk)
             ):
@@ -318,22 +304,24 @@ class StoreReader(OpenDatabase):
         return damaged, others
 
     @staticmethod
-    def _cell_in(keys: Sequence[CellKey]) -> ColumnElement[bool]:
+    def _cell_in(keys: Sequence[CellKey]) -> sa.ColumnElement[bool]:
         """Condition that a cell is one of the keys.
 
         SQLite doesn't search an index for a list of pairs, but it does for the lists of their parts.
         """
         seeds, contents = {key.seed for key in keys}, {key.content for key in keys}
-        listed = tuple_(CELL.c.seed, CELL.c.content).in_([(key.seed, key.content) for key in keys])
-        return and_(CELL.c.seed.in_(sorted(seeds)), CELL.c.content.in_(sorted(contents)), listed)
+        listed = sa.tuple_(CELL.c.seed, CELL.c.content).in_([(key.seed, key.content) for key in keys])
+        return sa.and_(CELL.c.seed.in_(sorted(seeds)), CELL.c.content.in_(sorted(contents)), listed)
 
     @staticmethod
     def _attempts_or_damage(
-        connection: Connection, cells: Sequence[int]
+        connection: sa.Connection, cells: Sequence[int]
     ) -> Iterator[tuple[Sequence[Any] | None, AttemptRecord | None]]:
         """Rows of the attempts at cells, None where one can't be read, and what they stand for, None if damaged."""
         names = covered_columns(ATTEMPT)
-        statement = select(CELL.c.id, *_BY_KEY, ATTEMPT.c.checksum, ATTEMPT.c.forgiven, *(ATTEMPT.c[n] for n in names))
+        statement = sa.select(
+            CELL.c.id, *_BY_KEY, ATTEMPT.c.checksum, ATTEMPT.c.forgiven, *(ATTEMPT.c[n] for n in names)
+        )
         statement = statement.join(ATTEMPT, ATTEMPT.c.cell_id == CELL.c.id).order_by(*_BY_KEY, ATTEMPT.c.number)
         rows = [row for _, row in _readable_rows(connection, statement, CELL.c.id, cells)]
         readable = [row for row in rows if row is not None]
@@ -365,7 +353,7 @@ class StoreReader(OpenDatabase):
 # Conditions
 
 
-def _conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bool]]:
+def _conditions(campaign_id: int, selection: Selection) -> list[sa.ColumnElement[bool]]:
     """Conditions of a query over `join_results`."""
     found = [CELL.c.campaign_id == campaign_id]
     if selection.seeds:
@@ -383,7 +371,7 @@ def _conditions(campaign_id: int, selection: Selection) -> list[ColumnElement[bo
     if selection.where is not None:
         found.append(parse_where(selection.where))
     if selection.since is not None:
-        found.append(CELL.c.id.in_(select(ATTEMPT.c.cell_id).where(ATTEMPT.c.recorded >= selection.since)))
+        found.append(CELL.c.id.in_(sa.select(ATTEMPT.c.cell_id).where(ATTEMPT.c.recorded >= selection.since)))
     return found
 
 
@@ -394,9 +382,9 @@ def _is_selected(status: str, selection: Selection) -> bool:
     return selection.statuses is None or status in selection.statuses
 
 
-def _refuse_unknown_contents(connection: Connection, name: str, campaign_id: int, selection: Selection) -> None:
+def _refuse_unknown_contents(connection: sa.Connection, name: str, campaign_id: int, selection: Selection) -> None:
     """Raise an `UnknownCellError` that names the contents of a campaign if one that is selected is none of them."""
-    of_campaign = select(CELL.c.content).where(CELL.c.campaign_id == campaign_id)
+    of_campaign = sa.select(CELL.c.content).where(CELL.c.campaign_id == campaign_id)
     unknown = [
         f"{content:g} %"
         for content in selection.contents or ()
@@ -413,7 +401,10 @@ def _refuse_unknown_contents(connection: Connection, name: str, campaign_id: int
 
 
 def _readable_rows(
-    connection: Connection, statement: Select[*tuple[Any, ...]], number: SQLColumnExpression[Any], cells: Sequence[int]
+    connection: sa.Connection,
+    statement: sa.Select[*tuple[Any, ...]],
+    number: sa.SQLColumnExpression[Any],
+    cells: Sequence[int],
 ) -> Iterator[tuple[int, Sequence[Any] | None]]:
     """Give the rows of some cells, which begin with the cell's number, and None for each that can't be read."""
     first, last = min(cells, default=0), max(cells, default=0)  # a range without gaps, the usual case, needs two only
@@ -437,10 +428,10 @@ def _readable_rows(
 
 
 def _rows_or_keys(
-    connection: Connection, statement: Select[*tuple[Any, ...]], cells: Sequence[int]
+    connection: sa.Connection, statement: sa.Select[*tuple[Any, ...]], cells: Sequence[int]
 ) -> Iterator[Sequence[Any]]:
     """Give the rows of some cells; of one that can't be read its number, seed and content, unless these can't be."""
-    key = select(CELL.c.id, *_BY_KEY)
+    key = sa.select(CELL.c.id, *_BY_KEY)
     for cell_id, row in _readable_rows(connection, statement, CELL.c.id, cells):
         if row is not None:
             yield row
@@ -481,7 +472,7 @@ class _Outcomes:
     def __init__(self, names: Collection[str] | None = None) -> None:
         """Fetch what the checksums of these quantities are of; None for everything."""
         is_brief = names is not None and {*BRIEF_QUANTITIES, *_OF_CELL, *_OF_ATTEMPT}.issuperset(names)
-        parts: list[tuple[Table, str, tuple[str, ...]]] = [
+        parts: list[tuple[sa.Table, str, tuple[str, ...]]] = [
             (RESULT, "brief_checksum", BRIEF_QUANTITIES) if is_brief else (RESULT, "checksum", covered_columns(RESULT))
         ]
         if names is None or not _OF_ATTEMPT.isdisjoint(names):
@@ -572,10 +563,10 @@ def _with_derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> 
 # Records
 
 
-def _results_of(connection: Connection, cells: Sequence[int], wanted: Collection[str]) -> Iterator[CellResult]:
+def _results_of(connection: sa.Connection, cells: Sequence[int], wanted: Collection[str]) -> Iterator[CellResult]:
     """Outcomes of the cells (those that have one) with these of their arrays, by seed, then content."""
     outcomes = _Outcomes()
-    statement = join_results(select(*outcomes.columns)).where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
+    statement = join_results(sa.select(*outcomes.columns)).where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
     arrays = _arrays_of(connection, cells, wanted) if wanted else {}
     for row in zip(*outcomes.judge(_rows_or_keys(connection, statement, cells)), strict=True):
         key = CellKey(row[1], row[2])
@@ -589,10 +580,10 @@ def _results_of(connection: Connection, cells: Sequence[int], wanted: Collection
             yield CellResult(key, CellStatus.DAMAGED, _problem_of(error))
 
 
-def _arrays_of(connection: Connection, cells: Sequence[int], wanted: Collection[str]) -> dict[int, dict[str, bytes]]:
+def _arrays_of(connection: sa.Connection, cells: Sequence[int], wanted: Collection[str]) -> dict[int, dict[str, bytes]]:
     """Arrays of some cells, by cell and name; those of a cell that can't be read are missing, which is noticed."""
-    number: SQLColumnExpression[Any] = ARRAYS.c.cell_id
-    statement = select(number, ARRAYS.c.name, ARRAYS.c.content).where(ARRAYS.c.name.in_(wanted))
+    number: sa.SQLColumnExpression[Any] = ARRAYS.c.cell_id
+    statement = sa.select(number, ARRAYS.c.name, ARRAYS.c.content).where(ARRAYS.c.name.in_(wanted))
     found: defaultdict[int, dict[str, bytes]] = defaultdict(dict)
     for _, row in _readable_rows(connection, statement, number, cells):
         if row is not None and isinstance(row[2], bytes):

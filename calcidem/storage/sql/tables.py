@@ -10,36 +10,7 @@ from datetime import UTC, datetime
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from sqlalchemy import (
-    JSON,
-    BigInteger,
-    Boolean,
-    CheckConstraint,
-    Column,
-    Connection,
-    DateTime,
-    Dialect,
-    Double,
-    ForeignKey,
-    ForeignKeyConstraint,
-    Index,
-    Integer,
-    LargeBinary,
-    MetaData,
-    Select,
-    SQLColumnExpression,
-    Table,
-    Text,
-    TypeDecorator,
-    UniqueConstraint,
-    and_,
-    func,
-    insert,
-    inspect,
-    literal_column,
-    select,
-    text,
-)
+import sqlalchemy as sa
 from sqlalchemy.schema import CreateColumn
 from sqlalchemy.types import TypeEngine
 
@@ -66,7 +37,7 @@ _CREATION_LOCK = 0x63616C63  # "calc": any number that others are unlikely to ch
 
 _LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
 
-_METADATA = MetaData(
+_METADATA = sa.MetaData(
     naming_convention={
         "ix": "ix_%(column_0_N_label)s",
         "uq": "uq_%(table_name)s_%(column_0_N_name)s",
@@ -77,20 +48,20 @@ _METADATA = MetaData(
 )
 
 
-class _UtcDateTime(TypeDecorator[datetime]):
+class _UtcDateTime(sa.TypeDecorator[datetime]):
     """A moment in UTC; SQLite has no time zones, so it is removed on writing and restored on reading."""
 
-    impl = DateTime(timezone=True)
+    impl = sa.DateTime(timezone=True)
     cache_ok = True
 
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+    def process_bind_param(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
         """Store as UTC."""
         if value is None:
             return None
         moment = value.astimezone(UTC)
         return moment.replace(tzinfo=None) if dialect.name == "sqlite" else moment
 
-    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002 - the signature is SQLAlchemy's
+    def process_result_value(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:  # noqa: ARG002 - the signature is SQLAlchemy's
         """Return with UTC attached."""
         if value is None:
             return None
@@ -98,26 +69,26 @@ class _UtcDateTime(TypeDecorator[datetime]):
 
 
 _TYPES: dict[Any, type[TypeEngine[Any]]] = {
-    str: Text,
-    int: BigInteger,
-    float: Double,
-    bool: Boolean,
-    bytes: LargeBinary,
+    str: sa.Text,
+    int: sa.BigInteger,
+    float: sa.Double,
+    bool: sa.Boolean,
+    bytes: sa.LargeBinary,
     datetime: _UtcDateTime,
-    "text": Text,
-    "whole": BigInteger,
-    "real": Double,  # kinds of quantities
+    "text": sa.Text,
+    "whole": sa.BigInteger,
+    "real": sa.Double,  # kinds of quantities
 }
 
 
-def _columns_of(record: type, *left_out: str) -> list[Column[Any]]:
+def _columns_of(record: type, *left_out: str) -> list[sa.Column[Any]]:
     """Columns for the fields of a record, but for those that have none of their own; mappings and tuples are JSON."""
     hints = get_type_hints(record)
     columns = []
     for name in [field.name for field in fields(record) if field.name not in left_out]:
         choices = get_args(hints[name]) if get_origin(hints[name]) is UnionType else (hints[name],)
         kind = next((choice for choice in choices if choice in _TYPES), None)
-        columns.append(Column(name, JSON if kind is None else _TYPES[kind], nullable=NoneType in choices))
+        columns.append(sa.Column(name, sa.JSON if kind is None else _TYPES[kind], nullable=NoneType in choices))
     return columns
 
 
@@ -129,91 +100,91 @@ def _condition_of(quantity: Quantity) -> str:
     return f"{quantity.name} {least} AND {quantity.name} < {_LARGEST}"
 
 
-def _check_of(quantity: Quantity) -> CheckConstraint:
+def _check_of(quantity: Quantity) -> sa.CheckConstraint:
     """Constraint that holds its bound."""
     bound = quantity.bound.name.lower() if quantity.bound is not Bound.NONE else "finite"
-    return CheckConstraint(_condition_of(quantity), name=f"{quantity.name}_{bound}")
+    return sa.CheckConstraint(_condition_of(quantity), name=f"{quantity.name}_{bound}")
 
 
-def _check_one_of(column: str, values: tuple[str, ...]) -> CheckConstraint:
+def _check_one_of(column: str, values: tuple[str, ...]) -> sa.CheckConstraint:
     """Constraint that a text column is one of the values."""
-    return CheckConstraint(f"{column} IN ({', '.join(repr(str(v)) for v in values)})", name=f"{column}_known")
+    return sa.CheckConstraint(f"{column} IN ({', '.join(repr(str(v)) for v in values)})", name=f"{column}_known")
 
 
-_VERSION = Table("calcidem_schema", _METADATA, Column("version", Integer, primary_key=True))
+_VERSION = sa.Table("calcidem_schema", _METADATA, sa.Column("version", sa.Integer, primary_key=True))
 """Holds the version, and is the mark by which a database is recognised as calcidem's."""
 
-CAMPAIGN = Table(
+CAMPAIGN = sa.Table(
     "campaign",
     _METADATA,
-    Column("id", Integer, primary_key=True),
+    sa.Column("id", sa.Integer, primary_key=True),
     *_columns_of(CampaignRecord, "seeds", "contents"),
-    Column("checksum", Text),
-    UniqueConstraint("hash"),
-    UniqueConstraint("name"),
+    sa.Column("checksum", sa.Text),
+    sa.UniqueConstraint("hash"),
+    sa.UniqueConstraint("name"),
 )
 """A physical configuration and its name (`CampaignRecord`; seeds and contents are those of its cells)."""
 
-LEASE = Table(
+LEASE = sa.Table(
     "lease",
     _METADATA,
-    Column("campaign_id", ForeignKey("campaign.id"), primary_key=True),
-    Column("token", Text, nullable=False),
+    sa.Column("campaign_id", sa.ForeignKey("campaign.id"), primary_key=True),
+    sa.Column("token", sa.Text, nullable=False),
     *_columns_of(LeaseHolder),
 )
 """The process that may write a campaign."""
 
-RUN = Table(
+RUN = sa.Table(
     "run",
     _METADATA,
-    Column("id", Integer, primary_key=True),
-    Column("campaign_id", ForeignKey("campaign.id"), nullable=False),
+    sa.Column("id", sa.Integer, primary_key=True),
+    sa.Column("campaign_id", sa.ForeignKey("campaign.id"), nullable=False),
     *_columns_of(RunRecord),
-    Column("checksum", BigInteger),
-    CheckConstraint("ranks >= 1", name="ranks_positive"),
-    Index(None, "campaign_id"),
+    sa.Column("checksum", sa.BigInteger),
+    sa.CheckConstraint("ranks >= 1", name="ranks_positive"),
+    sa.Index(None, "campaign_id"),
 )
 """Provenance of one run (`RunRecord`)."""
 
-PACKING = Table(
+PACKING = sa.Table(
     "packing",
     _METADATA,
-    Column("id", Integer, primary_key=True),
-    Column("campaign_id", ForeignKey("campaign.id"), nullable=False),
-    Column("number", Integer, nullable=False),
-    Column("grains", LargeBinary, nullable=False),
+    sa.Column("id", sa.Integer, primary_key=True),
+    sa.Column("campaign_id", sa.ForeignKey("campaign.id"), nullable=False),
+    sa.Column("number", sa.Integer, nullable=False),
+    sa.Column("grains", sa.LargeBinary, nullable=False),
     *_columns_of(PackingRecord, "index", "x", "y", "radius"),
-    Column("checksum", BigInteger),
-    UniqueConstraint("campaign_id", "number"),
-    CheckConstraint("number >= 0", name="number_not_negative"),
+    sa.Column("checksum", sa.BigInteger),
+    sa.UniqueConstraint("campaign_id", "number"),
+    sa.CheckConstraint("number >= 0", name="number_not_negative"),
     *(_check_of(quantity) for quantity in PackingRecord.quantities() if _condition_of(quantity)),
 )
 """A packing with its report (`PackingRecord`); `grains` has x, y and radius."""
 
-CELL = Table(
+CELL = sa.Table(
     "cell",
     _METADATA,
-    Column("id", Integer, primary_key=True),
-    Column("campaign_id", ForeignKey("campaign.id"), nullable=False),
-    Column("seed", BigInteger, nullable=False),
-    Column("content", Double, nullable=False),
-    UniqueConstraint("campaign_id", "seed", "content"),
-    Index(None, "campaign_id", "content", "seed"),
-    CheckConstraint("seed >= 0", name="seed_not_negative"),
-    CheckConstraint("content >= 0 AND content <= 100", name="content_percent"),
+    sa.Column("id", sa.Integer, primary_key=True),
+    sa.Column("campaign_id", sa.ForeignKey("campaign.id"), nullable=False),
+    sa.Column("seed", sa.BigInteger, nullable=False),
+    sa.Column("content", sa.Double, nullable=False),
+    sa.UniqueConstraint("campaign_id", "seed", "content"),
+    sa.Index(None, "campaign_id", "content", "seed"),
+    sa.CheckConstraint("seed >= 0", name="seed_not_negative"),
+    sa.CheckConstraint("content >= 0 AND content <= 100", name="content_percent"),
 )
 """A planned cell."""
 
-ATTEMPT = Table(
+ATTEMPT = sa.Table(
     "attempt",
     _METADATA,
-    Column("cell_id", ForeignKey("cell.id"), primary_key=True),
-    Column("number", Integer, primary_key=True),
-    Column("run_id", ForeignKey("run.id")),
+    sa.Column("cell_id", sa.ForeignKey("cell.id"), primary_key=True),
+    sa.Column("number", sa.Integer, primary_key=True),
+    sa.Column("run_id", sa.ForeignKey("run.id")),
     *_columns_of(AttemptRecord, "key", "number", "run_id"),
-    Column("checksum", BigInteger),
-    CheckConstraint("number >= 1", name="number_positive"),
-    CheckConstraint(f"seconds >= 0 AND seconds < {_LARGEST}", name="seconds_not_negative"),
+    sa.Column("checksum", sa.BigInteger),
+    sa.CheckConstraint("number >= 1", name="number_positive"),
+    sa.CheckConstraint(f"seconds >= 0 AND seconds < {_LARGEST}", name="seconds_not_negative"),
     _check_one_of("outcome", (*STORED_STATUSES, "lost")),
 )
 """One attempt at a cell (`AttemptRecord`)."""
@@ -227,49 +198,49 @@ _STORED_QUANTITIES = [q for q in QUANTITY_BY_NAME.values() if q.formula is None 
 BRIEF_QUANTITIES = tuple(quantity.name for quantity in _STORED_QUANTITIES if quantity.is_brief)
 """Quantities of an outcome that have a checksum of their own."""
 
-RESULT = Table(
+RESULT = sa.Table(
     "result",
     _METADATA,
-    Column("cell_id", ForeignKey("cell.id"), primary_key=True),
-    *(Column(q.name, _TYPES[q.kind], nullable=q.is_optional) for q in _STORED_QUANTITIES),
-    Column("arrays", Text),
-    Column("brief_checksum", BigInteger),
-    Column("checksum", BigInteger),
-    ForeignKeyConstraint(["cell_id", "attempt"], ["attempt.cell_id", "attempt.number"]),
+    sa.Column("cell_id", sa.ForeignKey("cell.id"), primary_key=True),
+    *(sa.Column(q.name, _TYPES[q.kind], nullable=q.is_optional) for q in _STORED_QUANTITIES),
+    sa.Column("arrays", sa.Text),
+    sa.Column("brief_checksum", sa.BigInteger),
+    sa.Column("checksum", sa.BigInteger),
+    sa.ForeignKeyConstraint(["cell_id", "attempt"], ["attempt.cell_id", "attempt.number"]),
     _check_one_of("status", STORED_STATUSES),
-    CheckConstraint("(status = 'done') = (vs IS NOT NULL)", name="vs_if_and_only_if_done"),
-    CheckConstraint(
+    sa.CheckConstraint("(status = 'done') = (vs IS NOT NULL)", name="vs_if_and_only_if_done"),
+    sa.CheckConstraint(
         f"status <> 'done' OR ({' AND '.join(f'{q.name} IS NOT NULL' for q in _STORED_QUANTITIES if q.is_needed)})",
         name="done_has_numerics",
     ),
-    CheckConstraint("path_hertz_contacts + path_bonded_contacts = path_contacts", name="path_adds_up"),
-    CheckConstraint("graph_bonded_contacts <= graph_contacts", name="graph_bonded_are_contacts"),
+    sa.CheckConstraint("path_hertz_contacts + path_bonded_contacts = path_contacts", name="path_adds_up"),
+    sa.CheckConstraint("graph_bonded_contacts <= graph_contacts", name="graph_bonded_are_contacts"),
     *(_check_of(quantity) for quantity in _STORED_QUANTITIES if _condition_of(quantity)),
-    Index(None, "status", "vs"),
+    sa.Index(None, "status", "vs"),
 )
 """The outcomes of cells (`CellResult`), and names and checksums of the arrays beside each.
 
 The attempt that an outcome came from has its reason, rank, host and seconds.
 """
 
-ARRAYS = Table(
+ARRAYS = sa.Table(
     "arrays",
     _METADATA,
-    Column("cell_id", ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True),
-    Column("name", Text, primary_key=True),
-    Column("content", LargeBinary, nullable=False),
+    sa.Column("cell_id", sa.ForeignKey("result.cell_id", ondelete="CASCADE"), primary_key=True),
+    sa.Column("name", sa.Text, primary_key=True),
+    sa.Column("content", sa.LargeBinary, nullable=False),
     _check_one_of("name", tuple(ARRAY_RECORDS)),
 )
 """Arrays beside an outcome, each a blob by the name of its field in `CellResult` (`ARRAY_RECORDS`)."""
 
-STATUS = func.coalesce(RESULT.c.status, literal_column(repr(CellStatus.PENDING.value)))
+STATUS = sa.func.coalesce(RESULT.c.status, sa.literal_column(repr(CellStatus.PENDING.value)))
 """A planned cell without a result is pending.
 
 The word is part of the SQL text: PostgreSQL takes two parameters for different even when they are equal,
 and refuses to group by this.
 """
 
-EXPRESSIONS: dict[str, SQLColumnExpression[Any]] = {
+EXPRESSIONS: dict[str, sa.SQLColumnExpression[Any]] = {
     name: STATUS if name == "status" else _TABLES_ELSEWHERE.get(name, RESULT).c[name]
     for name, quantity in QUANTITY_BY_NAME.items()
     if quantity.formula is None
@@ -278,19 +249,19 @@ EXPRESSIONS: dict[str, SQLColumnExpression[Any]] = {
 
 for _name, _quantity in QUANTITY_BY_NAME.items():
     if _quantity.formula is not None:
-        EXPRESSIONS[_name] = _quantity.formula(func.sqrt, *(EXPRESSIONS[needed] for needed in _quantity.needs))
+        EXPRESSIONS[_name] = _quantity.formula(sa.func.sqrt, *(EXPRESSIONS[needed] for needed in _quantity.needs))
 
 
-def join_results(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
+def join_results(statement: sa.Select[*tuple[Any, ...]]) -> sa.Select[*tuple[Any, ...]]:
     """Join a planned cell with its outcome and the attempt that it came from, where there are any."""
     return (
         statement.select_from(CELL)
         .outerjoin(RESULT, RESULT.c.cell_id == CELL.c.id)
-        .outerjoin(ATTEMPT, and_(ATTEMPT.c.cell_id == CELL.c.id, ATTEMPT.c.number == RESULT.c.attempt))
+        .outerjoin(ATTEMPT, sa.and_(ATTEMPT.c.cell_id == CELL.c.id, ATTEMPT.c.number == RESULT.c.attempt))
     )
 
 
-def prepare_schema(connection: Connection, address: Address, *, read_only: bool) -> str | None:
+def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bool) -> str | None:
     """Create the tables of an empty database, or columns that it lacks, within the connection's transaction.
 
     A reader changes nothing: it refuses an empty database. Returned is a statement that each connection has to execute
@@ -298,15 +269,15 @@ def prepare_schema(connection: Connection, address: Address, *, read_only: bool)
     only a writer can add there, or has others.
     """
     if not read_only and connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
-        connection.execute(select(func.pg_advisory_xact_lock(_CREATION_LOCK)))
+        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_CREATION_LOCK)))
     if is_empty(connection, address):
         if read_only:
             raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
         _METADATA.create_all(connection)
-        connection.execute(insert(_VERSION).values(version=_SCHEMA))
+        connection.execute(sa.insert(_VERSION).values(version=_SCHEMA))
         _create_view(connection)
         return None
-    present = {column["name"] for column in inspect(connection).get_columns(RESULT.name)}
+    present = {column["name"] for column in sa.inspect(connection).get_columns(RESULT.name)}
     if unknown := present - set(RESULT.columns.keys()):
         raise _newer(address, f"the quantities {', '.join(sorted(unknown))}")
     missing = [quantity for quantity in _STORED_QUANTITIES if quantity.name not in present]
@@ -318,9 +289,9 @@ def prepare_schema(connection: Connection, address: Address, *, read_only: bool)
             column = CreateColumn(RESULT.c[quantity.name]).compile(dialect=connection.dialect)
             check = f" CONSTRAINT ck_result_{_check_of(quantity).name} CHECK ({_condition_of(quantity)})"
             connection.execute(
-                text(f"ALTER TABLE result ADD COLUMN {column}{check if _condition_of(quantity) else ''}")
+                sa.text(f"ALTER TABLE result ADD COLUMN {column}{check if _condition_of(quantity) else ''}")
             )
-        connection.execute(text("DROP VIEW cells"))
+        connection.execute(sa.text("DROP VIEW cells"))
         _create_view(connection)
         return None
     if connection.dialect.name != "sqlite":
@@ -332,7 +303,7 @@ def prepare_schema(connection: Connection, address: Address, *, read_only: bool)
     return f"CREATE TEMP VIEW result AS SELECT *, {nothing} FROM main.result"  # noqa: S608 - names of the catalogue
 
 
-def _create_view(connection: Connection) -> None:
+def _create_view(connection: sa.Connection) -> None:
     """Make the view of whole cells, one row each, for direct queries of the database.
 
     Its columns are the campaign's name and all stored quantities.
@@ -340,9 +311,9 @@ def _create_view(connection: Connection) -> None:
     stored: list[Any] = [
         EXPRESSIONS[name].label(name) for name, quantity in QUANTITY_BY_NAME.items() if quantity.formula is None
     ]
-    statement = join_results(select(CAMPAIGN.c.name.label("campaign"), *stored))
+    statement = join_results(sa.select(CAMPAIGN.c.name.label("campaign"), *stored))
     statement = statement.join(CAMPAIGN, CAMPAIGN.c.id == CELL.c.campaign_id)
-    connection.execute(text(f"CREATE VIEW cells AS {statement.compile(dialect=connection.dialect)}"))
+    connection.execute(sa.text(f"CREATE VIEW cells AS {statement.compile(dialect=connection.dialect)}"))
 
 
 def _newer(address: Address, what: str) -> NewerSchemaError:
@@ -352,13 +323,13 @@ def _newer(address: Address, what: str) -> NewerSchemaError:
     )
 
 
-def is_empty(connection: Connection, address: Address) -> bool:
+def is_empty(connection: sa.Connection, address: Address) -> bool:
     """Whether a database has no tables yet; one that is not of this schema is refused.
 
     `ForeignDatabaseError` if it has tables but not calcidem's mark, `OlderSchemaError` or `NewerSchemaError` if an
     earlier or a later calcidem wrote it.
     """
-    inspector = inspect(connection)
+    inspector = sa.inspect(connection)
     tables = inspector.get_table_names()
     if not tables:
         return True
@@ -372,7 +343,7 @@ def is_empty(connection: Connection, address: Address) -> bool:
             f"{address} was written by calcidem 0.1.0 or earlier, whose tables this calcidem does not read.",
             "Use that version, or compute the campaign in a new database; it was left as it is.",
         )
-    version = connection.scalar(select(func.max(_VERSION.c.version)))
+    version = connection.scalar(sa.select(sa.func.max(_VERSION.c.version)))
     if version != _SCHEMA:
         raise _newer(address, f"schema {version}")
     return False
