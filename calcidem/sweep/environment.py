@@ -60,20 +60,6 @@ def refuse_ranks_off_linux(system: str | None = None) -> None:
         )
 
 
-def refuse_singletons(world_size: int, variables: Mapping[str, str] = os.environ) -> None:
-    """Refuse to run alone where several tasks were requested.
-
-    `srun python` starts N independent programs: each would compute the whole campaign. `LaunchError` if Slurm counts
-    several tasks, no mpirun started this process, and it is the only rank.
-    """
-    tasks = int(variables.get("SLURM_NTASKS", "1"))
-    if tasks > 1 and world_size == 1 and "OMPI_COMM_WORLD_SIZE" not in variables:
-        raise LaunchError(
-            f"SLURM_NTASKS is {tasks}, but this process is the only MPI rank: `srun python` starts programs"
-            " that don't know about each other; use mpirun inside the job, or ask for one task"
-        )
-
-
 def mpi_library_version() -> str | None:
     """Return the first line of the version text of the MPI library, or None if it cannot be loaded.
 

@@ -10,19 +10,13 @@ from typing import Any, Self
 
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
-
-def find_signals(*names: str) -> tuple[signal.Signals, ...]:
-    """Those of these signals that this system has: Windows lacks most."""
-    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
-
-
-_DRAIN_SIGNALS = find_signals("SIGUSR1")
+_DRAIN_SIGNALS = ("SIGUSR1",)
 """Finish the running batches, store them, then stop."""
 
 # mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them 0.25 s later and
 # returns 1; so a launcher script that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
 _RELAYED_AS = "SIGUSR2"
-_HURRY_SIGNALS = find_signals("SIGTERM", "SIGINT", _RELAYED_AS)
+_HURRY_SIGNALS = ("SIGTERM", "SIGINT", _RELAYED_AS)
 """Store what is done and stop now; the running batches are dropped."""
 
 _REPEAT_IGNORED = 1.0
@@ -38,10 +32,18 @@ class StopLevel(IntEnum):
 
 
 class SignalHandlers:
-    """Context manager that handles signals and puts the former handlers back; for the main thread only."""
+    """Context manager that handles signals and puts the former handlers back; for the main thread only.
 
-    def __init__(self, handlers: Mapping[signal.Signals, Callable[[int, FrameType | None], None]]) -> None:
-        self._handlers: Mapping[signal.Signals, Any] = handlers
+    Parameters
+    ----------
+    handlers
+        By the signals' names; what this system lacks is left out: Windows lacks most.
+    """
+
+    def __init__(self, handlers: Mapping[str, Callable[[int, FrameType | None], None]]) -> None:
+        self._handlers: Mapping[signal.Signals, Any] = {
+            getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)
+        }
 
     def __enter__(self) -> Self:
         """Put the handlers in the place of the former ones."""
@@ -110,5 +112,6 @@ class StopRequest(SignalHandlers):
 
 def leave_signals_to_master() -> None:
     """Ignore all signals that mean stop: mpirun sends them to every rank, but rank 0 alone decides."""
-    for number in (*_DRAIN_SIGNALS, *_HURRY_SIGNALS):
-        signal.signal(number, signal.SIG_IGN)
+    for name in (*_DRAIN_SIGNALS, *_HURRY_SIGNALS):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)

@@ -27,7 +27,7 @@ from calcidem.app.campaign.stored_packing import (
 from calcidem.app.cli.init import Preset
 from calcidem.app.config import presets
 from calcidem.app.config.checks import check_against_packing
-from calcidem.app.config.presets import preset_packing, preset_text
+from calcidem.app.config.presets import preset_packings, preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration, PackingDraw
 from calcidem.dem.sample.packing import Packing, PackingRule
@@ -137,10 +137,9 @@ def test_the_shipped_campaign_is_on_the_packing_of_its_preset(tmp_path: Path) ->
         import_netcdf(path, store, identify_packing)
         record = store.packing()
     (tmp_path / "c.toml").write_text(preset_text("paper"), encoding="utf-8")
-    archive = preset_packing(load_configuration(tmp_path / "c.toml").packing_hash)
+    archive = preset_packings()[load_configuration(tmp_path / "c.toml").packing_hash[:32]]
     assert record is not None
-    assert archive is not None
-    assert packing_from_bytes(archive).content_hash == record.content_hash
+    assert packing_from_bytes(archive.read_bytes()).content_hash == record.content_hash
 
 
 @pytest.fixture

@@ -2,13 +2,8 @@ import os
 
 import pytest
 
-from calcidem.sweep.environment import (
-    available_cores,
-    fault_tolerance_enabled,
-    launcher,
-    refuse_ranks_off_linux,
-    refuse_singletons,
-)
+from calcidem.app.campaign.ranks import _refuse_singletons
+from calcidem.sweep.environment import available_cores, fault_tolerance_enabled, launcher, refuse_ranks_off_linux
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.sweep_end import LaunchError
 
@@ -16,7 +11,7 @@ from calcidem.sweep.sweep_end import LaunchError
 def test_several_slurm_tasks_without_mpirun_are_refused() -> None:
     """`srun python` gives programs that don't know about each other: refused with the cure."""
     with pytest.raises(LaunchError, match=r"SLURM_NTASKS is 8.*use mpirun"):
-        refuse_singletons(1, {"SLURM_NTASKS": "8"})
+        _refuse_singletons(1, {"SLURM_NTASKS": "8"})
 
 
 @pytest.mark.parametrize(
@@ -30,7 +25,7 @@ def test_several_slurm_tasks_without_mpirun_are_refused() -> None:
 )
 def test_other_launches_are_accepted(world_size: int, variables: dict[str, str]) -> None:
     """One task, ranks that know about each other, and one rank on purpose are fine."""
-    refuse_singletons(world_size, variables)
+    _refuse_singletons(world_size, variables)
 
 
 def test_ranks_are_for_linux() -> None:

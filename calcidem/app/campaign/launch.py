@@ -26,7 +26,7 @@ from calcidem.sweep.environment import (
     launcher,
     refuse_ranks_off_linux,
 )
-from calcidem.sweep.signals import SignalHandlers, find_signals
+from calcidem.sweep.signals import SignalHandlers
 from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 
 _MPIRUN_VARIABLE = "MPIRUN"
@@ -285,7 +285,7 @@ class _Relay(SignalHandlers):
     """
 
     def __init__(self) -> None:
-        super().__init__(dict.fromkeys(find_signals(*_FORWARDED), self._note))
+        super().__init__(dict.fromkeys(_FORWARDED, self._note))
         self._noted: list[signal.Signals] = []
         self._first_urgent: float | None = None
         self._second_urgent: float | None = None

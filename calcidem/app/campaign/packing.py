@@ -13,7 +13,7 @@ from calcidem.app.campaign.stored_packing import (
     packing_to_bytes,
     stored_packing,
 )
-from calcidem.app.config.presets import preset_packing
+from calcidem.app.config.presets import preset_packings
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import PACKING_METHOD, Packing, PackingFileError, PackingStage
@@ -85,10 +85,10 @@ def new_packing(
 
 def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:
     """The packing that comes with calcidem or is in the cache; None if neither has it."""
-    archive = preset_packing(packing_hash)
+    archive = preset_packings().get(packing_hash[:32])
     if archive is not None:
         tell("Packing: comes with calcidem.")
-        return packing_from_bytes(archive)
+        return packing_from_bytes(archive.read_bytes())
     path = cache_folder() / _cached_name(packing_hash)
     if (packing := _read_cache(path, tell)) is not None:
         tell(f"Packing: taken from the cache, {path}.")

@@ -1,6 +1,7 @@
 """One campaign on ranks or an executor: rank 0 prepares, hands out, stores and reports, the others compute."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, replace
@@ -15,13 +16,12 @@ from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import StoreUnavailableError
 from calcidem.sweep.attempt import SweepInterrupted
-from calcidem.sweep.environment import refuse_singletons
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.processes import keep_freed_memory
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.session import Session
 from calcidem.sweep.signals import StopRequest
-from calcidem.sweep.sweep_end import EXIT_RESUMABLE, SweepEnd
+from calcidem.sweep.sweep_end import EXIT_RESUMABLE, LaunchError, SweepEnd
 
 
 class RunView(Protocol):
@@ -85,7 +85,7 @@ def _lead(
     workers = session.gather(describe_worker(session.rank))
     code, work, executor = 0, None, None
     try:
-        refuse_singletons(session.size)
+        _refuse_singletons(session.size)
         executor = open_executor()
         check = partial(_end_in_haste, session.stop_request)
         work = CampaignRun(load(), workers, view.say, check, reporter.on_packing)
@@ -158,3 +158,17 @@ def _compile_on_nodes(
     """
     if orders.anything_to_do:
         session.share_on_node(kernel_compilations(orders.configuration, orders.packing, tell))
+
+
+def _refuse_singletons(world_size: int, variables: Mapping[str, str] = os.environ) -> None:
+    """Refuse to run alone where several tasks were requested.
+
+    `srun python` starts N independent programs: each would compute the whole campaign. `LaunchError` if Slurm counts
+    several tasks, no mpirun started this process, and it is the only rank.
+    """
+    tasks = int(variables.get("SLURM_NTASKS", "1"))
+    if tasks > 1 and world_size == 1 and "OMPI_COMM_WORLD_SIZE" not in variables:
+        raise LaunchError(
+            f"SLURM_NTASKS is {tasks}, but this process is the only MPI rank: `srun python` starts programs"
+            " that don't know about each other; use mpirun inside the job, or ask for one task"
+        )

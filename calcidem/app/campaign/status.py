@@ -3,7 +3,7 @@
 import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import compress
 from typing import Any, Self
@@ -39,7 +39,8 @@ _STATUS_BY_NAME = {status.value: status for status in CellStatus}
 FEWEST_TO_PLAN = 3
 """Number of velocities below which a standard deviation has no meaning."""
 
-_URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
+URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
+"""Place of each status, the most severe first; pending ones before done ones."""
 """Place of each status, the most severe first."""
 
 
@@ -259,7 +260,7 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
         for key, count in attempts.items()
         if key in statuses  # else it was planned meanwhile
     ]
-    return tuple(sorted(found, key=lambda trouble: (_URGENCY[trouble.status], trouble.key)))
+    return tuple(sorted(found, key=lambda trouble: (URGENCY[trouble.status], trouble.key)))
 
 
 def _is_being_written(store: Store) -> bool:
@@ -269,8 +270,3 @@ def _is_being_written(store: Store) -> bool:
     """
     holder = store.lease_holder()
     return holder is not None and holder.may_live()
-
-
-def worst_status(statuses: Sequence[CellStatus]) -> CellStatus:
-    """The most severe of some statuses; pending if there is nothing worse and not all are done."""
-    return min(statuses, key=_URGENCY.__getitem__)

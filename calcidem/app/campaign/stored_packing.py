@@ -44,7 +44,7 @@ def readable_packing(store: Store, index: int) -> Packing:
     except DamagedStoreError:
         content_hash = store.content_hashes().get(index)
         cached = sorted(cache_folder().glob("packing-*.npz"))
-        for archive in (*preset_packings(), *cached):
+        for archive in (*preset_packings().values(), *cached):
             with suppress(OSError, DamagedPackingError):
                 found = packing_from_bytes(archive.read_bytes())
                 if found.content_hash == content_hash:

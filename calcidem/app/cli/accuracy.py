@@ -36,7 +36,7 @@ def accuracy_command(
     layout: FormatOption = Format.TABLE,
 ) -> None:
     """Measure error against run time of every numerical setting, on cells of the campaign."""
-    from calcidem.app.config.checks import plan_contents
+    from calcidem.app.config.changed import change_configuration
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target, plan_task
     from calcidem.app.studies.accuracy.questions import findings_json
@@ -44,7 +44,8 @@ def accuracy_command(
     from calcidem.app.studies.accuracy.study import cheapest
 
     loaded = load_configuration(configuration)
-    task = plan_task(plan_contents(loaded, content or loaded.campaign.contents), (), seeds, db, tell)
+    planned = {"campaign.contents": sorted(set(content or loaded.campaign.contents))}
+    task = plan_task(change_configuration(loaded, planned), (), seeds, db, tell)
     try:
         choose_settings(task.experiment, only or ())
         parse_target(target or "1%")

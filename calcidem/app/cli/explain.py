@@ -37,14 +37,16 @@ def explain_command(
     from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.cli.tables import make_console
     from calcidem.app.config.calibrated import calibration_note
-    from calcidem.app.config.checks import check_against_packing, plan_contents
+    from calcidem.app.config.changed import change_configuration
+    from calcidem.app.config.checks import check_against_packing
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.accuracy.questions import measured_errors
     from calcidem.app.studies.explain import explain
 
     loaded = load_configuration(configuration)
     contents = sorted(loaded.campaign.contents)
-    loaded = plan_contents(loaded, content or {contents[0], contents[len(contents) // 2], contents[-1]})
+    chosen = sorted(set(content or (contents[0], contents[len(contents) // 2], contents[-1])))
+    loaded = change_configuration(loaded, {"campaign.contents": chosen})
     if db is None:
         packing = provide_packing(loaded, None, tell)
     else:

@@ -1,19 +1,31 @@
 """What a person reads of a run."""
 
 import sys
+from collections import Counter
 from collections.abc import Iterator
 
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from calcidem.analysis.error_budget import BUDGET_QUANTITIES, budget_text, error_budget
+from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
 from calcidem.app.campaign.display import command_display
 from calcidem.app.campaign.progress import ProgressDisplay
 from calcidem.app.campaign.run import CampaignRun
+from calcidem.app.campaign.status import UNREAD
 from calcidem.app.cli.exit_codes import tell_error
-from calcidem.app.cli.tables import make_console, vs_table
+from calcidem.app.cli.tables import format_number, make_console, marks_of, remarks_on
 from calcidem.app.cli.terminal import IS_QUIET, printable
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
+from calcidem.storage.records import CellStatus
 from calcidem.storage.sql.engine import Address
+from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.environment import available_cores, launcher
+from calcidem.sweep.progress import pluralize
 
 
 class TerminalView:
@@ -50,7 +62,7 @@ class TerminalView:
 
         configuration, plan = work.configuration, work.configuration.campaign
         seeds = plan.seed_numbers if work.demand is None else None
-        self.console.print(vs_table(work.store, Selection(seeds, plan.contents)))
+        self.console.print(_vs_table(work.store, Selection(seeds, plan.contents)))
         if work.demand is not None and work.end is not None and work.end.exit_code == 0:
             for line in work.demand.lines():
                 self.say(line)
@@ -96,3 +108,73 @@ def packing_lines(packing: Packing) -> Iterator[str]:
         f"unbalanced-force ratio {report.unbalanced_ratio:.2g}; made in {report.seconds:.0f} s ({report.steps} steps)"
     )
     yield f"  content hash {packing.content_hash}"
+
+
+def _vs_table(store: Store, selection: Selection) -> Table:
+    """Table of Vs against content, of the selected cells of the campaign that is chosen in the store."""
+    others = ("content", "status", "wavelengths_on_path", "seconds", "broken_bonds")
+    columns = store.table((*BUDGET_QUANTITIES, *others), selection)
+    table = Table(title="Shear-wave velocity", title_justify="left", box=SIMPLE_HEAD)
+    velocities = ("mean m/s", "sd m/s", "reading m/s", "min m/s", "max m/s")
+    for name in ("content %", "done", *velocities, "G0 MPa", "L/lambda", "seconds"):
+        table.add_column(name, justify="right")
+    table.add_column("other cells")
+    marks = []
+    for content in np.unique(columns["content"]):
+        here = columns["content"] == content
+        vs = columns["vs"][here].astype(float)
+        budget = error_budget({name: columns[name][here] for name in BUDGET_QUANTITIES})
+        marks.append(marks_of(Counter(map(CellStatus, columns["status"][here])), budget.departing))
+        seconds = np.nansum(columns["seconds"][here].astype(float))
+        moments = _moments(vs[np.isfinite(vs)])
+        table.add_row(
+            f"{content:g}",
+            f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}{marks[-1]}",
+            *map(format_number, (*moments[:2], budget.scatter, *moments[2:])),
+            format_number(small_strain_modulus(moments[0]) / 1e6, "{:.4g}"),
+            _wavelengths_text(columns["wavelengths_on_path"][here]),
+            f"{seconds:.1f}",
+            _other_outcomes(columns["status"][here]),
+        )
+    whole = error_budget(columns)
+    remarks = [
+        f"standard error of Vs: {budget_text(whole)}; reading m/s: sd that errors of the readings alone would give"
+    ]
+    if any(str(cell).endswith("*") for column in table.columns for cell in column.cells):
+        remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
+    remarks += remarks_on(marks, whole.departing)
+    if count := int(np.count_nonzero(columns["broken_bonds"] > 0)):
+        remarks.append(
+            f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
+        )
+    if any(status in UNREAD for status in columns["status"]):
+        remarks.append("'calcidem diagnose DB' explains why cells have no velocity and proposes remedies")
+    table.caption, table.caption_justify = "\n".join(remarks), "left"
+    return table
+
+
+def _wavelengths_text(on_path: NDArray[np.float64]) -> str:
+    """Median number of wavelengths on the path, with a mark where near field and shear wave are not apart."""
+    known = on_path[np.isfinite(on_path)]
+    if not known.size:
+        return "-"
+    number = float(np.median(known))
+    return f"{number:.2f}{'' if number >= FEWEST_WAVELENGTHS else ' *'}"
+
+
+def _moments(vs: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """Mean, standard deviation, smallest and largest; NaN where there are too few."""
+    if not vs.size:
+        return (np.nan,) * 4
+    deviation = float(np.std(vs, ddof=1)) if vs.size > 1 else np.nan
+    return float(vs.mean()), deviation, float(vs.min()), float(vs.max())
+
+
+def _other_outcomes(statuses: NDArray[np.object_]) -> str:
+    """How many cells have each outcome other than done."""
+    counts = Counter(CellStatus(status) for status in statuses)
+    return ", ".join(
+        f"{counts[status]} {status.replace('_', ' ')}"
+        for status in CellStatus
+        if counts[status] and status is not CellStatus.DONE
+    )

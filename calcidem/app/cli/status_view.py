@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calcidem.analysis.error_budget import budget_text
-from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, CampaignStatus, ContentStatus, Trouble, worst_status
+from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, URGENCY, CampaignStatus, ContentStatus, Trouble
 from calcidem.app.cli.tables import format_number, marks_of, remarks_on
 from calcidem.app.cli.terminal import printable
 from calcidem.storage.records import CellStatus
@@ -118,7 +118,7 @@ def _matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: i
     row = Text()
     for start in range(0, len(seeds), per_character):
         planned = [content.statuses[s] for s in seeds[start : start + per_character] if s in content.statuses]
-        worst = worst_status(planned) if planned else None
+        worst = min(planned, key=URGENCY.__getitem__, default=None)
         symbol, style = _STATUS_CHARACTERS[worst] if worst is not None else (_UNPLANNED, "")
         if worst is CellStatus.PENDING and CellStatus.DONE in planned:
             symbol = _PARTLY_DONE

@@ -2,8 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.rule import FEWEST_SAMPLES, refuse_long_stroke
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.storage.errors import StoreError
-from calcidem.storage.records import canonical_content
 from calcidem.storage.sql.engine import Address
 
 _SEEDS_ASKED_FIRST = 8
@@ -55,15 +53,6 @@ def cross_check(configuration: Configuration) -> list[Problem]:
         _check_part,
     )
     return [problem for check in checks for problem in check(configuration)]
-
-
-def plan_contents(configuration: Configuration, contents: Collection[float]) -> Configuration:
-    """Configuration with other contents, percent, in order; `ConfigurationError` if they do not fit its other parts."""
-    planned = tuple(sorted({canonical_content(content) for content in contents}))
-    changed = replace(configuration, campaign=replace(configuration.campaign, contents=planned))
-    if problems := cross_check(changed):
-        raise ConfigurationError("configuration", problems)
-    return changed
 
 
 def _check_part(configuration: Configuration) -> Iterator[Problem]:

@@ -17,7 +17,7 @@ from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.campaign.run import run
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.cli.exit_codes import EXIT_ROUNDING, _exit_code_of
-from calcidem.app.cli.tables import vs_table
+from calcidem.app.cli.run_view import _vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import _velocity_remarks
@@ -221,7 +221,7 @@ def test_broken_bonds_are_told_where_there_are_some(change: Change, small: Path,
     for path, told in ((changed, "The pulse broke bonds in 1 cell, at most 4 in one."), (small, "")):
         with open_campaign(path) as campaign:
             assert [line for line in _velocity_remarks(campaign.analyse()) if "broke" in line] == [told] * bool(told)
-            assert ("broke bonds in 1 cell:" in str(vs_table(campaign.store, Selection()).caption)) == bool(told)
+            assert ("broke bonds in 1 cell:" in str(_vs_table(campaign.store, Selection()).caption)) == bool(told)
 
 
 def test_what_the_record_of_a_wave_tells_is_kept(small: Path) -> None:

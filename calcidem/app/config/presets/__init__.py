@@ -14,12 +14,6 @@ def preset_text(name: str) -> str:
     return files(__name__).joinpath(f"{name}.toml").read_text(encoding="utf-8")
 
 
-def preset_packing(packing_hash: str) -> bytes | None:
-    """Archive of the packing with this `Configuration.packing_hash`, None if no example has it."""
-    file = files(__name__).joinpath("packings", f"{packing_hash[:32]}.npz")
-    return file.read_bytes() if file.is_file() else None
-
-
-def preset_packings() -> list[Traversable]:
-    """The files with the packings of all examples."""
-    return list(files(__name__).joinpath("packings").iterdir())
+def preset_packings() -> dict[str, Traversable]:
+    """Files of the packings of all examples, by the first 32 digits of their `Configuration.packing_hash`."""
+    return {file.name.removesuffix(".npz"): file for file in files(__name__).joinpath("packings").iterdir()}
