@@ -59,7 +59,6 @@ def explain_command(
     check_against_packing(loaded, packing)
     if note := calibration_note(loaded):
         tell(note)
-    chosen = loaded.campaign.contents
     seeds = loaded.campaign.seed_numbers[: min(_DEFAULT_CELLS, loaded.run.lanes)]
     rows = explain(
         loaded.experiment(packing),
