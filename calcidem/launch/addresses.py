@@ -26,12 +26,7 @@ _DEFAULT_HOST_FILES = ("prte-default-hostfile", "openmpi-default-hostfile")
 def listening_addresses(mpirun: str, variables: Mapping[str, str] = os.environ) -> list[str]:
     """Addresses of this host at which ranks that a launcher starts can reach it; loopback comes first.
 
-    Parameters
-    ----------
-    mpirun
-        Path of the launcher.
-    variables
-        Of its environment.
+    Given are path and environment of the launcher.
     """
     hosts = _hosts_of_launcher(mpirun, variables)
     if hosts is None:

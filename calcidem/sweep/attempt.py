@@ -24,15 +24,9 @@ class SweepInterrupted(BaseException):
 class Deadline:
     """A check that a computation calls every 0.1 to 0.5 s, between chunks of compiled work.
 
-    A signal handler or a time limit written in Python cannot interrupt compiled code, so the computation has to call
-    it.
-
-    Parameters
-    ----------
-    time_limit
-        Seconds from now after which a call raises, or None for no limit.
-    interrupted
-        Whether the sweep has to end at once.
+    A signal handler or a time limit written in Python cannot interrupt compiled code, so the computation has to
+    call it. Its limit is in seconds from now, None for none; ``interrupted`` tells whether the sweep has to end at
+    once.
     """
 
     def __init__(self, time_limit: float | None, interrupted: Callable[[], bool]) -> None:

@@ -46,11 +46,6 @@ def refuse_ranks_off_linux(system: str | None = None) -> None:
     """Refuse several ranks where the kernel offers no support against ranks that die, stop or outlive their launcher.
 
     `LaunchError` unless it is Linux.
-
-    Parameters
-    ----------
-    system
-        The platform as `sys.platform` names it; by default this one.
     """
     system = system or sys.platform
     if system != "linux":

@@ -52,17 +52,9 @@ class ExecutorWorkers(Generic[CellT]):
     """The workers of an executor, which stays open.
 
     A batch that has lost a worker before is computed alone. Many an executor ends with its first lost process
-    (`ProcessPoolExecutor`): all batches in flight count as lost then, and computing them alone isolates the bad cell.
-    Dask tries a batch on four workers before it gives it up as `KilledWorker`.
-
-    Parameters
-    ----------
-    executor
-        Takes the batches.
-    compute
-        Picklable computation.
-    options
-        Limits of a batch.
+    (`ProcessPoolExecutor`): all batches in flight count as lost then, and computing them alone isolates the bad
+    cell. Dask tries a batch on four workers before it gives it up as `KilledWorker`. The computation must be
+    picklable.
 
     Attributes
     ----------

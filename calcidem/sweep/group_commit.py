@@ -43,15 +43,8 @@ class Sink(Protocol):
 class GroupCommit(Generic[CellT]):
     """Stores final outcomes on a thread of its own, in the order given, and acknowledges them once they are stored.
 
-    While a group is stored the next one gathers. As a context manager it stores the remaining outcomes on exit, unless
-    the sink has failed.
-
-    Parameters
-    ----------
-    sink
-        Where to store them.
-    progress
-        Display, which receives stored outcomes only.
+    While a group is stored the next one gathers. As a context manager it stores the remaining outcomes on exit,
+    unless the sink has failed. The display receives stored outcomes only.
     """
 
     def __init__(self, sink: Sink, progress: Progress) -> None:

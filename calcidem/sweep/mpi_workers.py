@@ -44,14 +44,7 @@ class _Worker(Generic[CellT]):
 class MPIWorkers(Generic[CellT]):
     """All other ranks of a communicator; they join the running sweep when they are ready.
 
-    Parameters
-    ----------
-    comm
-        Communicator of the sweep.
-    options
-        Limits of a batch.
-    fault_tolerant
-        Whether the MPI library continues when a rank is lost (ULFM).
+    With ``fault_tolerant`` the MPI library continues when a rank is lost (ULFM).
     """
 
     def __init__(self, comm: MPI.Comm, options: SweepOptions, fault_tolerant: bool) -> None:

@@ -141,12 +141,7 @@ class Session:
     def end(self, exit_code: int, sweep_end: SweepEnd | None = None) -> NoReturn:
         """End this rank in order; every rank calls this, rank 0 after all its work, files closed.
 
-        Parameters
-        ----------
-        exit_code
-            What the program returns; that of rank 0 counts.
-        sweep_end
-            End of the last sweep: if ranks didn't answer, they are not waited for.
+        The exit code of rank 0 counts. Ranks that didn't answer at the end of the last sweep are not waited for.
         """
         self._flush(exit_code)
         self._ending = True

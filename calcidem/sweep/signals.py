@@ -34,10 +34,7 @@ class StopLevel(IntEnum):
 class SignalHandlers:
     """Context manager that handles signals and puts the former handlers back; for the main thread only.
 
-    Parameters
-    ----------
-    handlers
-        By the signals' names; what this system lacks is left out: Windows lacks most.
+    Signals are given by their names; those that this system lacks are left out: Windows lacks most.
     """
 
     def __init__(self, handlers: Mapping[str, Callable[[int, FrameType | None], None]]) -> None:
@@ -61,12 +58,8 @@ class SignalHandlers:
 class StopRequest(SignalHandlers):
     """Context manager that turns signals into a level to be polled.
 
-    A second urgent signal, at least `_REPEAT_IGNORED` after the first, ends the process at once.
-
-    Parameters
-    ----------
-    end_at_once
-        Called for the second urgent signal, before the process ends by itself with `EXIT_RESUMABLE`.
+    A second urgent signal, at least `_REPEAT_IGNORED` after the first, ends the process at once. Before that,
+    ``end_at_once`` is called.
 
     Attributes
     ----------

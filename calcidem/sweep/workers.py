@@ -65,15 +65,7 @@ class SerialWorkers(Generic[CellT]):
     """The calling process as the only worker: each poll computes the submitted batch.
 
     The hard limit of a batch does not apply: the process that it would kill is the only one there is.
-
-    Parameters
-    ----------
-    compute
-        The computation.
-    time_limit
-        Seconds that a batch may take, or None.
-    interrupted
-        Called every 0.1 to 0.5 s while a batch is computed; whether to drop it.
+    ``interrupted`` is called every 0.1 to 0.5 s while a batch is computed: whether to drop it.
     """
 
     count = 1

@@ -41,10 +41,7 @@ _VERBS = {
 class _CallbackDisplay(ProgressDisplay):
     """Hands everything to a function of the caller.
 
-    Parameters
-    ----------
-    callback
-        Receives each snapshot; its exceptions end the run.
+    Its exceptions end the run.
     """
 
     def __init__(self, callback: Callable[[RunProgress], object]) -> None:
@@ -58,12 +55,7 @@ class _CallbackDisplay(ProgressDisplay):
 class _LineDisplay(ProgressDisplay):
     """Writes a line at growing intervals, for logs of batch systems and for pipes.
 
-    Parameters
-    ----------
-    console
-        Where to write.
-    shortest, longest
-        Limits of the pause between two lines, s.
+    The pause between two lines has limits in seconds.
     """
 
     def __init__(self, console: Console, shortest: float = _SHORTEST_PAUSE, longest: float = _LONGEST_PAUSE) -> None:
@@ -90,13 +82,7 @@ class _LineDisplay(ProgressDisplay):
 
 
 class _ChannelDisplay(ProgressDisplay):
-    """Lets the command that started the ranks draw the display: its terminal is the real one.
-
-    Parameters
-    ----------
-    console
-        Console for permanent lines.
-    """
+    """Lets the command that started the ranks draw the display: its terminal is the real one."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -113,12 +99,7 @@ class _ChannelDisplay(ProgressDisplay):
 class LiveDisplay(ProgressDisplay):
     """Draws the progress at the foot of a terminal; all other text goes above it.
 
-    Parameters
-    ----------
-    console
-        The terminal.
-    by_itself
-        Whether a thread redraws it; else the caller calls `refresh`.
+    A thread redraws it, or the caller of `refresh`.
     """
 
     def __init__(self, console: Console, *, by_itself: bool = True) -> None:

@@ -29,11 +29,6 @@ class _Forecast:
 
     A measured group counts with its own mean seconds for each cell. Others count with their estimated cost, scaled by
     the ratio of measured to estimated cost elsewhere.
-
-    Parameters
-    ----------
-    batches
-        All batches of the sweep.
     """
 
     def __init__(self, batches: Iterable[Batch[Any]]) -> None:
@@ -175,13 +170,7 @@ class ProgressDisplay:
 
 
 class ProgressReporter(Progress):
-    """Tells a display how far a run is.
-
-    Parameters
-    ----------
-    display
-        Whom to tell.
-    """
+    """Tells a display how far a run is."""
 
     def __init__(self, display: ProgressDisplay) -> None:
         self._display = display

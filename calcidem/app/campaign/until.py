@@ -19,14 +19,7 @@ class SeedDemand:
 
     A content with n seeds gets more, or is done, only once all seeds 1 to n have an outcome, and the number of its
     seeds depends on their velocities alone. So it ends with the same seeds on any number of ranks, and after any
-    interruption.
-
-    Parameters
-    ----------
-    plan
-        With `until`.
-    known
-        Velocities of the cells that have an outcome, m/s; NaN where it is none.
+    interruption. Known velocities are those of cells that have an outcome, m/s; NaN where it is none.
     """
 
     def __init__(self, plan: CampaignPlan, known: Mapping[Cell, float]) -> None:

@@ -144,10 +144,7 @@ def count_reasons(
 ) -> list[tuple[str, str, list[float], int]]:
     """Give outcome, reason, contents (percent) and number of cells without a velocity, the most frequent first.
 
-    Parameters
-    ----------
-    status, reason, content
-        Of each cell, (N,); the status is empty where there is no outcome.
+    Given are columns of all cells, (N,); the status is empty where there is no outcome.
     """
     failed = np.flatnonzero((status != "") & (status != "done"))
     found: Counter[tuple[str, str]] = Counter()

@@ -167,15 +167,7 @@ _REFUSAL = "Open this page with the whole address that calcidem has printed; it 
 
 
 class _Guard:
-    """Lets those in who know the token: in the address of the first request, then in a cookie.
-
-    Parameters
-    ----------
-    application
-        What it guards.
-    address
-        Of the server, with the token.
-    """
+    """Lets those in who know the token: in the address of the first request, then in a cookie."""
 
     def __init__(self, application: ASGIApp, address: PageAddress) -> None:
         self._application = application
