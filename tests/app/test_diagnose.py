@@ -1,10 +1,11 @@
 """Why cells have no velocity, what to try, and where their lack may bias a mean."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +16,8 @@ from calcidem.app.campaign.diagnosis import (
     _better_values,
     _experiment_with,
     _explain_refusal,
+    _find_remedies,
     _judged_packing,
-    _try_values,
     diagnose,
 )
 from calcidem.app.campaign.opened import open_campaign
@@ -33,7 +34,7 @@ from calcidem.app.report.page import _velocity_remarks
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.first_look import WAVELENGTHS
-from calcidem.dem.wave.measurement import measure
+from calcidem.dem.wave.measurement import Interpretation, Outcome, measure
 from calcidem.dem.wave.reading import (
     LEAST_COHERENCE,
     PickRule,
@@ -157,11 +158,12 @@ def test_each_verdict_has_its_number(experiment: Experiment, section: Section) -
     order = [*reversed(range(len(section.places) - 1)), -1]
     mixed = replace(section, across=np.roll(section.across, 40, axis=0)[:, order])
     mixed.across[:, -1] = section.across[:, -1]
+    best = max(find_candidates(mixed, SMOOTHING), key=lambda one: one.coherence)
     strict = replace(experiment, pick=replace(experiment.pick, largest_error=1e-3))
     cases = (
-        (experiment, quiet, Verdict.SILENT, "0.1% is needed"),
+        (experiment, quiet, Verdict.SILENT, "above 0.1% of v0. Its largest motion is 0.0"),
         (experiment, cut, Verdict.TOO_SHORT, f"the record ends at {1e3 * cut.duration:.3g} ms"),
-        (experiment, mixed, Verdict.NO_LINE, f"{LEAST_COHERENCE:g} is needed"),
+        (experiment, mixed, Verdict.NO_LINE, f"{best.coherence:.2f}; {max(best.rival, LEAST_COHERENCE):.2f} is needed"),
         (strict, section, Verdict.UNCERTAIN, "0.1% is allowed"),
     )
     assert {verdict for _, _, verdict, *_ in cases} == set(Verdict)
@@ -175,37 +177,87 @@ def test_values_to_try_are_keys_that_change_the_experiment(experiment: Experimen
     """Each exists; the frequency is among them if the path departs from 2.5 wavelengths, a weaker bound if it helps."""
     speed = section.distance * section.frequency / WAVELENGTHS
     strict = replace(experiment, pick=replace(experiment.pick, largest_error=1e-3))
-    better = _better_values(strict, section, read_section(section), 2.0 * speed)
-    assert {"wave.frequency", "wave.listening_depth", "wave.damping", "pick.largest_error"} <= set(better)
+    better = _better_values(strict, section, 2.0 * speed)
+    assert {"wave.frequency", "wave.receiver_half_width", "wave.transmitter", "pick.largest_error"} <= set(better)
     assert set(better) <= {f"{key.section}.{key.name}" for key in key_references()}
     assert all(_experiment_with(strict, {name: value}) != strict for name, value in better.items())
-    usual = _better_values(experiment, section, read_section(section), speed)
+    usual = _better_values(experiment, section, speed)
     assert not {"wave.frequency", "pick.largest_error"} & set(usual)
+    assert not _better_values(_experiment_with(experiment, usual), section, speed)
 
 
-def test_reasons_name_the_next_value(monkeypatch: pytest.MonkeyPatch, experiment: Experiment) -> None:
-    """A value that a reason names is added; one that stays in vain is dropped; the trials end with a sure velocity."""
-    tried: list[tuple[float, float, str]] = []
+_Found = tuple[str, float | None, dict[str, Any]]
 
-    def measured(used: Experiment, content: float, seeds: list[int]) -> tuple[object]:
-        assert (content, seeds) == (CONTENT, [1])
-        tried.append((used.wave.damping, used.wave.amplitude, used.wave.regime))
-        if used.wave.damping == experiment.wave.damping:
-            reason = "lower amplitude"
-        else:
-            reason = "" if used.wave.regime == "finite" else "choose regime = 'finite'"
-        return (SimpleNamespace(vs=None if reason else 300.0, result=SimpleNamespace(reason=reason)),)
 
-    monkeypatch.setattr("calcidem.app.campaign.diagnosis.measure", measured)
-    cell = SimpleNamespace(reason="lower amplitude", key=SimpleNamespace(content=CONTENT, seed=1))
-    *_, (values, vs, reason) = _try_values(experiment, cell, {"wave.damping": 0.1}, (200.0, 400.0))
-    assert (values, vs, reason) == ({"wave.damping": 0.1, "wave.regime": "finite"}, 300.0, "")
-    amplitude = experiment.wave.amplitude
-    assert [one[1] for one in tried] == pytest.approx(
-        [0.1 * amplitude, 0.01 * amplitude, 1e-3 * amplitude] + 2 * [amplitude]
-    )
-    far = list(_try_values(experiment, cell, {"wave.damping": 0.1}, (310.0, 400.0)))
-    assert far[-1][1:] == (300.0, "not as expected")
+@pytest.fixture
+def find(
+    monkeypatch: pytest.MonkeyPatch, experiment: Experiment, section: Section
+) -> Callable[[Callable[[set[str]], float | str], str], _Found]:
+    """Give what is said of a sample if waves have these velocities, m/s, or reasons for none; 200 to 375 is expected.
+
+    A velocity depends on the keys of section wave that differ, and that of its packing is 300 m/s.
+    """
+
+    def found(outcome: Callable[[set[str]], float | str], reason: str) -> _Found:
+        def measured(used: Experiment, content: float, seeds: list[int]) -> tuple[object]:
+            assert (content, seeds) == (CONTENT, [1])
+            names = asdict(experiment.wave).items()
+            vs = outcome({name for name, value in names if value != getattr(used.wave, name)})
+            if isinstance(vs, str):
+                return (SimpleNamespace(result=Interpretation(Outcome.NO_ARRIVAL, vs)),)
+            return (SimpleNamespace(result=Interpretation(Outcome.DONE, vs=vs)),)
+
+        monkeypatch.setattr("calcidem.app.campaign.diagnosis.measure", measured)
+        cell = SimpleNamespace(reason=reason, key=SimpleNamespace(content=CONTENT, seed=1))
+        return _find_remedies(experiment, cell, section, 300.0, (200.0, 375.0))
+
+    return found
+
+
+def test_superfluous_values_are_not_named(find: Callable[..., _Found]) -> None:
+    """Of all values those are named without any of which there is no velocity; one alone suffices if it can."""
+    needed = {"receiver_half_width", "transmitter"}
+    _, vs, remedies = find(lambda changed: 310.0 if needed <= changed else "no line", "no line")
+    assert (vs, set(remedies)) == (310.0, {f"wave.{name}" for name in needed})
+    text, vs, remedies = find(lambda changed: 310.0 if "transmitter" in changed else "no line", "no line")
+    assert (vs, remedies) == (310.0, {"wave.transmitter": "driven"})
+    assert "All trial values together give 310 m/s, 1.03 times the static speed" in text
+
+
+def test_where_all_values_are_too_many_fewer_are_tried(find: Callable[..., _Found]) -> None:
+    """If all of them together read nothing, those at the end of the list are left out, the last first."""
+    needed = {"receiver_half_width", "transmitter_half_width"}
+    read = lambda changed: 310.0 if needed <= changed and "transmitter" not in changed else "no line"  # noqa: E731
+    text, vs, remedies = find(read, "no line")
+    assert "together give no velocity: no line." in text
+    assert (vs, set(remedies)) == (310.0, {f"wave.{name}" for name in needed})
+
+
+def test_reasons_name_values(find: Callable[..., _Found]) -> None:
+    """What a cell's reason and those of trials name is added to the other values, and left out if superfluous."""
+    slips = lambda changed: 310.0 if "regime" in changed else "lower amplitude, or choose regime = 'finite'"  # noqa: E731
+    _, vs, remedies = find(slips, "lower amplitude")
+    assert (vs, remedies) == (310.0, {"wave.regime": "finite"})
+    damped = lambda changed: 310.0 if {"damping", "amplitude"} <= changed else "lower amplitude"  # noqa: E731
+    assert find(damped, "lower amplitude")[1:] == (None, {})  # damping is tried where no reason names a value
+    damped = lambda changed: 310.0 if "damping" in changed else "silent"  # noqa: E731
+    assert list(find(damped, "silent")[2]) == ["wave.damping"]
+
+
+def test_a_velocity_far_from_the_static_speed_is_told(find: Callable[..., _Found]) -> None:
+    """All values together say what others agree with; an expected velocity is better; far from it none is named."""
+    fast = lambda changed: 500.0 if "transmitter" in changed else "no line"  # noqa: E731
+    text, vs, remedies = find(fast, "no line")
+    assert "500 m/s, 1.67 times the static speed." in text
+    assert (vs, remedies) == (500.0, {"wave.transmitter": "driven"})
+    some = lambda changed: 310.0 if changed == {"transmitter"} else 500.0  # noqa: E731
+    assert find(some, "no line")[1:] == (310.0, {"wave.transmitter": "driven"})
+    far = lambda changed: 900.0 if "transmitter" in changed else "no line"  # noqa: E731
+    text, vs, remedies = find(far, "no line")
+    assert "900 m/s, 3.00 times the static speed. They are" in text
+    assert 'wave.transmitter = "driven"' in text
+    assert text.endswith("Velocities with one of them: 900 m/s.")
+    assert (vs, remedies) == (None, {})
 
 
 def test_a_large_numerical_error_says_its_bound(experiment: Experiment, section: Section) -> None:

@@ -1,13 +1,15 @@
 """Why cells have no velocity: the number that refused each, its section, and values that give one.
 
-A value is a remedy only after the wave was computed with it in this sample and had a velocity that the static stiffness
-lets expect. A section that is not stored is computed again: the same seed and content give the same bits.
+The cell is computed again with all trial values: a plane wave, a wide and deep receiver, a long record. The
+fewest with which Vs still agrees with that, or with the static stiffness, are the remedies. A section that is not
+stored is computed again: the same seed and content give the same bits.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from calcidem.dem.sample.judgement import judge_disks
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.first_look import WAVELENGTHS, suitable_frequency
-from calcidem.dem.wave.measurement import LARGEST_BOUND, measure
+from calcidem.dem.wave.measurement import LARGEST_BOUND, Interpretation, Outcome, measure
 from calcidem.dem.wave.reading import (
     LEAST_COHERENCE,
     SILENCE,
@@ -40,13 +42,14 @@ from calcidem.storage.store import Selection
 if TYPE_CHECKING:
     from matplotlib.figure import Figure  # takes a second, which only those wait for who draw
 
+_Range = tuple[float, float]
 _NewValues = dict[str, Any]  # ``section.key`` and its value
 
-_EXPECTED = (0.6, 1.5)  # slowest Vs over the static speed times sqrt(1 - damping), and fastest over the static speed
-_SURE = 1.2  # ratio to both bounds from which on no other trial is made
+_EXPECTED = 1.25  # ratio to the static speed, to either side, within which Vs is expected
+_AGREES = 1.15  # ratio to Vs of the better experiment, to either side, within which both are one velocity
+_OTHER_WAVE = 2.1  # ratio to the static speed beyond which Vs may be that of another wave, such as P
 _AS_GOOD = 0.2  # logarithm of the ratio of two numbers of wavelengths on the path with which sections are read as well
-_FEWER = 0.1  # logarithm of a ratio of velocities that is worth one value less
-_MOST_NAMED = 3  # values that are added because the reason of a trial names them
+_MOST_NAMED = 4  # values that are added because the better experiment's own reasons name them
 
 _WHY = {
     "wave.slowest": "the record ended before the slowest wave that is expected",
@@ -54,6 +57,7 @@ _WHY = {
     "wave.receiver_half_width": "few grains at the receiver swung by themselves",
     "wave.listening_depth": "few grains at the receiver swung by themselves",
     "wave.transmitter_half_width": "the wave spread from few grains",
+    "wave.transmitter": "the wall passed on too little of the pulse, or grains slipped along it",
     "wave.damping": "the amplitude fell along the path; Vs rises with less damping",
     "pick.largest_error": "the velocity is known no better",
 }
@@ -82,9 +86,7 @@ class Diagnosis:
     reason: str
     """The cell, its outcome, and the reason."""
     finding: str
-    """The packing, if all cells of this content failed; the number that refused it, other measurements, and what was
-    tried in vain, in sentences.
-    """
+    """The packing, if all cells of this content failed; the number that refused it; what else was measured."""
     remedies: _NewValues
     vs: float | None
     """Values of the configuration that together give a velocity, and this, m/s; none and None without any."""
@@ -132,7 +134,7 @@ def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -
     if (stored := cell.section) is None:
         (found,) = measure(experiment, cell.key.content, [cell.key.seed])
     section = found.record.section if stored is None else section_of(stored)
-    reading, finding, distance = read_section(section, experiment.pick), [], section.distance
+    reading, finding = read_section(section, experiment.pick), []
     if not others_are_read:
         finding.append(f"All cells failed. Look at the packing first: {_judged_packing(experiment)}")
     if cell.status is not CellStatus.UNSTABLE:
@@ -143,114 +145,129 @@ def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -
         speed, expected = math.nan, (0.0, math.inf)
         finding.append("The sample has no static stiffness.")
     else:
-        expected = _EXPECTED[0] * speed * math.sqrt(1.0 - experiment.wave.damping), _EXPECTED[1] * speed
+        expected = speed / _EXPECTED * math.sqrt(1.0 - experiment.wave.damping), speed * _EXPECTED
         finding.append(
             f"By static stiffness long waves have {speed:.0f} m/s (+-{uneven:.0%}) and S waves {expected[0]:.0f} to "
-            f"{expected[1]:.0f} m/s: {section.frequency * distance / speed:.2g} wavelengths on the path of "
-            f"{1e3 * distance:.1f} mm. {1e3 * section.duration:.3g} ms were recorded."
+            f"{expected[1]:.0f} m/s: {section.frequency * section.distance / speed:.2g} wavelengths on the path."
         )
-    better = _better_values(experiment, section, reading, speed)
-    trials = list(_try_values(experiment, cell, better, expected))
-    good = [(vs, values) for values, vs, reason in trials if vs is not None and not reason]
-    vs, remedies = min(good, key=lambda it: abs(math.log(it[0] / speed)) + _FEWER * len(it[1]), default=(None, {}))
-    if vs is None:
-        read = ", ".join(f"{vs:.0f}" for _, vs, _ in trials if vs is not None)
-        finding.append(f"No trial of {', '.join(better)}, alone or together, gives a velocity as expected.")
-        last = f"All together: {trials[-1][2]}." if trials else ""
-        finding.append(f"They read {read} m/s: another path or wave." if read else last)
-    known = cell.key, cell.status, cell.reason, " ".join(finding)
+    compared, vs, remedies = _find_remedies(experiment, cell, section, speed, expected)
+    known = cell.key, cell.status, cell.reason, " ".join([*finding, compared])
     return Diagnosis(*known, remedies, vs, experiment, section, reading, expected)
 
 
-def _better_values(experiment: Experiment, section: Section, reading: Reading, speed: float) -> _NewValues:
-    """Values that better the record; ``speed`` is the static speed of the sample, m/s, NaN if it has none."""
-    wave, packing, better = experiment.wave, experiment.packing, dict[str, Any]()
-    if wave.slowest > _EXPECTED[0] * speed:
-        better["wave.slowest"] = float(f"{min(0.5 * wave.slowest, 0.45 * speed):.2g}")
-    if abs(math.log(section.frequency * section.distance / speed / WAVELENGTHS)) > _AS_GOOD:
-        better["wave.frequency"] = "auto"
-    for key, largest in (
-        ("receiver_half_width", 0.4 * packing.height),
-        ("listening_depth", 0.28 * packing.width),
-        ("transmitter_half_width", 0.47 * packing.height),
-    ):
-        value = float(f"{min(2.0 * getattr(wave, key), largest):.2g}")
-        if value > getattr(wave, key):
-            better[f"wave.{key}"] = value
-    if wave.damping > 0.0:
-        better["wave.damping"] = float(f"{0.5 * wave.damping:.2g}")
-    if experiment.pick.largest_error < (reading.error or 0.0) < PickRule().largest_error:
-        better["pick.largest_error"] = PickRule().largest_error
-    return better
+def _find_remedies(
+    experiment: Experiment, cell: CellResult, section: Section, speed: float, expected: _Range
+) -> tuple[str, float | None, _NewValues]:
+    """Compare a better experiment with the static speed, m/s, in sentences; the fewest values that give Vs, m/s."""
+
+    @cache
+    def attempt(*values: tuple[str, Any]) -> Interpretation:
+        try:
+            (found,) = measure(_experiment_with(experiment, dict(values)), cell.key.content, [cell.key.seed])
+        except (ValueError, SettlingError) as error:
+            return Interpretation(Outcome.NO_ARRIVAL, str(error))
+        return found.result
+
+    values = _named_value(experiment, {}, cell.reason) | _better_values(experiment, section, speed)
+    damped, best = {"wave.damping": _rounded(0.5 * experiment.wave.damping)}, attempt(*values.items())
+    for _ in range(_MOST_NAMED):
+        if best.vs is None:
+            values = values | (_named_value(experiment, values, best.reason) or damped)
+            best = attempt(*values.items())
+    text, wanted = f"All trial values together give no velocity: {best.reason}.", [expected]
+    if best.vs is not None:
+        text = f"All trial values together give {best.vs:.0f} m/s, {best.vs / speed:.2f} times the static speed."
+        if 1.0 / _OTHER_WAVE < best.vs / speed < _OTHER_WAVE:
+            wanted.append((best.vs / _AGREES, best.vs * _AGREES))
+    if fewest := _fewest_values(attempt, values, wanted):
+        return text, attempt(*fewest.items()).vs, fewest
+    read = ", ".join(f"{found.vs:.0f} m/s" for found in map(attempt, values.items()) if found.vs is not None)
+    tried = ", ".join(f"{name} = {written(value)}" for name, value in values.items())
+    return f"{text} They are {tried}. Velocities with one of them: {read or 'none'}.", None, {}
 
 
-def _try_values(
-    experiment: Experiment, cell: CellResult, better: _NewValues, expected: tuple[float, float]
-) -> Iterator[tuple[_NewValues, float | None, str]]:
-    """Try values alone, then together, until Vs, m/s, is surely as expected; a value that a reason names is added."""
-    given, items = dict[str, Any](), list(better.items())
-    together = (items[:number] for number in range(2, len(items) + 1))
-    for chosen in ([], *([one] for one in items), *together):
-        values, reason, vs = given | dict(chosen), cell.reason if not chosen else "", None
-        for _ in range(_MOST_NAMED + 1):
-            if not reason:
-                try:
-                    (found,) = measure(_experiment_with(experiment, values), cell.key.content, [cell.key.seed])
-                    vs, reason = found.vs, found.result.reason
-                except (ValueError, SettlingError) as error:
-                    vs, reason = None, str(error)
-                if vs is not None and not expected[0] <= vs <= expected[1]:
-                    reason = "not as expected"
-                yield values, vs, reason
-                if vs is not None and expected[0] * _SURE <= vs <= expected[1] / _SURE:
-                    return
-            if not (named := [change for words, change in _NAMED.items() if words in reason]):
-                break
-            name, change = min(named, key=lambda one: one[0] in values)  # first those that were not tried
-            section, key = name.split(".")
-            old = values.get(name, getattr(getattr(experiment, section), key))
-            new = change if isinstance(change, str) else type(old)(float(f"{change * old:.2g}"))
-            values, reason = values | {name: new}, ""
-        else:
-            del values[name]  # it was in vain
-        given = given if chosen else values
+def _fewest_values(attempt: Callable[..., Interpretation], values: _NewValues, wanted: list[_Range]) -> _NewValues:
+    """One value, else several without superfluous ones, with which Vs is in a wanted range, m/s; empty without any."""
+
+    def gives(chosen: Iterable[tuple[str, Any]], ranges: list[_Range]) -> bool:
+        vs = attempt(*chosen).vs
+        return vs is not None and any(low <= vs <= high for low, high in ranges)
+
+    items = list(values.items())
+    starts = [([item], ranges) for ranges in (wanted[:1], wanted) for item in items]
+    starts += [(items[:number], wanted) for number in range(len(items), 1, -1)]
+    fewest, last = next((dict(start) for start, ranges in starts if gives(start, ranges)), {}), _NewValues()
+    while len(fewest) > 1 and fewest != last:  # a value may be superfluous only without another one
+        last = fewest
+        for name in reversed(last):
+            fewer = {other: value for other, value in fewest.items() if other != name}
+            fewest = fewer if gives(fewer.items(), wanted) else fewest
+    return fewest
+
+
+def _better_values(experiment: Experiment, section: Section, speed: float) -> _NewValues:
+    """Values of a better experiment; ``speed`` is the static speed of the sample, m/s, NaN if it has none."""
+    wave, box, waves = experiment.wave, experiment.packing, section.frequency * section.distance / speed
+    better = {
+        "pick.method": "peak",
+        "wave.slowest": min(wave.slowest, _rounded(0.3 * speed)),
+        "wave.receiver_half_width": max(wave.receiver_half_width, _rounded(0.4 * box.height)),
+        "wave.listening_depth": max(wave.listening_depth, _rounded(0.2 * box.width)),
+        "wave.transmitter_half_width": max(wave.transmitter_half_width, _rounded(0.47 * box.height)),
+        "wave.transmitter": "driven",
+        "pick.largest_error": max(experiment.pick.largest_error, PickRule().largest_error),
+    }
+    better = {name: value for name, value in better.items() if value != attrgetter(name)(experiment)}
+    return {"wave.frequency": "auto"} | better if abs(math.log(waves / WAVELENGTHS)) > _AS_GOOD else better
+
+
+def _named_value(experiment: Experiment, values: _NewValues, reason: str) -> _NewValues:
+    """Value that a reason names, if possible one that is not among ``values``; empty without any."""
+    for words, (name, change) in sorted(_NAMED.items(), key=lambda one: one[1][0] in values):
+        if words in reason and (isinstance(change, float) or name not in values):
+            old = values.get(name, attrgetter(name)(experiment))
+            return {name: change if isinstance(change, str) else type(old)(_rounded(change * old))}
+    return {}
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.2g}")
 
 
 def _experiment_with(experiment: Experiment, values: _NewValues) -> Experiment:
     """Experiment with these values; `ValueError` where they are impossible."""
     for name, value in values.items():
         section, key = name.split(".")
-        changed: _NewValues = {"frequencies": suitable_frequency}
-        if key != "frequency":
-            changed = {section: replace(getattr(experiment, section), **{key: value})}
-        experiment = replace(experiment, **changed)
+        changed = {section: replace(getattr(experiment, section), **{key: value})} if key != "frequency" else {}
+        experiment = replace(experiment, **(changed or {"frequencies": suitable_frequency}))
     return experiment
 
 
 def _judged_packing(experiment: Experiment) -> str:
     """What a packing is like, and what is wrong with it, in sentences."""
-    report, overlap = experiment.packing.report, experiment.packing.report.largest_overlap
+    packing, report = experiment.packing, experiment.packing.report
     text = (
-        f"Porosity {report.porosity:.3f}; {report.coordination_number_without_rattlers:.2f} contacts per disk without "
-        f"rattlers; largest overlap {overlap / np.mean(experiment.packing.radius):.2g} of the mean radius; stress "
-        f"{max(report.wall_stress) / 1e3:.3g} kPa."
+        f"Porosity {report.porosity:.3f}; {report.coordination_number_without_rattlers:.2f} contacts per disk without"
     )
-    return " ".join([text, *(f"packing.{fault.text}." for fault in judge_disks(experiment.packing, experiment.sand))])
+    text += f" rattlers; largest overlap {report.largest_overlap / np.mean(packing.radius):.2g} of the mean radius; "
+    text += f"stress {max(report.wall_stress) / 1e3:.3g} kPa."
+    return " ".join([text, *(f"packing.{fault.text}." for fault in judge_disks(packing, experiment.sand))])
 
 
 def _explain_refusal(experiment: Experiment, section: Section, reading: Reading, bound: float | None) -> str:
     """Return the number that refused a cell, in a sentence; ``bound`` is that of the numerical error."""
     pick, candidates = experiment.pick, find_candidates(section, experiment.pick.smoothing)
     if reading.verdict is Verdict.SILENT:
-        largest = float(section.across[:, -1].max(initial=0)) * RESOLUTION
-        return f"The receiver moves at most at {largest:.2%} of the pulse's amplitude; {SILENCE:.1%} is needed."
+        largest = float(np.abs(section.across[:, -1]).max(initial=0)) * RESOLUTION
+        text = f"No peak of the receiver is above {SILENCE:.1%} of v0. Its largest motion is {largest:.2%} of v0"
+        return f"{text} until the record ends at {1e3 * section.duration:.3g} ms."
     if reading.verdict is Verdict.TOO_SHORT:
         late = min(one.decided for one in candidates if one.decided > section.duration)
         return f"A peak is decided at {1e3 * late:.3g} ms; the record ends at {1e3 * section.duration:.3g} ms."
     if reading.verdict is Verdict.NO_LINE:
         best = max(candidates, key=lambda candidate: candidate.coherence)
         text = f"The best of {len(candidates)} peaks, {section.distance / best.travel_time:.0f} m/s, has a coherence of"
-        return f"{text} {best.coherence:.2f}; {LEAST_COHERENCE:g} is needed, and no other peak may have more."
+        return f"{text} {best.coherence:.2f}; {max(best.rival, LEAST_COHERENCE):.2f} is needed."
     if reading.arrival is not None and reading.error is not None and reading.error > pick.largest_error:
         parts = reading_error_parts(reading.arrival, section.frequency)
         part = max(parts._fields, key=lambda field: getattr(parts, field)).replace("_", " ")

@@ -32,7 +32,8 @@ def draw_diagnosis(one: Diagnosis) -> Figure:
     candidates = find_candidates(section, smoothing)
     shown = sorted(candidates, key=lambda peak: (peak.index != arrival, -peak.coherence))[:_MOST_LINES]
     _draw_traces(traces, section, smoothing, shown[0].clean if shown else None)
-    _draw_spectrum(spectrum, section, smoothing, [section.distance / peak.travel_time for peak in candidates])
+    found = [section.distance / peak.travel_time for peak in candidates] + ([one.vs] if one.vs is not None else [])
+    _draw_spectrum(spectrum, section, smoothing, found)
     if expected[0] > 0.0:
         late, early = (MS * (0.5 / section.frequency + section.distance / velocity) for velocity in expected)
         begin, end = 0.5 * MS / section.frequency, MM * section.distance

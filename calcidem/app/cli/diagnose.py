@@ -23,8 +23,8 @@ def diagnose_command(
 ) -> None:
     """Explain why cells have no velocity, and propose values of the configuration that may give one.
 
-    Each cell is computed again with other values, alone and together, until one gives the velocity that the static
-    stiffness lets expect. Another configuration is another campaign. Nothing is written to the database.
+    Each cell is computed again with all trial values. Named are the fewest that give its velocity, or one near the
+    static speed. Another configuration is another campaign. Nothing is written to the database.
     """
     from calcidem.app.campaign.diagnosis import diagnose
     from calcidem.app.campaign.status import UNREAD
