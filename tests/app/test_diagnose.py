@@ -13,11 +13,11 @@ from scipy.stats import norm
 
 from calcidem.analysis.doubt import _bias_of_failed, is_in_doubt
 from calcidem.app.campaign.diagnosis import (
-    _better_values,
     _experiment_with,
     _explain_refusal,
     _find_remedies,
     _judged_packing,
+    _trial_values,
     diagnose,
 )
 from calcidem.app.campaign.opened import open_campaign
@@ -177,13 +177,13 @@ def test_values_to_try_are_keys_that_change_the_experiment(experiment: Experimen
     """Each exists; the frequency is among them if the path departs from 2.5 wavelengths, a weaker bound if it helps."""
     speed = section.distance * section.frequency / WAVELENGTHS
     strict = replace(experiment, pick=replace(experiment.pick, largest_error=1e-3))
-    better = _better_values(strict, section, 2.0 * speed)
+    better = _trial_values(strict, section, 2.0 * speed)
     assert {"wave.frequency", "wave.receiver_half_width", "wave.transmitter", "pick.largest_error"} <= set(better)
     assert set(better) <= {f"{key.section}.{key.name}" for key in key_references()}
     assert all(_experiment_with(strict, {name: value}) != strict for name, value in better.items())
-    usual = _better_values(experiment, section, speed)
+    usual = _trial_values(experiment, section, speed)
     assert not {"wave.frequency", "pick.largest_error"} & set(usual)
-    assert not _better_values(_experiment_with(experiment, usual), section, speed)
+    assert not _trial_values(_experiment_with(experiment, usual), section, speed)
 
 
 _Found = tuple[str, float | None, dict[str, Any]]

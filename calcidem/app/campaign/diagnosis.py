@@ -46,10 +46,10 @@ _Range = tuple[float, float]
 _NewValues = dict[str, Any]  # ``section.key`` and its value
 
 _EXPECTED = 1.25  # ratio to the static speed, to either side, within which Vs is expected
-_AGREES = 1.15  # ratio to Vs of the better experiment, to either side, within which both are one velocity
+_AGREES = 1.15  # ratio to Vs with all trial values, to either side, within which both are one velocity
 _OTHER_WAVE = 2.1  # ratio to the static speed beyond which Vs may be that of another wave, such as P
 _AS_GOOD = 0.2  # logarithm of the ratio of two numbers of wavelengths on the path with which sections are read as well
-_MOST_NAMED = 4  # values that are added because the better experiment's own reasons name them
+_MOST_NAMED = 4  # values that are added because the reasons of trials name them
 
 _WHY = {
     "wave.slowest": "the record ended before the slowest wave that is expected",
@@ -158,7 +158,7 @@ def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -
 def _find_remedies(
     experiment: Experiment, cell: CellResult, section: Section, speed: float, expected: _Range
 ) -> tuple[str, float | None, _NewValues]:
-    """Compare a better experiment with the static speed, m/s, in sentences; the fewest values that give Vs, m/s."""
+    """Compare what all trial values read with the static speed, m/s; the fewest that give Vs, m/s, and this."""
 
     @cache
     def attempt(*values: tuple[str, Any]) -> Interpretation:
@@ -168,15 +168,16 @@ def _find_remedies(
             return Interpretation(Outcome.NO_ARRIVAL, str(error))
         return found.result
 
-    values = _named_value(experiment, {}, cell.reason) | _better_values(experiment, section, speed)
-    damped, best = {"wave.damping": _rounded(0.5 * experiment.wave.damping)}, attempt(*values.items())
+    values = _named_value(experiment, {}, cell.reason) | _trial_values(experiment, section, speed)
+    damped, best = {"wave.damping": _two_digits(0.5 * experiment.wave.damping)}, attempt(*values.items())
     for _ in range(_MOST_NAMED):
         if best.vs is None:
             values = values | (_named_value(experiment, values, best.reason) or damped)
             best = attempt(*values.items())
     text, wanted = f"All trial values together give no velocity: {best.reason}.", [expected]
     if best.vs is not None:
-        text = f"All trial values together give {best.vs:.0f} m/s, {best.vs / speed:.2f} times the static speed."
+        ratio = f", {best.vs / speed:.2f} times the static speed" if speed > 0.0 else ""
+        text = f"All trial values together give {best.vs:.0f} m/s{ratio}."
         if 1.0 / _OTHER_WAVE < best.vs / speed < _OTHER_WAVE:
             wanted.append((best.vs / _AGREES, best.vs * _AGREES))
     if fewest := _fewest_values(attempt, values, wanted):
@@ -205,20 +206,20 @@ def _fewest_values(attempt: Callable[..., Interpretation], values: _NewValues, w
     return fewest
 
 
-def _better_values(experiment: Experiment, section: Section, speed: float) -> _NewValues:
-    """Values of a better experiment; ``speed`` is the static speed of the sample, m/s, NaN if it has none."""
+def _trial_values(experiment: Experiment, section: Section, speed: float) -> _NewValues:
+    """Values that let more be read; ``speed`` is the static speed of the sample, m/s, NaN if it has none."""
     wave, box, waves = experiment.wave, experiment.packing, section.frequency * section.distance / speed
-    better = {
+    trial = {
         "pick.method": "peak",
-        "wave.slowest": min(wave.slowest, _rounded(0.3 * speed)),
-        "wave.receiver_half_width": max(wave.receiver_half_width, _rounded(0.4 * box.height)),
-        "wave.listening_depth": max(wave.listening_depth, _rounded(0.2 * box.width)),
-        "wave.transmitter_half_width": max(wave.transmitter_half_width, _rounded(0.47 * box.height)),
+        "wave.slowest": min(wave.slowest, _two_digits(0.3 * speed)),
+        "wave.receiver_half_width": max(wave.receiver_half_width, _two_digits(0.4 * box.height)),
+        "wave.listening_depth": max(wave.listening_depth, _two_digits(0.2 * box.width)),
+        "wave.transmitter_half_width": max(wave.transmitter_half_width, _two_digits(0.47 * box.height)),
         "wave.transmitter": "driven",
         "pick.largest_error": max(experiment.pick.largest_error, PickRule().largest_error),
     }
-    better = {name: value for name, value in better.items() if value != attrgetter(name)(experiment)}
-    return {"wave.frequency": "auto"} | better if abs(math.log(waves / WAVELENGTHS)) > _AS_GOOD else better
+    trial = {name: value for name, value in trial.items() if value != attrgetter(name)(experiment)}
+    return {"wave.frequency": "auto"} | trial if abs(math.log(waves / WAVELENGTHS)) > _AS_GOOD else trial
 
 
 def _named_value(experiment: Experiment, values: _NewValues, reason: str) -> _NewValues:
@@ -226,11 +227,11 @@ def _named_value(experiment: Experiment, values: _NewValues, reason: str) -> _Ne
     for words, (name, change) in sorted(_NAMED.items(), key=lambda one: one[1][0] in values):
         if words in reason and (isinstance(change, float) or name not in values):
             old = values.get(name, attrgetter(name)(experiment))
-            return {name: change if isinstance(change, str) else type(old)(_rounded(change * old))}
+            return {name: change if isinstance(change, str) else type(old)(_two_digits(change * old))}
     return {}
 
 
-def _rounded(value: float) -> float:
+def _two_digits(value: float) -> float:
     return float(f"{value:.2g}")
 
 
