@@ -161,9 +161,9 @@ def test_each_verdict_has_its_number(experiment: Experiment, section: Section) -
     best = max(find_candidates(mixed, SMOOTHING), key=lambda one: one.coherence)
     strict = replace(experiment, pick=replace(experiment.pick, largest_error=1e-3))
     cases = (
-        (experiment, quiet, Verdict.SILENT, "above 0.1% of v0. Its largest motion is 0.0"),
+        (experiment, quiet, Verdict.SILENT, "of v0, with no peak above 0.1%"),
         (experiment, cut, Verdict.TOO_SHORT, f"the record ends at {1e3 * cut.duration:.3g} ms"),
-        (experiment, mixed, Verdict.NO_LINE, f"{best.coherence:.2f}; {max(best.rival, LEAST_COHERENCE):.2f} is needed"),
+        (experiment, mixed, Verdict.NO_LINE, f"{best.coherence:.3f}; {max(best.rival, LEAST_COHERENCE):.3f} is needed"),
         (strict, section, Verdict.UNCERTAIN, "0.1% is allowed"),
     )
     assert {verdict for _, _, verdict, *_ in cases} == set(Verdict)

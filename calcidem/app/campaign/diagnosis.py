@@ -1,8 +1,8 @@
 """Why cells have no velocity: the number that refused each, its section, and values that give one.
 
-The cell is computed again with all trial values: a plane wave, a wide and deep receiver, a long record. The
-fewest with which Vs still agrees with that, or with the static stiffness, are the remedies. A section that is not
-stored is computed again: the same seed and content give the same bits.
+The cell is computed again with all trial values: a plane wave, a wide and deep receiver, a long record. The fewest with
+which Vs agrees with that, or with the static stiffness, are the remedies. A section that is not stored is computed
+again: the same seed and content give the same bits.
 """
 
 import math
@@ -51,7 +51,7 @@ _OTHER_WAVE = 2.1  # ratio to the static speed beyond which Vs may be that of an
 _AS_GOOD = 0.2  # logarithm of the ratio of two numbers of wavelengths on the path with which sections are read as well
 _MOST_NAMED = 4  # values that are added because the reasons of trials name them
 
-_WHY = {
+_WHY = {  # what a value shows that gives a velocity; others are named by the reason
     "wave.slowest": "the record ended before the slowest wave that is expected",
     "wave.frequency": f"{WAVELENGTHS:g} wavelengths on the path: with fewer P and S wave are one, shorter waves fade",
     "wave.receiver_half_width": "few grains at the receiver swung by themselves",
@@ -61,9 +61,8 @@ _WHY = {
     "wave.damping": "the amplitude fell along the path; Vs rises with less damping",
     "pick.largest_error": "the velocity is known no better",
 }
-"""What a value shows that gives a velocity; others are named by the reason."""
 
-_NAMED = {
+_NAMED = {  # words of a reason, the key that they name, and its value or a factor on it
     "the record ends": ("wave.slowest", 0.5),
     "raise amplitude": ("wave.amplitude", 10.0),
     "stronger pulse": ("wave.amplitude", 10.0),
@@ -74,7 +73,6 @@ _NAMED = {
     "samples_per_period": ("wave.samples_per_period", 2.0),
     "pick.method": ("pick.method", "peak"),
 }
-"""Words of a reason, the key that they name, and its value or a factor on it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,18 +255,17 @@ def _judged_packing(experiment: Experiment) -> str:
 
 def _explain_refusal(experiment: Experiment, section: Section, reading: Reading, bound: float | None) -> str:
     """Return the number that refused a cell, in a sentence; ``bound`` is that of the numerical error."""
-    pick, candidates = experiment.pick, find_candidates(section, experiment.pick.smoothing)
+    pick, ms, candidates = experiment.pick, 1e3 * section.duration, find_candidates(section, experiment.pick.smoothing)
     if reading.verdict is Verdict.SILENT:
         largest = float(np.abs(section.across[:, -1]).max(initial=0)) * RESOLUTION
-        text = f"No peak of the receiver is above {SILENCE:.1%} of v0. Its largest motion is {largest:.2%} of v0"
-        return f"{text} until the record ends at {1e3 * section.duration:.3g} ms."
+        return f"In {ms:.3g} ms the receiver reaches {largest:.2%} of v0, with no peak above {SILENCE:.1%}."
     if reading.verdict is Verdict.TOO_SHORT:
         late = min(one.decided for one in candidates if one.decided > section.duration)
-        return f"A peak is decided at {1e3 * late:.3g} ms; the record ends at {1e3 * section.duration:.3g} ms."
+        return f"A peak is decided at {1e3 * late:.3g} ms; the record ends at {ms:.3g} ms."
     if reading.verdict is Verdict.NO_LINE:
         best = max(candidates, key=lambda candidate: candidate.coherence)
         text = f"The best of {len(candidates)} peaks, {section.distance / best.travel_time:.0f} m/s, has a coherence of"
-        return f"{text} {best.coherence:.2f}; {max(best.rival, LEAST_COHERENCE):.2f} is needed."
+        return f"{text} {best.coherence:.3f}; {max(best.rival, LEAST_COHERENCE):.3f} is needed."
     if reading.arrival is not None and reading.error is not None and reading.error > pick.largest_error:
         parts = reading_error_parts(reading.arrival, section.frequency)
         part = max(parts._fields, key=lambda field: getattr(parts, field)).replace("_", " ")
