@@ -73,11 +73,6 @@ _FORWARDED = {
 }
 
 
-def default_ranks() -> int:
-    """Number of ranks: one for each core of this process, or task of its Slurm job, and one that coordinates."""
-    return int(os.environ.get("SLURM_NTASKS") or available_cores()) + 1
-
-
 @dataclass(frozen=True, slots=True)
 class Launch:
     """A launch by `calcidem run --ranks`."""
@@ -85,7 +80,9 @@ class Launch:
     arguments: Sequence[str]
     """Of the command line of each rank."""
     ranks: int
-    """Number of ranks, of which the first coordinates."""
+    """Number of ranks, of which the first coordinates; 0 for one more than this process has cores, or its Slurm job has
+    tasks.
+    """
     restarts: int = 0
     """How often to start again when the run was cut off: when ranks, or a host, died and the others could not continue.
     A run that was stopped by a signal is not started again, nor is one whose database is locked or missing, or whose
@@ -95,6 +92,10 @@ class Launch:
     """Seconds in which all ranks must have found one another."""
     silence_timeout: float = 60.0
     """Seconds without a sign of life after which a rank's host is given up."""
+
+    def __post_init__(self) -> None:
+        if self.ranks == 0:
+            object.__setattr__(self, "ranks", int(os.environ.get("SLURM_NTASKS") or available_cores()) + 1)
 
     def run(self) -> int:
         """Run calcidem under an MPI launcher and return its exit code.

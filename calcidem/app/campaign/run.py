@@ -3,7 +3,7 @@
 import os
 import socket
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Self
 from calcidem.app.campaign.display import choose_display
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import Tell, provide_packing
-from calcidem.app.campaign.parts import planned_batches
+from calcidem.app.campaign.parts import batches_of, planned_batches
 from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.app.campaign.stored_packing import packing_record, readable_packing
-from calcidem.app.campaign.task import CellComputation, expected_effort, kernel_compilations
+from calcidem.app.campaign.task import CellComputation, kernel_compilations
 from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
 from calcidem.app.config.checks import check_against_packing, packing_warnings
 from calcidem.app.config.schema import Configuration
@@ -28,7 +28,7 @@ from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreE
 from calcidem.storage.records import CellKey, PackedResult, WorkerRecord
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
-from calcidem.sweep.batch import Batch, Cell, plan_batches
+from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.processes import keep_freed_memory
@@ -226,16 +226,14 @@ class CampaignRun:
         kinds = group_workers(workers)
         self.sink = StoreSink(self.store, pending, tell, kinds)
         self._losses = self.sink.losses
-        self.batches = self._batches((key.seed, key.content) for key in pending if (key.seed, key.content) in own)
+        self.batches = batches_of(
+            self.configuration,
+            ((key.seed, key.content) for key in pending if (key.seed, key.content) in own),
+            self._losses,
+        )
         self.store.begin_run(replace(describe_run(len(workers)), workers=kinds))
         if unlike := describe_unlike(kinds):
             tell(unlike)
-
-    def _batches(self, cells: Iterable[Cell]) -> tuple[Batch[Cell], ...]:
-        configuration = self.configuration
-        return plan_batches(
-            cells, configuration.run.lanes, lambda content: expected_effort(configuration, content), self._losses
-        )
 
     def more(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> tuple[Batch[Cell], ...]:
         """Further batches that the outcomes require; none unless the number of seeds is open."""
@@ -243,7 +241,7 @@ class CampaignRun:
             return ()
         cells = self.demand.take_in(outcomes)
         self.sink.plan(starmap(CellKey, cells))
-        return self._batches(cells)
+        return batches_of(self.configuration, cells, self._losses)
 
     def __enter__(self) -> Self:
         return self

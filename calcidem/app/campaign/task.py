@@ -26,7 +26,6 @@ from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import Reading
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
@@ -261,19 +260,6 @@ def _fewest_uncemented_contacts(
     while place != begin:
         place, contacts = int(before[place]), contacts + 1
     return contacts
-
-
-def expected_effort(configuration: Configuration, content: float) -> float:
-    """Rough effort of a batch of a content: steps to do; only ratios matter, and measured ones replace them.
-
-    Cement makes the stable step about ten times shorter. The velocity rises from 200 to 2100 m/s at 9 %, and a record
-    lasts for the pulse and one and a half travel times.
-    """
-    steps_per_second = 10.0 if content > 0.0 else 1.0
-    velocity = 200.0 + 210.0 * content
-    table, width = configuration.excitation.table, configuration.packing.width
-    period = width / (WAVELENGTHS * velocity) if table is None else 1.0 / table.at(content)
-    return steps_per_second * (period + 1.5 * width / velocity)
 
 
 class EnoughSeenError(Exception):

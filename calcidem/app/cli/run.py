@@ -92,7 +92,7 @@ def run_command(
         )
     with _live_page(configuration, overrides) if serve else nullcontext():
         if ranks is not None and ranks != 1:
-            from calcidem.app.campaign.launch import Launch, default_ranks
+            from calcidem.app.campaign.launch import Launch
 
             if retry:  # here, since the ranks may be started several times
                 _read_overridden(configuration, overrides, retry)
@@ -103,9 +103,7 @@ def run_command(
             arguments += ["--report"] if with_report else []
             arguments += ["--quiet"] if IS_QUIET.get() else []
             arguments += ["--verbose"] if IS_VERBOSE.get() else []
-            launch = Launch(
-                arguments, ranks or default_ranks(), 3 if restarts is None else restarts, start_timeout, silence_timeout
-            )
+            launch = Launch(arguments, ranks, 3 if restarts is None else restarts, start_timeout, silence_timeout)
             raise typer.Exit(launch.run())
         from calcidem.app.campaign.dask_cluster import dask_executor
         from calcidem.app.campaign.ranks import run_on_ranks

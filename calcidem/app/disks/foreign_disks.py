@@ -63,6 +63,29 @@ class ForeignDisks:
     skipped: tuple[int, ...] = ()
     """Lines below the first disk that are none."""
 
+    @staticmethod
+    def read(file: Path, columns: Sequence[str] = (), timestep: int | None = None) -> "ForeignDisks":
+        """Read the disks of a file, text or text compressed with gzip, whose format its content tells.
+
+        ``columns`` are names of the columns from the left, in place of those in the file; what is called otherwise than
+        x, y, z, radius, diameter, type or id is left alone. Of a LAMMPS dump the snapshot of a timestep is read, by
+        default the last one. `PackingFileError` names file, line and cure.
+        """
+        try:
+            content = file.read_bytes()
+            text = (gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content).decode("utf-8-sig")
+        except (OSError, EOFError, UnicodeDecodeError) as error:
+            raise PackingFileError(f"{file} can't be read as text ({error}); check its name") from error
+        lines = text.splitlines()
+        read = _recognise(lines, file)
+        try:
+            rows = read(file, lines, timestep)
+        except (ValueError, IndexError, csv.Error) as error:
+            raise PackingFileError(f"{file} is damaged after its beginning ({error}); was it cut off?") from error
+        if columns:
+            rows = replace(rows, names=columns, evidence=f"{rows.evidence}; columns as given")
+        return _disks_of(file, rows)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
@@ -75,29 +98,6 @@ class _Rows:
     box: Floats | None = None
     unit: str = ""
     skipped: list[int] = field(default_factory=list)
-
-
-def read_foreign_disks(file: Path, columns: Sequence[str] = (), timestep: int | None = None) -> ForeignDisks:
-    """Read the disks of a file, text or text compressed with gzip, whose format its content tells.
-
-    ``columns`` are names of the columns from the left, in place of those in the file; what is called otherwise than x,
-    y, z, radius, diameter, type or id is left alone. Of a LAMMPS dump the snapshot of a timestep is read, by default
-    the last one. `PackingFileError` names file, line and cure.
-    """
-    try:
-        content = file.read_bytes()
-        text = (gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content).decode("utf-8-sig")
-    except (OSError, EOFError, UnicodeDecodeError) as error:
-        raise PackingFileError(f"{file} can't be read as text ({error}); check its name") from error
-    lines = text.splitlines()
-    read = _recognise(lines, file)
-    try:
-        rows = read(file, lines, timestep)
-    except (ValueError, IndexError, csv.Error) as error:
-        raise PackingFileError(f"{file} is damaged after its beginning ({error}); was it cut off?") from error
-    if columns:
-        rows = replace(rows, names=columns, evidence=f"{rows.evidence}; columns as given")
-    return _disks_of(file, rows)
 
 
 def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int | None], _Rows]:

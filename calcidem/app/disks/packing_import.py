@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.disks.foreign_disks import ForeignDisks, read_foreign_disks
+from calcidem.app.disks.foreign_disks import ForeignDisks
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.sample.judgement import DEEP_OVERLAP, LARGEST_OVERLAP, deepest_overlap, judge_porosity
 from calcidem.dem.sample.packing import PackingFileError
@@ -128,7 +128,7 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
         raise PackingFileError(f"out = '{out}' does not end with .csv; disks are written as CSV")
     if out.exists() and out.samefile(source):
         raise PackingFileError(f"out = '{out}' is the file that is read; give another name")
-    found = read_foreign_disks(source, columns, timestep)
+    found = ForeignDisks.read(source, columns, timestep)
     factor, remarks = _metres(found, unit)
     axes = _axes(plane)
     place, radius = found.place[:, axes] * factor, found.radius * factor
