@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.config.changed import change_configuration
+from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing

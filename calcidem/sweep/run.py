@@ -86,7 +86,7 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     options = options or SweepOptions()
     comm = None if where is None or isinstance(where, Executor) or where.Get_size() == 1 else where
     if comm is not None and comm.Get_rank() != 0:
-        from calcidem.sweep.worker import run_worker  # noqa: PLC0415 - a serial run must not need an MPI library
+        from calcidem.sweep.mpi_workers import run_worker  # noqa: PLC0415 - a serial run must not need an MPI library
 
         return run_worker(comm, compute, options)
     if sink is None:

@@ -25,9 +25,8 @@ from calcidem.app.campaign.packing import new_packing
 from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.config.calibrated import calibration_note
-from calcidem.app.config.changed import change_configuration
 from calcidem.app.config.presets import PRESETS, preset_text
-from calcidem.app.config.reader import load_configuration
+from calcidem.app.config.reader import change_configuration, load_configuration
 from calcidem.app.config.reference import key_references
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import _velocity_remarks

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import calcidem
-from calcidem.app.config.changed import change_configuration
+from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Excitation, FrequencyTable
 
 

@@ -94,7 +94,7 @@ def run(
     ...     print(campaign.summary())
     """
     from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - as above
-    from calcidem.app.config.changed import change_configuration  # noqa: PLC0415 - the reader, which workers do not need
+    from calcidem.app.config.reader import change_configuration  # noqa: PLC0415 - the reader, which workers do not need
 
     values = dict(set or {})
     values |= {"run.database": os.fspath(db)} if db is not None else {}

@@ -36,8 +36,7 @@ def accuracy_command(
     layout: FormatOption = Format.TABLE,
 ) -> None:
     """Measure error against run time of every numerical setting, on cells of the campaign."""
-    from calcidem.app.config.changed import change_configuration
-    from calcidem.app.config.reader import load_configuration
+    from calcidem.app.config.reader import change_configuration, load_configuration
     from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target, plan_task
     from calcidem.app.studies.accuracy.questions import findings_json
     from calcidem.app.studies.accuracy.report import accuracy_tables, name_of

@@ -37,9 +37,8 @@ def explain_command(
     from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.cli.tables import make_console
     from calcidem.app.config.calibrated import calibration_note
-    from calcidem.app.config.changed import change_configuration
     from calcidem.app.config.checks import check_against_packing
-    from calcidem.app.config.reader import load_configuration
+    from calcidem.app.config.reader import change_configuration, load_configuration
     from calcidem.app.studies.accuracy.questions import measured_errors
     from calcidem.app.studies.explain import explain
 
