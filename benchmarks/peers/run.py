@@ -1,6 +1,7 @@
 """Contact-steps per CPU second of calcidem, LAMMPS and YADE on one packing, one core, in turns.
 
     python benchmarks/peers/run.py [--rounds N] [--core C] [--seconds S] [--lammps FOLDER]
+        [--jaxdem PYTHON]
 
 Start-up, set-up and compilation are not counted. A contact is a pair of disks that overlap, whatever a program has in
 its lists; a contact-step is one contact of one sample advanced by one step. benchmarks/verification shows that the
@@ -68,6 +69,9 @@ def all_cases(programs: Programs) -> list[Case]:
     if programs.yade:
         cases.append(Case("hertz YADE", "yade", "hertz"))
         cases.append(Case("bonded YADE", "yade", "bonded"))
+    if programs.jaxdem:
+        cases.append(Case("linear springs JaxDEM", "jaxdem", "hertz", ("1",)))
+        cases.append(Case("linear springs JaxDEM, batch of 8", "jaxdem", "hertz", ("8",), 8))
     return cases
 
 
@@ -125,13 +129,14 @@ def parse_arguments() -> argparse.Namespace:
         "--core", type=int, default=max(os.sched_getaffinity(0)), help="core to bind to (default: the last)"
     )
     parser.add_argument("--lammps", type=Path, help="folder with the module of a LAMMPS built for this processor")
+    parser.add_argument("--jaxdem", type=Path, help="interpreter that can import JaxDEM (pip install ./JaxDEM)")
     return parser.parse_args()
 
 
 def main() -> None:
     """Run the comparison."""
     options = parse_arguments()
-    programs = find_programs(options.core, options.lammps)
+    programs = find_programs(options.core, options.lammps, options.jaxdem)
     for name in programs.missing:
         print(HOW_TO[name] + "\nGoing on without it.\n")
     cases = all_cases(programs)
