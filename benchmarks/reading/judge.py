@@ -1,9 +1,10 @@
 """How often a reading of sections with a known delay is wrong, how often it refuses, and what its standard errors are worth.
 
-    python benchmarks/reading/judge.py [--seeds 6001 6060]
+    python benchmarks/reading/judge.py [--drawn 65] [--lattices 1001 1150]
 
-The sections are those of lattice_sections.py. *Wrong* is a velocity off by more than 10 % and by more than twice its
-standard error, of all sections. *Refused* is no velocity, of those that are readable (`Section.readable`).
+Draws sections of a seed (sections.py), or computes those of some seeds (lattice_sections.py). *Wrong* is a velocity off
+by more than 10 % and by more than twice its standard error, of all sections; *refused* is no velocity, of those that are
+readable (`Section.readable`). A reading that states no standard error is wrong beyond 10 %.
 """
 
 import argparse
@@ -14,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from lattice_sections import sections_of_seed
 from section import Section
+from sections import drawn_sections
 
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.wave import reading, section
@@ -191,15 +193,22 @@ def print_errors(judgement: Judgement) -> None:
 def main() -> None:
     """Judge the reading as it is."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(6001, 6060), metavar=("FIRST", "LAST"))
-    first, last = parser.parse_args().seeds
-    sections = [section for seed in range(first, last + 1) for section in sections_of_seed(seed)]
-    print(f"{len(sections)} sections")
-    for title, read in (("receiver", read_section), ("path", read_crest)):
-        judgement = judge(sections, read)
-        print(f"\n{title}")
-        print_counts(judgement, tuple(dict.fromkeys(one.kind for one in sections)))
-        print_errors(judgement)
+    parser.add_argument("--drawn", type=int, nargs="*", default=[], metavar="SEED")
+    parser.add_argument("--lattices", type=int, nargs=2, metavar=("FIRST", "LAST"))
+    chosen = parser.parse_args()
+    sets: dict[str, list[Section]] = {}
+    if chosen.drawn:
+        sets["drawn"] = drawn_sections(chosen.drawn)
+    if chosen.lattices:
+        first, last = chosen.lattices
+        sets["lattices"] = [one for seed in range(first, last + 1) for one in sections_of_seed(seed)]
+    for name, sections in sets.items():
+        print(f"\n{name}: {len(sections)} sections")
+        for title, read in (("receiver", read_section), ("path", read_crest)):
+            judgement = judge(sections, read)
+            print(f"\n{title}")
+            print_counts(judgement, tuple(dict.fromkeys(one.kind for one in sections)))
+            print_errors(judgement)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,14 @@
-"""Where time goes before the kernel runs: libraries, compilation and the first command.
+"""Where time goes beside the kernel: libraries, compilation, the first command, and the phases of a campaign.
 
-    python benchmarks/start/run.py [--ranks R] [--config examples/paper-small-pulse.toml] [--json FILE]
+    python benchmarks/start/run.py [--ranks R] [--seeds N] [--config examples/paper-small-pulse.toml] [--json FILE]
 
-Seconds of the processor (user and system) of whole processes, and of the clock where people wait.
+Seconds of the processor (user and system) of whole processes or of the main thread, and of the clock where people
+wait. `--seeds` gives the seeds of the campaign whose phases are told apart; 0 leaves it out.
 """
 
 import argparse
 import contextlib
+import importlib
 import json
 import os
 import resource
@@ -14,8 +16,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -50,6 +54,48 @@ for number, action in enumerate(kernel_compilations(configuration, packing)):
     clock(f"wave: {('largest', 'smallest')[number]} content", action)
 print(json.dumps(found))
 """
+
+PHASES = {
+    "kernel": ("calcidem.dem.engine.leapfrog.advance_steps",),
+    "scenes: neighbours, forces, step": ("calcidem.dem.wave.propagation.prepare_recorder",),
+    "drawing cement": ("calcidem.dem.wave.experiment.draw_cement",),
+    "looks at the records": ("calcidem.dem.wave.measurement.is_settled",),
+    "guards": tuple(f"calcidem.dem.wave.recorder.{name}" for name in ("problems_of", "nonlinearity", "slipped_force")),
+    "readings and their errors": ("calcidem.dem.wave.measurement.interpret_record",),
+    "other work of a batch": ("calcidem.app.campaign.task.measure",),
+    "path and graph": ("calcidem.app.campaign.task._describe_graph",),
+    "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.storage.records.cell.pack_arrays"),
+    "other work of the sweep": ("calcidem.app.campaign.run.run_sweep",),
+    "NetCDF": ("calcidem.storage.netcdf.export.export_netcdf",),
+}
+
+
+class Phases:
+    """Processor seconds of the main thread in each phase, without those of phases within it."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._inner = [0.0]
+        for phase, places in PHASES.items():
+            for place in places:
+                owner, _, name = place.rpartition(".")
+                module = importlib.import_module(owner)
+                setattr(module, name, self._timed(phase, getattr(module, name)))
+
+    def _timed(self, phase: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, with its time counted."""
+
+        def call(*arguments: Any, **named: Any) -> Any:  # noqa: ANN401 - any function
+            began = time.thread_time()
+            self._inner.append(0.0)
+            try:
+                return function(*arguments, **named)
+            finally:
+                spent = time.thread_time() - began
+                self.seconds[phase] += spent - self._inner.pop()
+                self._inner[-1] += spent
+
+        return call
 
 
 def children_seconds() -> float:
@@ -86,6 +132,21 @@ def run_command(configuration: Path, ranks: int, folder: Path, cache: Path) -> d
     return found | {"whole command": time.monotonic() - began, "processor": children_seconds() - used}
 
 
+def campaign_phases(configuration: Path, seeds: int) -> dict[str, float]:
+    """Processor seconds of the phases of a campaign in this process, kernels taken from the cache."""
+    phases = Phases()
+    run = importlib.import_module("calcidem.app.campaign.run")
+    export = importlib.import_module("calcidem.storage.netcdf.export")
+    open_store = importlib.import_module("calcidem.storage.sql.store").open_store
+    with scratch() as folder:
+        values = {"campaign.seeds": seeds, "run.database": str(folder / "c.db"), "run.output": str(folder)}
+        run.run(configuration, set=values, progress=False).close()
+        with open_store(folder / "c.db", read_only=True) as store:
+            store.use_campaign()
+            export.export_netcdf(store, folder / "c.nc")
+    return dict(phases.seconds)
+
+
 @contextlib.contextmanager
 def scratch() -> Iterator[Path]:
     """A folder for a moment."""
@@ -105,6 +166,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--config", type=Path, default=ROOT / "examples" / "paper-small-pulse.toml")
     parser.add_argument("--ranks", type=int, default=2)
+    parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     found: dict[str, dict[str, float]] = {}
@@ -123,6 +185,10 @@ def main() -> None:
                 (folder / "c.db").unlink(missing_ok=True)
                 found[title] = run_command(folder / "quick.toml", options.ranks, folder, cache)
                 show(f"{title.capitalize()}, quick.toml on {options.ranks} ranks", found[title])
+    if options.seeds:
+        campaign_phases(options.config, 1)  # compiles, if need be
+        found["campaign"] = campaign_phases(options.config, options.seeds)
+        show(f"Campaign of {options.seeds} seeds, one process, processor", found["campaign"])
     if options.json:
         options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
 
