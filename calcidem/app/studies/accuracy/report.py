@@ -15,8 +15,6 @@ from calcidem.app.studies.tables import markdown_table, number
 
 _TARGETS = (0.005, 0.002, 0.001)
 _MANY_CELLS = 40  # most cells in a table; more are only in the JSON
-_SMALLEST = 1e-6  # smaller errors, including zero, are drawn here
-_STAIRS = 4  # levels of staggered labels
 
 
 def accuracy_tables(findings: Findings, targets: Sequence[float] = _TARGETS) -> dict[str, str]:
@@ -223,7 +221,8 @@ def draw_error_against_run_time(study: Study) -> "Figure":
     front = pareto(rows)
 
     def drawable(error: float) -> float:
-        return max(error, _SMALLEST)
+        # 1e-6: smaller errors, including zero, are drawn here.
+        return max(error, 1e-6)
 
     axes.plot([row.seconds for row in front], [drawable(row.median) for row in front], color=BLUE, label="Pareto front")
     for row in rows:
@@ -234,10 +233,11 @@ def draw_error_against_run_time(study: Study) -> "Figure":
     named = sorted({*front, *(row for row in rows if row.setting == DEFAULT)}, key=lambda row: row.seconds)
     for place, row in enumerate(named):
         # Labels are below the marks and their bars, and staggered, since settings of equal cost are close together.
+        # 4: levels of staggered labels.
         axes.annotate(
             row.setting,
             (row.seconds, drawable(row.median)),
-            xytext=(-10, -10 - 9 * (place % _STAIRS)),
+            xytext=(-10, -10 - 9 * (place % 4)),
             textcoords="offset points",
             fontsize=6.5,
             color=BLACK,
