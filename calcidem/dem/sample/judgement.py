@@ -71,7 +71,7 @@ def judge_stress(stress: float, diameter: float, sand: Sand) -> _Fault | None:
     expected = expected_overlap(stress, diameter, sand)
     if expected <= _MOST_EXPECTED:
         return None
-    # The largest overlap was 1.9 to 3.9 times the expected one in 19 packings of 390 disks, from 1e-3 to 0.3 of a radius.
+    # The largest overlap was 1.9 to 3.9 times the expected mean in 19 packings of 390 disks.
     cure = _softer(3.0 * expected, stress, sand)
     text = (
         f"stress = {stress:g}: presses disks of {diameter:.3g} m by {expected:.0%} of a radius into one another on "
