@@ -42,7 +42,7 @@ from calcidem.dem.wave.reading import (
     read_section,
     velocity_spectrum,
 )
-from calcidem.dem.wave.section import Section
+from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.storage.records import CampaignRecord, CellStatus
 from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import open_store
@@ -119,6 +119,8 @@ def test_every_unread_cell_has_its_number_a_remedy_and_a_picture(
     assert 'wave.frequency = "auto"' in said
     assert (tmp_path / f"seed1_content{CONTENT:g}_diagnosis.png").stat().st_size > 10_000
     assert unread.read_bytes() == before
+    fast = replace(cell, vs=1e4).draw()
+    assert fast.axes[1].get_xlim()[1] > 1e4  # the spectrum reaches beyond the remedy
 
 
 def test_a_record_that_is_too_short_becomes_long_enough(
@@ -153,7 +155,8 @@ def test_each_verdict_has_its_number(experiment: Experiment, section: Section) -
     quiet.across[:, -1] //= 1000
     arrival = read_section(section).arrival
     assert arrival is not None
-    cut = section.until(len(arrival.clean) // 2 + 20)
+    cut, rising = section.until(len(arrival.clean) // 2 + 20), section.until(arrival.index - 5)
+    reached = np.abs(rising.across[:, -1]).max() * RESOLUTION
     order = [*reversed(range(len(section.places) - 1)), -1]
     mixed = replace(section, across=np.roll(section.across, 40, axis=0)[:, order])
     mixed.across[:, -1] = section.across[:, -1]
@@ -161,6 +164,7 @@ def test_each_verdict_has_its_number(experiment: Experiment, section: Section) -
     strict = replace(experiment, pick=replace(experiment.pick, largest_error=1e-3))
     cases = (
         (experiment, quiet, Verdict.SILENT, "of v0, with no peak above 0.1%"),
+        (experiment, rising, Verdict.SILENT, f"reaches {reached:.2%} of v0"),
         (experiment, cut, Verdict.TOO_SHORT, f"the record ends at {1e3 * cut.duration:.3g} ms"),
         (experiment, mixed, Verdict.NO_LINE, f"{best.coherence:.3f}; {max(best.rival, LEAST_COHERENCE):.3f} is needed"),
         (strict, section, Verdict.UNCERTAIN, "0.1% is allowed"),
