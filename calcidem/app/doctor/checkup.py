@@ -24,7 +24,7 @@ from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import measure_commits
 from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem
-from calcidem.storage.sql.lease import FileLock
+from calcidem.storage.sql.lease import Lease
 from calcidem.sweep.environment import (
     LAUNCHER_VARIABLES,
     NO_DEVICE_SEARCH,
@@ -247,7 +247,7 @@ def _folder_findings(folder: Path) -> Iterator[Finding]:
     try:
         with tempfile.TemporaryDirectory(prefix=".calcidem-doctor-", dir=where) as trial:
             journal, rate = measure_commits(Path(trial) / "trial.db", _COMMITS)
-            lock = FileLock(Path(trial) / "trial.db")
+            lock = Lease(Path(trial) / "trial.db")
             locks = lock.acquire() and lock.held
             lock.release()
     except (OSError, StoreError) as error:

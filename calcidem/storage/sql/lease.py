@@ -29,23 +29,28 @@ else:
     HAS_LOCKS = True
 
 
-class FileLock:
-    """An exclusive lock on ``<database>.lock``; the kernel drops it when the process ends, however it ends.
+class Lease:
+    """The right of one process to write a campaign: its row in the database, and a lock on ``<database>.lock``.
+
+    The kernel drops the lock when the process ends, however it ends.
 
     Attributes
     ----------
     path : Path or None
         The lock file; a database without a file has none, and its row alone decides.
+    token : str or None
+        Mark of this process in its row, once that is stored.
     """
 
     def __init__(self, database: Path | None) -> None:
-        """Take no lock yet; `database` is the SQLite file."""
+        """Take neither yet; `database` is the SQLite file."""
         self.path = None if database is None else Path(f"{database}.lock")
+        self.token: str | None = None
         self._descriptor: int | None = None
 
     @property
     def held(self) -> bool:
-        """Whether this object has the lock."""
+        """Whether this process has the lock."""
         return self._descriptor is not None
 
     def acquire(self) -> bool:
@@ -91,20 +96,6 @@ class FileLock:
             self.path.unlink(missing_ok=True)
             os.close(self._descriptor)
             self._descriptor = None
-
-
-class Lease(FileLock):
-    """The right of one process to write a campaign: its row in the database, and the lock beside.
-
-    Attributes
-    ----------
-    token : str or None
-        Mark of this process in its row, once that is stored.
-    """
-
-    def __init__(self, database: Path | None) -> None:
-        super().__init__(database)
-        self.token: str | None = None
 
     def acknowledged(self) -> tuple[str, datetime] | None:
         """Token and heartbeat of the last transaction that was acknowledged to a master that did not end in order.

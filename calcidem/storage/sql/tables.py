@@ -5,6 +5,7 @@ same id, with its arrays in `ARRAYS`. The absence of a result is what "pending" 
 A row without the checksum that fits it is damaged (`calcidem.storage.sql.checksums`).
 """
 
+from collections.abc import Iterable
 from dataclasses import fields
 from datetime import UTC, datetime
 from types import NoneType, UnionType
@@ -92,18 +93,17 @@ def _columns_of(record: type, *left_out: str) -> list[sa.Column[Any]]:
     return columns
 
 
-def _condition_of(quantity: Quantity) -> str:
-    """Condition of its bound on a column that is not NULL, in SQL; empty without a bound."""
-    least = {Bound.POSITIVE: "> 0", Bound.NOT_NEGATIVE: ">= 0", Bound.NONE: f"> -{_LARGEST}"}[quantity.bound]
-    if quantity.kind == "text" or (quantity.kind == "whole" and quantity.bound is Bound.NONE):
-        return ""
-    return f"{quantity.name} {least} AND {quantity.name} < {_LARGEST}"
-
-
-def _check_of(quantity: Quantity) -> sa.CheckConstraint:
-    """Constraint that holds its bound."""
-    bound = quantity.bound.name.lower() if quantity.bound is not Bound.NONE else "finite"
-    return sa.CheckConstraint(_condition_of(quantity), name=f"{quantity.name}_{bound}")
+def _checks_of(quantities: Iterable[Quantity]) -> list[sa.CheckConstraint]:
+    """Constraints that hold the bounds of columns that are not NULL, of those that have one."""
+    least = {Bound.POSITIVE: "> 0", Bound.NOT_NEGATIVE: ">= 0", Bound.NONE: f"> -{_LARGEST}"}
+    return [
+        sa.CheckConstraint(
+            f"{quantity.name} {least[quantity.bound]} AND {quantity.name} < {_LARGEST}",
+            name=f"{quantity.name}_{'finite' if quantity.bound is Bound.NONE else quantity.bound.name.lower()}",
+        )
+        for quantity in quantities
+        if quantity.kind != "text" and (quantity.kind == "real" or quantity.bound is not Bound.NONE)
+    ]
 
 
 def _check_one_of(column: str, values: tuple[str, ...]) -> sa.CheckConstraint:
@@ -157,7 +157,7 @@ PACKING = sa.Table(
     sa.Column("checksum", sa.BigInteger),
     sa.UniqueConstraint("campaign_id", "number"),
     sa.CheckConstraint("number >= 0", name="number_not_negative"),
-    *(_check_of(quantity) for quantity in PackingRecord.quantities() if _condition_of(quantity)),
+    *_checks_of(PackingRecord.quantities()),
 )
 """A packing with its report (`PackingRecord`); `grains` has x, y and radius."""
 
@@ -215,7 +215,7 @@ RESULT = sa.Table(
     ),
     sa.CheckConstraint("path_hertz_contacts + path_bonded_contacts = path_contacts", name="path_adds_up"),
     sa.CheckConstraint("graph_bonded_contacts <= graph_contacts", name="graph_bonded_are_contacts"),
-    *(_check_of(quantity) for quantity in _STORED_QUANTITIES if _condition_of(quantity)),
+    *_checks_of(_STORED_QUANTITIES),
     sa.Index(None, "status", "vs"),
 )
 """The outcomes of cells (`CellResult`), and names and checksums of the arrays beside each.
@@ -287,10 +287,8 @@ def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bo
     if not read_only:
         for quantity in missing:
             column = CreateColumn(RESULT.c[quantity.name]).compile(dialect=connection.dialect)
-            check = f" CONSTRAINT ck_result_{_check_of(quantity).name} CHECK ({_condition_of(quantity)})"
-            connection.execute(
-                sa.text(f"ALTER TABLE result ADD COLUMN {column}{check if _condition_of(quantity) else ''}")
-            )
+            checks = [f" CONSTRAINT ck_result_{check.name} CHECK ({check.sqltext})" for check in _checks_of([quantity])]
+            connection.execute(sa.text(f"ALTER TABLE result ADD COLUMN {column}{''.join(checks)}"))
         connection.execute(sa.text("DROP VIEW cells"))
         _create_view(connection)
         return None
