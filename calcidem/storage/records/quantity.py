@@ -145,7 +145,8 @@ class Record:  # noqa: PLW1641 - records that are keys have the hash that `datac
         of another shape or of values that their type can't hold.
         """
         owner: Any = type(self)
-        for name in _field_names(owner):
+        names, bounds, arrays = _checked(owner)
+        for name in names:
             value = getattr(self, name)
             if isinstance(value, np.generic):
                 value = value.item()
@@ -154,13 +155,12 @@ class Record:  # noqa: PLW1641 - records that are keys have the hash that `datac
                 raise ValueError(
                     f"{owner.__name__}.{name} is {value}; a missing number is None, never NaN or infinity."
                 )
-        for quantity in _quantities_of(owner):
-            if quantity.bound is not Bound.NONE:
-                value = getattr(self, quantity.name)
-                if value is not None and (value < 0 or (value == 0 and quantity.bound is Bound.POSITIVE)):
-                    raise ValueError(f"{owner.__name__}.{quantity.name} is {value}; {quantity.bound}.")
+        for name, bound in bounds:
+            value = getattr(self, name)
+            if value is not None and (value < 0 or (value == 0 and bound is Bound.POSITIVE)):
+                raise ValueError(f"{owner.__name__}.{name} is {value}; {bound}.")
         lengths: dict[str, int] = {}
-        for name, element, along in _array_types(owner):
+        for name, element, along in arrays:
             array = _freeze(f"{owner.__name__}.{name}", getattr(self, name), element, along, lengths)
             object.__setattr__(self, name, array)
 
@@ -168,7 +168,7 @@ class Record:  # noqa: PLW1641 - records that are keys have the hash that `datac
         if type(self) is not type(other):
             return NotImplemented
         owner: Any = type(self)
-        return all(_same(getattr(self, name), getattr(other, name)) for name in _field_names(owner))
+        return all(_same(getattr(self, name), getattr(other, name)) for name in _checked(owner)[0])
 
 
 def _same(first: object, second: object) -> bool:
@@ -195,11 +195,6 @@ def _freeze(field: str, values: object, element: type[Any], along: Along, length
     return array
 
 
-@cache  # a million records use it
-def _field_names(record: type[Any]) -> tuple[str, ...]:
-    return tuple(field.name for field in fields(record))
-
-
 @cache
 def _quantities_of(record: type) -> tuple[Quantity, ...]:
     return tuple(
@@ -209,14 +204,20 @@ def _quantities_of(record: type) -> tuple[Quantity, ...]:
     )
 
 
-@cache
-def _array_types(record: type) -> tuple[tuple[str, type[Any], Along], ...]:
-    """Name, type of the elements and note of each array; bytes are none."""
-    found = [(name, get_args(hint)[0], note) for name, hint, note in _annotated_fields(record)]
-    return tuple(
-        (name, get_args(get_args(kind)[1])[0], note)
-        for name, kind, note in found
-        if isinstance(note, Along) and get_origin(kind) is np.ndarray
+@cache  # a million records use it
+def _checked(
+    record: type,
+) -> tuple[tuple[str, ...], tuple[tuple[str, Bound], ...], tuple[tuple[str, type[Any], Along], ...]]:
+    """Names of all fields; bounds of those that have one; element type and note of each array, which bytes are not."""
+    arrays = [(name, get_args(hint)[0], note) for name, hint, note in _annotated_fields(record)]
+    return (
+        tuple(field.name for field in fields(record)),
+        tuple((q.name, q.bound) for q in _quantities_of(record) if q.bound is not Bound.NONE),
+        tuple(
+            (name, get_args(get_args(kind)[1])[0], note)
+            for name, kind, note in arrays
+            if isinstance(note, Along) and get_origin(kind) is np.ndarray
+        ),
     )
 
 
