@@ -131,6 +131,21 @@ def over_ranks() -> list[dict[str, Any]]:
     return rows
 
 
+def print_growth(results: dict[str, Any]) -> None:
+    """Print exponents of growth: slopes of least squares between the logarithms of size and time."""
+    kinds = [(f"a step over disks, {regime}", regime, "grains", "seconds") for regime in ("linear", "finite")]
+    kinds += [(f"a sample over lanes, {regime}", regime, "lanes", "ns") for regime in ("linear", "finite")]
+    kinds += [
+        ("a sample over contents", None, "contents", "seconds"),
+        ("a campaign over workers", None, "ranks", "seconds"),
+    ]
+    sizes = {"contents": "content", "ranks": "workers"}
+    for title, regime, table, spent in kinds:
+        rows = [row for row in results[table] if row.get("regime") == regime and row.get("precision") != "float32"]
+        size, time_spent = ([row[name] for row in rows] for name in (sizes.get(table, table), spent))
+        print(f"{title}: exponent {np.polyfit(np.log(size), np.log(time_spent), 1)[0]:.2f}")
+
+
 def draw(results: dict[str, Any], file: Path) -> None:
     """Four panels: disks, lanes, contents, ranks."""
     figure, ((grains, lanes), (contents, ranks)) = plt.subplots(2, 2, figsize=(9.0, 6.5), layout="constrained")
@@ -173,6 +188,7 @@ def main() -> None:
     parser.add_argument("--figure", type=Path)
     options = parser.parse_args()
     results = {"grains": over_grains(), "lanes": over_lanes(), "contents": over_contents(), "ranks": over_ranks()}
+    print_growth(results)
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n")
     if options.figure:

@@ -4,7 +4,7 @@ import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
-_MODULES = ("impacts", "friction", "chains", "lattices", "modes", "bonded", "invariances", "twin", "calcite")
+_MODULES = ("impacts", "friction", "chains", "lattices", "modes", "bonded", "invariances", "twin", "cement")
 _CROSS_CODE = "crosscode"
 CHECKS: "list[Check]" = []
 
