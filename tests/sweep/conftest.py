@@ -169,7 +169,8 @@ class Campaign(MarkedProcesses):
             | {
                 COMMAND_VARIABLE: watch.address,
                 "CAMPAIGN_MARK": str(self.folder),  # marks all processes of this campaign, see `processes`
-                "PYTHONPATH": str(CHECKOUT),
+                # First what the caller has put there: a copy of the package with an error (benchmarks/mutation).
+                "PYTHONPATH": os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), str(CHECKOUT)])),
             },
         )
         return Launch(start(), watch, start)
