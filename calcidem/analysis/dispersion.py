@@ -10,8 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+_VELOCITIES = 400  # size of the grid, evenly spaced in the logarithm
 FEWEST_SECTIONS = 3
 """Fewest samples for a jackknife."""
+
+_RESOLVED = 1e-3  # relative resolution of a velocity by a parabola over that grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,15 +93,13 @@ def dispersion(
     if not 0.0 < velocities[0] < velocities[1]:
         raise ValueError(f"velocities = {velocities}: give a slowest and a fastest positive velocity, m/s")
     wanted = frequency * np.asarray(shares, dtype=float)
-    # 400: size of the grid, evenly spaced in the logarithm.
-    velocity = np.geomspace(*velocities, 400)
+    velocity = np.geomspace(*velocities, _VELOCITIES)
     waves: dict[bytes, NDArray[np.complex128]] = {}  # sections of one content share most times and places
     powers = np.array([_power(section, wanted, velocity, waves) for section in sections])
     total, count = powers.sum(axis=0), len(sections)
     found, left_out = _ridge(total, velocity), np.array([_ridge(total - power, velocity) for power in powers])
     error = _jackknife(left_out)
-    # 1e-3: relative resolution of a velocity by a parabola over that grid.
-    known = np.maximum(error, 1e-3 * found)  # at least the resolution of the grid
+    known = np.maximum(error, _RESOLVED * found)  # at least the resolution of the grid
     limits = np.array([_long_wave(wanted, ridge, known) for ridge in left_out])
     return Dispersion(
         frequency=wanted,

@@ -36,6 +36,9 @@ class Interval:
         return self.low <= value <= self.high
 
 
+_LAST_STEP = 1e-14
+"""Relative step at which Newton's method ends, at the level of rounding."""
+
 _FEWEST_FOR_KURTOSIS = 8
 """Fewest values for an interval corrected by kurtosis; below, the kurtosis is too uncertain."""
 
@@ -130,8 +133,7 @@ def _student_quantile(freedom: int, probability: float) -> float:
     ratios = 2 * k / (2 * k + 1) if odd else (2 * k - 1) / (2 * k)
     scale = math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2) - math.log(freedom * math.pi) / 2
     step = math.inf
-    # 1e-14: relative step at which Newton's method ends, at the level of rounding.
-    while step > 1e-14 * quantile:
+    while step > _LAST_STEP * quantile:
         angle = math.atan(quantile / math.sqrt(freedom))
         sine, cosine = math.sin(angle), math.cos(angle)
         series = 1.0 + float(np.sum(np.cumprod(ratios * cosine**2)))

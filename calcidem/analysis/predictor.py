@@ -17,6 +17,8 @@ from calcidem.analysis.intervals import Interval
 FEWEST_ROWS = 3
 """Samples that a predictor needs in addition to one for each feature."""
 
+_CONSTANT = 1e-12
+"""Relative variation below which a feature is constant."""
 
 Matrix = NDArray[np.float64]
 
@@ -78,8 +80,7 @@ def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> Ve
         raise ValueError(f"features {x.shape} and vs {y.shape}: give one row for each velocity, and {fewest}")
     centred = x - x.mean(axis=0)
     scale = np.linalg.norm(centred, axis=0)
-    # 1e-12: relative variation below which a feature is constant.
-    varied = scale > 1e-12 * np.linalg.norm(x, axis=0)
+    varied = scale > _CONSTANT * np.linalg.norm(x, axis=0)
     standard = centred[:, varied] / scale[varied]
     # Pseudo-inverse, since features may be linearly dependent: some of a path are sums of others.
     inverse = np.linalg.pinv(standard, rcond=1e-9)

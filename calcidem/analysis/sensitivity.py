@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.intervals import BOOTSTRAP_SEED, UNDEFINED, Interval
 from calcidem.storage.errors import StoreError
 
+_RESAMPLES = 1000
+
 _FEWEST_BASES = 4
 """Fewest base points for meaningful indices."""
 
@@ -47,7 +49,7 @@ def sobol_indices(ranges: Mapping[str, tuple[float, float]], output: ArrayLike, 
     names = {"first": "S1", "first_half_width": "S1_conf", "total": "ST", "total_half_width": "ST_conf"}
     found = dict.fromkeys(names.values(), np.full(len(ranges), math.nan))
     if len(whole) and np.ptp(whole) > 1e-12 * np.abs(whole).max():
-        options: dict[str, Any] = {"calc_second_order": False, "num_resamples": 1000, "conf_level": level}
+        options: dict[str, Any] = {"calc_second_order": False, "num_resamples": _RESAMPLES, "conf_level": level}
         found = _salib("analyze").analyze(_problem(ranges), whole.ravel(), **options, seed=BOOTSTRAP_SEED)
     variables = {name: ("parameter", np.asarray(found[key], dtype=np.float64)) for name, key in names.items()}
     return xr.Dataset(variables | {"bases": len(whole)}, coords={"parameter": list(ranges)})
@@ -83,6 +85,7 @@ def _salib(part: str) -> Any:  # noqa: ANN401 - a module of an optional library,
         ) from error
 
 
+_REPLICATES = 4000
 _FEWEST_PAIRS = 4
 """Fewest common seeds for a meaningful ratio of standard deviations."""
 
@@ -138,7 +141,7 @@ def _paired_ratios(pair: np.ndarray, level: float) -> tuple[float, float, Interv
     count = pair.shape[1]
     if count < _FEWEST_PAIRS:
         return math.nan, math.nan, UNDEFINED
-    drawn = pair[:, np.random.default_rng(BOOTSTRAP_SEED).integers(0, count, (4000, count))]
+    drawn = pair[:, np.random.default_rng(BOOTSTRAP_SEED).integers(0, count, (_REPLICATES, count))]
     # A reference without scatter (no cement, one packing) has no deviation ratio.
     with np.errstate(divide="ignore", invalid="ignore"):
         deviations = drawn[0].std(axis=1) / drawn[1].std(axis=1)

@@ -110,6 +110,8 @@ def _shorter_at_corner(middle: _PathLine, left: _PathLine, right: _PathLine) -> 
 _SMALLEST_SAMPLE = 3
 """Fewest samples: two always lie on a line, so their correlation has no meaning."""
 
+_CORRELATION_TIE = 1e-6
+"""Difference below which correlations are equal."""
 
 _WEIGHT_RATIOS = np.linspace(0.01, 0.99, 99)
 """Ratios of the scan, without 1, where cement makes no difference and C_d,n is undefined."""
@@ -208,8 +210,7 @@ def _first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
     would decide, while C_d,n grows without limit.
     """
     best = np.nanmin(correlation, axis=1, keepdims=True)
-    # 1e-6: difference below which correlations are equal.
-    return np.asarray(np.argmax(correlation <= best + 1e-6, axis=1))
+    return np.asarray(np.argmax(correlation <= best + _CORRELATION_TIE, axis=1))
 
 
 def _sums_by_seed(

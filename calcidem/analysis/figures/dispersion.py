@@ -10,6 +10,8 @@ from calcidem.analysis.dispersion import ContentDispersion
 from calcidem.analysis.figures.style import BLACK, GREEN, KHZ, VERMILION, apply_style, letter_panels, new_figure
 
 _PANELS_ABREAST = 2
+_NARROW = 0.45, 2.2
+"""Velocities that are shown, over the median Vs, if all that was found lies between."""
 
 
 @apply_style
@@ -62,8 +64,7 @@ def _draw_content(axes: Axes, shown: ContentDispersion) -> None:
     if np.isfinite(shown.static):
         axes.axhline(shown.static, color=GREEN, linewidth=0.9, linestyle="--", label="static speed (median)")
     reached = [*found.phase_velocity, found.long_wave, shown.vs]
-    # 0.45, 2.2: velocities that are shown, over the median Vs, if all that was found lies between.
-    low, high = (factor * shown.vs for factor in (0.45, 2.2))
+    low, high = (factor * shown.vs for factor in _NARROW)
     axes.set_ylim(min(low, 0.9 * min(reached)), max(high, 1.1 * max(reached)))
     axes.set_xlim(0.0, found.frequency[-1] * KHZ)
     axes.set_title(f"{shown.content:g} % ({found.samples} samples)")

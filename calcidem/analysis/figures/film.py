@@ -32,6 +32,14 @@ from calcidem.storage.records import PackingRecord
 _FILM_WIDTH = 4.6
 _SIGNALS_HEIGHT = 2.1
 """Inches."""
+_PICTURE_SHARE = 0.66
+"""Of the width of the figure; the scale of colours has the rest."""
+_SHOWN = 0.6
+"""Heights above and below the middle that are shown, over the width of the box: beyond it the motion is damped."""
+_GIF_PALETTE = 96
+_COLOURED = 0.999
+"""Of all velocities; those above, of a few disks that rattle, have the last colour."""
+_DOTS = 90
 _MOVIE_RATE = 15
 
 
@@ -43,7 +51,7 @@ class _SmallGifWriter(PillowWriter):
         super().grab_frame(**savefig_kwargs)
         frames: list[Image.Image] = self._frames  # type: ignore[attr-defined]  # not in the stubs
         frame = frames[-1].convert("RGB")
-        frames[-1] = frame.quantize(96, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        frames[-1] = frame.quantize(_GIF_PALETTE, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
 
 
 ShowFrame = Callable[[int], None]
@@ -68,7 +76,7 @@ def write_movie(
     figure: Figure, show: ShowFrame, frames: int, file: Path, writer: AbstractMovieWriter, watch: Callable[[int], None]
 ) -> None:
     """Write all frames of a figure into a file; `watch` receives their number."""
-    with mpl.rc_context({"savefig.bbox": None}), writer.saving(figure, str(file), 90):
+    with mpl.rc_context({"savefig.bbox": None}), writer.saving(figure, str(file), _DOTS):
         for frame in range(frames):
             show(frame)
             writer.grab_frame()
@@ -92,11 +100,9 @@ def draw_film(
     along y (f, n), m/s.
     """
     x, y, radius = disks
-    # 0.6: heights above and below the middle that are shown, over the width of the box: beyond it the motion is damped.
-    reach = min(0.6 * packing.width, packing.height / 2)
+    reach = min(_SHOWN * packing.width, packing.height / 2)
     low, high = ((packing.height / 2 + side * reach) * MM for side in (-1, 1))
-    # 0.66 of the width of the figure; the scale of colours has the rest.
-    picture = 0.66 * _FILM_WIDTH * (high - low) / (packing.width * MM)
+    picture = _PICTURE_SHARE * _FILM_WIDTH * (high - low) / (packing.width * MM)
     figure = new_figure(picture + _SIGNALS_HEIGHT, _FILM_WIDTH)
     sample, signals = figure.subplots(2, 1, height_ratios=[picture, _SIGNALS_HEIGHT])
     style: dict[str, Any] = {"units": "xy", "edgecolor": "none", "transOffset": sample.transData}
@@ -105,8 +111,7 @@ def draw_film(
     sample.add_collection(EllipseCollection(sizes, sizes, 0 * sizes, offsets=whole, facecolor=PALE, **style))
     sizes, places = 2 * np.array(radius, dtype=float) * MM, np.column_stack([x, y]) * MM
     moving = EllipseCollection(sizes, sizes, 0 * sizes, offsets=places, gid="disks", **style)
-    # 0.999 of all velocities have a colour of their own; the others, of a few disks that rattle, have the last one.
-    largest = float(np.quantile(np.abs(frames[1]), 0.999)) or 1.0
+    largest = float(np.quantile(np.abs(frames[1]), _COLOURED)) or 1.0
     # Equal steps of colour are equal steps of the root: the received amplitude is a tenth of the transmitted one.
     moving.set(cmap=CORRELATION_MAP, norm=FuncNorm((_signed_root, _signed_square), -largest, largest))
     moving.set_array(frames[1][0])

@@ -18,6 +18,11 @@ from calcidem.analysis.published import PublishedVelocity, is_published_sand, pu
 from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import CellResult
 
+_FIRST_ARRIVAL_LEVEL = 0.1
+_SHOWN_SIGNALS = 5
+_SHOWN_NARROWINGS = 4
+_SHOWN_DISPERSIONS = 6
+_SHOWN_HISTOGRAMS = 24
 _SAMPLES_OF_A_CONTENT = 3
 _PATHS_CONTENT = 5.0
 """Content, or the nearest one that the campaign has, at which preferential paths are compared."""
@@ -73,7 +78,7 @@ def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
         # A cell that took the whole width for the path of the wave has no distance.
         distance=cell.distance or analysis.store.packing(cell.packing_index).width,
         velocities={name: value for name, value in velocities.items() if value is not None},
-        onset=0.1,
+        onset=_FIRST_ARRIVAL_LEVEL,
     )
 
 
@@ -134,7 +139,7 @@ def _plot_measurement(analysis: CampaignAnalysis) -> Figure:
 
 
 def _plot_signals(analysis: CampaignAnalysis) -> Figure:
-    shown = _pick_evenly(_measured_contents(analysis), 5)
+    shown = _pick_evenly(_measured_contents(analysis), _SHOWN_SIGNALS)
     return draw_signals([_first_arrival_at(analysis, content) for content in shown])
 
 
@@ -144,7 +149,7 @@ def _plot_range(analysis: CampaignAnalysis) -> Figure:
 
 
 def _plot_histograms(analysis: CampaignAnalysis) -> Figure:
-    shown = _pick_evenly(_measured_contents(analysis), 24)
+    shown = _pick_evenly(_measured_contents(analysis), _SHOWN_HISTOGRAMS)
     rows = [row for row in analysis.distributions if row.content in shown]
     return draw_histograms(analysis.vs, rows, analysis.measured)
 
@@ -157,7 +162,7 @@ def _plot_methods(analysis: CampaignAnalysis) -> Figure:
 
 def _plot_dispersion(analysis: CampaignAnalysis) -> Figure:
     known = {one.content: one for one in analysis.dispersions}
-    return draw_dispersion([known[content] for content in _pick_evenly(list(known), 6)])
+    return draw_dispersion([known[content] for content in _pick_evenly(list(known), _SHOWN_DISPERSIONS)])
 
 
 def _plot_paths(analysis: CampaignAnalysis) -> Figure:
@@ -184,7 +189,7 @@ def _plot_laws(analysis: CampaignAnalysis) -> Figure:
 
 
 def _plot_narrowing(analysis: CampaignAnalysis) -> Figure:
-    contents = _pick_evenly(_varied_contents(analysis), 4)
+    contents = _pick_evenly(_varied_contents(analysis), _SHOWN_NARROWINGS)
     return draw_narrowing({c: narrowing(analysis.vs.sel(content=c).to_numpy(), _SEED_COUNTS) for c in contents})
 
 

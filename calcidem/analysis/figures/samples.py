@@ -130,6 +130,15 @@ def _draw_contacts(axes: Axes, packing: PackingRecord, pairs: NDArray[np.int64],
     axes.add_collection(LineCollection(list(strokes), colors=colour, linewidths=width, rasterized=True))
 
 
+_BAR_BELOW = 0.04
+"""Distance of a scale bar from its picture, over the width of the picture."""
+
+
+_PANEL_WIDTH = 3.4
+"""Width in inches of a panel with a path; its text stands beside."""
+
+_DETAIL = 8.5
+"""Half of the width of an enlarged part, in mean radii."""
 _AROUND_PATH, _LEAST_HEIGHT = 0.12, 0.3
 """What is shown around paths, and to each side of the middle, over the width of the sample."""
 
@@ -145,8 +154,7 @@ _BARE_KEY = Line2D([], [], markersize=4.5, label="uncemented contact on it", **_
 def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]) -> Figure:
     """Draw two to four samples of one seed side by side, and below each an enlarged part (Figs. 2c, 2d and 5)."""
     packing = graph.packing
-    # 8.5: half of the width of an enlarged part, in mean radii.
-    middle, half = packing.height / 2, min(8.5 * float(packing.radius.mean()), packing.height / 4)
+    middle, half = packing.height / 2, min(_DETAIL * float(packing.radius.mean()), packing.height / 4)
     figure = new_figure(height=7.6)
     detail_share = 1.05 * packing.width / packing.height  # of the height of a whole sample, for a square as wide
     grid = figure.subplots(
@@ -240,8 +248,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
     margin, least = _AROUND_PATH * packing.width, _LEAST_HEIGHT * packing.width
     low = max(0.0, min(float(heights.min()) - margin, packing.height / 2 - least))
     high = min(packing.height, max(float(heights.max()) + margin, packing.height / 2 + least))
-    # 3.4: width in inches of a panel with a path; its text stands beside.
-    figure = new_figure(height=0.9 + len(samples) * 3.4 * (high - low) / packing.width)
+    figure = new_figure(height=0.9 + len(samples) * _PANEL_WIDTH * (high - low) / packing.width)
     panels = figure.subplots(len(samples), 1, squeeze=False)[:, 0]
     for axes, sample in zip(panels, samples, strict=True):
         _draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.2)
@@ -269,8 +276,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
 def _draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
     """Draw a scale bar below a picture of this width whose lower left corner is given; all in mm, the data's unit."""
     length = _round_length(width)
-    # 0.04: distance of a scale bar from its picture, over the width of the picture.
-    y = low - 0.04 * width
+    y = low - _BAR_BELOW * width
     axes.plot([left, left + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
     axes.annotate(
         f"{length:g} mm",

@@ -21,6 +21,7 @@ from calcidem.analysis.figures.style import (
     new_figure,
 )
 
+_POINTING = 0.14
 METHOD_STYLES = {
     "peak": ("peak to peak", VERMILION, "v"),
     "first_arrival": ("first arrival", GREEN, "o"),
@@ -83,7 +84,7 @@ def draw_signal_pair(axes: Axes, arrival: Arrival) -> None:
             continue
         moment = arrival.arrival_time(method)
         # A peak is pointed at from above, so that the other marks do not hide it.
-        level = np.interp(moment, arrival.time, arrival.received / largest) + (0.14 if method == "peak" else 0)
+        level = np.interp(moment, arrival.time, arrival.received / largest) + (_POINTING if method == "peak" else 0)
         axes.plot(
             moment * MS,
             level,

@@ -6,17 +6,20 @@ from matplotlib.figure import Figure
 
 from calcidem.analysis.figures.style import BLUE, MM, VERMILION, apply_style, letter_panels, new_figure
 
+_MOST_MAPS = 6
+_GPA = 1e-9
+
 
 @apply_style
 def draw_stiffness(fields: xr.Dataset) -> Figure:
     """Draw the local shear modulus of the first seed at some contents, its scatter, and its scale of fluctuation."""
     contents = fields["content"].to_numpy()
-    shown = contents[np.unique(np.linspace(0, len(contents) - 1, 6).round().astype(int))]
+    shown = contents[np.unique(np.linspace(0, len(contents) - 1, _MOST_MAPS).round().astype(int))]
     figure = new_figure(height=4.6)
     grid = figure.add_gridspec(1, 2, width_ratios=(1.6, 1.0))
     maps, curves = figure.add_subfigure(grid[0, 0]), figure.add_subfigure(grid[0, 1])
     panels = maps.subplots(1, len(shown), sharey=True, squeeze=False).ravel()
-    values = fields["shear_modulus"].isel(seed=0) * 1e-9
+    values = fields["shear_modulus"].isel(seed=0) * _GPA
     low, high = (float(values.sel(content=shown).quantile(part)) for part in (0.02, 0.98))
     for axes, content in zip(panels, shown, strict=True):
         axes.grid(visible=False)

@@ -38,10 +38,15 @@ from calcidem.storage.records.error_budget import NORMAL_95, departs
 
 _LOW_CONTENT = 0.7
 """Contents up to this lie so close together that they are drawn once more, enlarged."""
+_HISTOGRAM_COLUMNS = 4
 _MANY = 30
 """Marks of more samples than this are pixels in vector files, which keeps these small."""
+_SIDE_BY_SIDE = 0.006
+"""How far the first and last sample of a content stand beside it, as a part of the range of contents."""
 _CAMPAIGNS_ASIDE = 0.012
 """How far campaigns stand beside one another, as a part of the range of contents."""
+_PUBLISHED_ASIDE = 0.012
+"""How far published means stand beside their content, as a part of the range of contents."""
 
 
 @apply_style
@@ -97,8 +102,7 @@ def _draw_range(
     axes.fill_between(
         content, *band("mean_interval"), color=BLUE, alpha=0.45, linewidth=0, label="95 % interval of the mean"
     )
-    # 0.006: how far the first and last sample of a content stand beside it, as a part of the range of contents.
-    abreast = 0.006 * (content[-1] - content[0])  # of the samples of one content, so that their bars are seen
+    abreast = _SIDE_BY_SIDE * (content[-1] - content[0])  # of the samples of one content, so that their bars are seen
     apart: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
     for row in rows:
         of_content = cells.sel(content=row.content)
@@ -124,8 +128,7 @@ def _draw_range(
         axes.plot(marked, speeds, "o", markersize=5.5, markerfacecolor="none", color=ORANGE, label=label)
     axes.plot(content, means, color=BLUE, marker="o", markersize=3, label="mean")
     if published:
-        # 0.012: how far published means stand beside their content, as a part of the range of contents.
-        aside = 0.012 * (content[-1] - content[0])  # so that neither hides the other
+        aside = _PUBLISHED_ASIDE * (content[-1] - content[0])  # so that neither hides the other
         axes.errorbar(
             [at + aside for at, _ in published],
             [row.mean for _, row in published],
@@ -202,7 +205,7 @@ def draw_histograms(
 ) -> Figure:
     """Draw the distribution of Vs (m/s) at each content with its normal fit (Fig. 11), and laboratory means."""
     rows = [row for row in distributions if row.vs.n]
-    columns = min(4, len(rows))
+    columns = min(_HISTOGRAM_COLUMNS, len(rows))
     lines = math.ceil(len(rows) / columns)
     figure = new_figure(height=0.45 + 1.5 * lines)
     panels = figure.subplots(lines, columns, squeeze=False).ravel()

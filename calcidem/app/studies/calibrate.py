@@ -35,6 +35,7 @@ _LARGEST_CHANGE = math.log(2.0)
 _MOST_ROUNDS = 6
 """Largest number of rounds; from a start within a factor of two, three suffice."""
 
+_MOST_HALVINGS = 3
 
 _LINEAR_WITHIN = 0.3
 """Distance in the logarithm of each parameter within which trials count as linear."""
@@ -47,6 +48,9 @@ _FEWEST_SEEDS = 3
 
 _FEW_SEEDS = 0.5
 """Share of seeds with a velocity below which they may not represent the others."""
+
+_TOO_MUCH = 4.0
+"""Chi-square per degree of freedom above which deviations are not random."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -349,8 +353,7 @@ def _fit_to_targets(
     at_limit = np.isclose(point[:, None], limits, atol=1e-6).any(axis=1)
     chi_square, freedom = float(np.sum((fit.deviation(point) / errors) ** 2)), fit.wanted - len(names)
     doubts += [f"{names[i]} ended at a limit of its range: widen it, or remove it" for i in np.flatnonzero(at_limit)]
-    # 4.0: chi-square per degree of freedom above which deviations are not random.
-    if chi_square > 4.0 * max(1, freedom):
+    if chi_square > _TOO_MUCH * max(1, freedom):
         doubts.append(
             "the targets are not met within their errors: free other parameters; the deviations are too small"
         )
@@ -478,7 +481,7 @@ def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> tuple[Flo
     Also the reason why a trial among them could not be compared; empty if all could.
     """
     unread = ""
-    for halvings in range(3 + 1):
+    for halvings in range(_MOST_HALVINGS + 1):
         other = np.asarray(point + step / 2**halvings)
         try:
             fit.try_points([other])

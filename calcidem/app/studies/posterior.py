@@ -7,6 +7,14 @@ from scipy import stats
 
 from calcidem.dem.kernels.layout import Floats
 
+_WIDER = 1.3
+"""Width of the proposal over the posterior of the linear model, which avoids a long tail of weights."""
+
+_FREEDOM = 5
+"""Degrees of freedom of the proposal, a Student's t distribution."""
+
+_SEED = 20_250_601
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Posterior:
@@ -82,10 +90,8 @@ def draw_posterior(
     slopes = line[1:].T  # (R, P)
     spread = np.linalg.inv(slopes.T @ inverse @ slopes)
     mode = spread @ slopes.T @ inverse @ (wanted - line[0])
-    generator = np.random.default_rng(20_250_601)
-    # 1.3: width of the proposal over the posterior of the linear model, which avoids a long tail of weights.
-    # 5: degrees of freedom of the proposal, a Student's t distribution.
-    proposal = stats.multivariate_t(mode, 1.3 * 0.5 * (spread + spread.T), 5, seed=generator)
+    generator = np.random.default_rng(_SEED)
+    proposal = stats.multivariate_t(mode, _WIDER * 0.5 * (spread + spread.T), _FREEDOM, seed=generator)
     found = np.atleast_2d(proposal.rvs(4 * draws)).reshape(-1, parameters)
     left = wanted - line[0] - found @ slopes.T
     inside = ((found >= limits[:, 0]) & (found <= limits[:, 1])).all(axis=1)

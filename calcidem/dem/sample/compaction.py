@@ -25,10 +25,14 @@ from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingReport, PackingRule, PackingStage
 
 _FILLING_RATIO = 1e-2  # unbalanced-force ratio at which the lid may start to press
+_NEARER = 0.8  # lowest ratio over the lowest of the first half of the steps; above it, more steps do not help
 _FREELY_PLACED = 0.547  # area fraction up to which random placement is possible, see `_loosest_factor`
+_HIGHEST = 0.35  # squared frequency with scaled over unscaled densities; if lower, the mean disk becomes too heavy
+_TOO_LONG = 1.2  # step over its bound, which is a fifth below the limit
 _SHORTER = 0.8  # reduced step over the one that was too long
 _MOST_SHORTENED = 21  # successive reductions, down to a hundredth
 _OWN_MASSES = 100.0  # unbalanced-force ratio over the one at rest, below which masses are unscaled, see `_Manner`
+_SERVO_GAIN = 0.9  # servo gain of the lid
 _STRESS_TOLERANCE = 1e-3  # relative deviation of the lid's stress; ten times finer than promised
 
 
@@ -179,12 +183,11 @@ def _square(value: float) -> float:
 
 def box_walls(width: float, height: float, lid_force: float | None = None) -> tuple[Wall, ...]:
     """Four frictionless walls; a servo holds the force on the lid, if given."""
-    # 0.9: servo gain of the lid.
     return (
         Wall((0.0, 0.0), (1.0, 0.0)),
         Wall((width, 0.0), (-1.0, 0.0)),
         Wall((0.0, 0.0), (0.0, 1.0)),
-        Wall((0.0, height), (0.0, -1.0), servo_force=lid_force, servo_gain=0.9),
+        Wall((0.0, height), (0.0, -1.0), servo_force=lid_force, servo_gain=_SERVO_GAIN),
     )
 
 
@@ -243,17 +246,15 @@ def _advance_to_look(state: State, manner: _Manner, unrest: float, limit: Floats
     """
     grains, scaled = state.assembly.grains, manner.scaled and unrest > _OWN_MASSES
     if scaled:
-        # 0.35: squared frequency with scaled over unscaled densities; if lower, the mean disk becomes too heavy.
-        heavier, limit = scaled_densities(*_present_contacts(state), 0.35)
+        heavier, limit = scaled_densities(*_present_contacts(state), _HIGHEST)
         state = replace(state, assembly=replace(state.assembly, grains=heavier))
     elif limit is None:
         limit = step_limit(state)
     step = manner.fraction * limit
     later, found, shortened = advance(replace(state, time_step=step), manner.steps), None, 0
-    # 1.2: step over its bound, which is a fifth below the limit.
     while _left_box(later) or (
         manner is _PRESSED
-        and (step > 1.2 * (found := critical_time_step_of_disks(*_present_contacts(later), rings=scaled))).any()
+        and (step > _TOO_LONG * (found := critical_time_step_of_disks(*_present_contacts(later), rings=scaled))).any()
     ):
         shortened += 1
         if shortened > _MOST_SHORTENED:
@@ -300,8 +301,7 @@ def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str
     half, stress = len(ratios) // 2, _lid_stress(state, rule)
     if abs(stress / rule.stress - 1.0) >= _STRESS_TOLERANCE:
         return f"the lid carries {stress:.3g} of {rule.stress:.3g} Pa; raise most_steps or lower stress"
-    # 0.8: lowest ratio over the lowest of the first half of the steps; above it, more steps do not help.
-    if half and min(ratios[half:]) > 0.8 * min(ratios[:half]):
+    if half and min(ratios[half:]) > _NEARER * min(ratios[:half]):
         return "raise damping or unbalanced_force_ratio; more steps will not help, since the ratio no longer falls"
     return "raise most_steps, damping or unbalanced_force_ratio"
 

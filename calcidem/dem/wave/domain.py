@@ -22,6 +22,10 @@ DEEPEST_LISTENING = 0.3
 _STATIONS = 9
 """Recorded slices of the sample between transmitter and receiver; 18 improve no reading."""
 
+_NEAR_TRANSMITTER = 0.125  # smallest distance of a station from the transmitter over the width
+
+_DEPTH = 6.0  # computed depth of a damping layer in mean diameters
+
 
 @dataclass(frozen=True, slots=True)
 class Domain:
@@ -94,8 +98,7 @@ def station_disks(packing: Packing, rule: WaveRule) -> tuple[Integers, ...]:
     There are `_STATIONS` of them, fewer if slices would be thinner than the largest disk, and none if one would be
     empty. The first part of the path is left out, because P and S wave have not separated there.
     """
-    # 0.125: smallest distance of a station from the transmitter over the width.
-    begin, end = 0.125 * packing.width, packing.width - rule.listening_depth
+    begin, end = _NEAR_TRANSMITTER * packing.width, packing.width - rule.listening_depth
     count = min(_STATIONS, max(0, int((end - begin) / (2.0 * float(packing.radius.max())))))
     in_band = np.abs(packing.y - packing.height / 2.0) < rule.receiver_half_width
     slices = pairwise(np.linspace(begin, end, count + 1))
@@ -124,6 +127,5 @@ def _within_reach(packing: Packing, rule: WaveRule) -> Flags:
         return np.ones(len(packing.x), dtype=bool)
     middle = packing.height / 2.0
     bands = max(rule.transmitter_half_width, rule.receiver_half_width)
-    # 6.0: computed depth of a damping layer in mean diameters.
-    reach = max(middle - rule.boundary_thickness, bands) + 6.0 * 2.0 * float(packing.radius.mean())
+    reach = max(middle - rule.boundary_thickness, bands) + _DEPTH * 2.0 * float(packing.radius.mean())
     return np.asarray(np.abs(packing.y - middle) < reach)

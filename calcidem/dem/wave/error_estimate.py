@@ -15,14 +15,26 @@ from calcidem.dem.wave.reading import ONSET, ShearArrival
 from calcidem.dem.wave.recorder import LOOKS_APART, WaveRecord
 from calcidem.dem.wave.section import Section
 
+_SAMPLING = 0.2  # over sampling interval / travel time; largest value found: 0.13
+_TURNING = 3.0  # over mean overlap / mean radius
+_STIFFENING = 3.0e-3  # over stroke of the pulse / mean overlap
+_RESCALING = 0.5  # over `linearity.Nonlinearity.rescaling`: velocity scales with the square root of stiffness
 _CLOSING = 0.5  # over `WaveRecord.closing_gaps`
+_SINGLE_PRECISION = 1.0e-3
 _ROUNDING = 5.0  # over the rounding of contact forces in single precision over the force of the received wave
 _CHATTER = 1.8e-2  # see `_chatter_error`
 _UNRULY = 500.0  # see `chatters`
+_UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
 _BREAKING = 2.0  # see `_breaking_error`
 
+_USUAL_STEP = 7.5e-5  # over step / limit
+_USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `linearity.Nonlinearity`
+_USUAL_ROUGHNESS = 0.25  # the same over the motion removed by smoothing
+_USUAL_LOSS = 0.45  # over the bound of the loss by slip at the transmitter, which shifts peaks in one direction
 _USUAL = 0.1  # over the bound, for parts whose usual size has not been measured
+_EACH_OF_TWO = 0.71  # over the difference of two runs with equal errors: 1 / sqrt(2)
 _WORST_OF_HUNDRED = 4.6  # over the mean of the exponential distribution fitted to errors: ln(100)
+_PART_OF_PERIOD = 16  # period over the spacing of the samples that give the width of a peak
 
 
 class ErrorParts(NamedTuple):
@@ -129,20 +141,16 @@ def estimate_error(
     parts = _error_parts(experiment, record, arrival, shift)
     weight = 1.0
     if chatter is not None:
-        # 0.71: share of the difference of two runs with equal errors, 1 / sqrt(2).
-        parts = parts._replace(chatter=_WORST_OF_HUNDRED * 0.71 * chatter)
+        parts = parts._replace(chatter=_WORST_OF_HUNDRED * _EACH_OF_TWO * chatter)
         weight = 1.0 / (_WORST_OF_HUNDRED * _USUAL)
     share = _largest_nonlinearity(record, frequency * travel_time).share
-    # 1.7: change of the signal near its peak over the share of `linearity.Nonlinearity`.
-    # 0.25: the same over the motion that smoothing removes.
-    change = 1.7 * share + 0.25 * arrival.roughness
+    change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * arrival.roughness
     others = parts.precision + parts.noise + weight * parts.chatter + parts.unbalanced + parts.breaking
     if experiment.wave.regime == "small":
         others += parts.regime
-    step = 7.5e-5 * record.time_step / record.stability_limit
+    step = _USUAL_STEP * record.time_step / record.stability_limit
     usual = float(step + shift * change + _USUAL * others)
-    # 0.45: share of the bound of the loss by slip at the transmitter, which shifts peaks in one direction.
-    loss = 0.45 * _loss_error(record, shift, frequency * travel_time)
+    loss = _USUAL_LOSS * _loss_error(record, shift, frequency * travel_time)
     return NumericalError(usual + loss, max(error_bound(parts), _WORST_OF_HUNDRED * usual), parts)
 
 
@@ -161,8 +169,7 @@ def shift_by_change(section: Section, arrival: ShearArrival) -> float:
     It is ``2 pi f w^2 / travel time``, see `estimate_error`. w^2 is the amplitude over the curvature of three smoothed
     values a sixteenth of the period apart. It is at most the squared period, and equal to it if they form no peak.
     """
-    # 16: period over the spacing of the samples that give the width of a peak.
-    apart, index = max(1, int(section.period / 16)), arrival.index
+    apart, index = max(1, int(section.period / _PART_OF_PERIOD)), arrival.index
     period = 1.0 / section.frequency
     over_width = 2.0 * np.pi * section.frequency / arrival.travel_time
     left, amplitude, right = (float(arrival.clean[index + shift, -1]) for shift in (-apart, 0, apart))
@@ -181,18 +188,16 @@ def _error_parts(experiment: Experiment, record: WaveRecord, arrival: ShearArriv
     found = _largest_nonlinearity(record, periods)
     single = experiment.wave.precision == "float32"
     geometry = _geometry_error(experiment, frequency) + _CLOSING * record.closing_gaps
-    # Velocity scales with the square root of the stiffness.
-    geometry += 0.5 * float(found.rescaling)
-    # The largest error by sampling was 0.13 sampling intervals.
+    geometry += _RESCALING * float(found.rescaling)
     return ErrorParts(
         step=0.5 * record.time_step / (travel_time * (1.0 - experiment.wave.damping)) + coarse * coarse / 24.0,
-        sampling=0.2 * record.section.sampling_interval / travel_time,
+        sampling=_SAMPLING * record.section.sampling_interval / travel_time,
         regime=shape * geometry,
         slip=_slip_error(record, shift, periods),
-        precision=shape * 1.0e-3 + shift * _rounding(experiment, frequency, arrival) if single else 0.0,
+        precision=shape * _SINGLE_PRECISION + shift * _rounding(experiment, frequency, arrival) if single else 0.0,
         noise=ONSET / (np.pi * periods) if arrival.roughness > ONSET else 0.0,
         chatter=_chatter_error(experiment, record),
-        unbalanced=20.0 * record.unbalanced_speed,
+        unbalanced=_UNBALANCED * record.unbalanced_speed,
         breaking=shape * _breaking_error(record),
     )
 
@@ -249,13 +254,13 @@ def _geometry_error(experiment: Experiment, frequency: float) -> float:
         return 0.0
     overlap = packing.report.mean_overlap
     return _turning_error(experiment) + (
-        3.0e-3 * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0
+        _STIFFENING * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0
     )
 
 
 def _turning_error(experiment: Experiment) -> float:
     """First part of `_geometry_error`."""
-    return 3.0 * experiment.packing.report.mean_overlap / float(np.mean(experiment.packing.radius))
+    return _TURNING * experiment.packing.report.mean_overlap / float(np.mean(experiment.packing.radius))
 
 
 def _slip_error(record: WaveRecord, shift: float, periods: float) -> float:

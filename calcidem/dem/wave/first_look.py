@@ -7,6 +7,12 @@ from calcidem.dem.wave.experiment import Experiment
 WAVELENGTHS = 2.5
 """Path over wavelength: with fewer wavelengths the near field disturbs, with many more little propagates."""
 
+_PATTERNS = 3
+"""Number of cement patterns; their median is within some percent of that of hundreds."""
+
+_SIGNIFICANT = 2
+"""Significant digits of the frequency, few enough that every processor chooses the same."""
+
 
 def suitable_frequency(experiment: Experiment, content: float) -> float:
     """Return the frequency at which the path from transmitter to receiver is 2.5 wavelengths, Hz.
@@ -27,10 +33,8 @@ def suitable_frequency(experiment: Experiment, content: float) -> float:
     On such a path the near field causes a standard error of at most 2 %, see
     `calcidem.dem.wave.reading.reading_error`.
     """
-    # 3: number of cement patterns; their median is within some percent of that of hundreds.
-    speed = expected_speed(experiment, content, 3)
-    # 2: significant digits of the frequency, few enough that every processor chooses the same.
-    return float(f"{WAVELENGTHS * speed / experiment.distance:.{2}g}")
+    speed = expected_speed(experiment, content, _PATTERNS)
+    return float(f"{WAVELENGTHS * speed / experiment.distance:.{_SIGNIFICANT}g}")
 
 
 def expected_speed(experiment: Experiment, content: float, patterns: int) -> float:

@@ -18,7 +18,9 @@ from calcidem.dem.engine.readout import net_forces, overlaps, wall_overlaps
 from calcidem.dem.engine.stability import critical_time_step, hertz_tangent
 from calcidem.dem.kernels.layout import Floats, Integers
 
+_BLOW_UP = 30.0  # velocity over the amplitude of the pulse at which a run is unstable; waves stay below about 5
 _LARGEST_UNBALANCED_SPEED = 1e-3  # over the amplitude of the pulse
+_NOTICEABLE = 0.1  # motion over mean overlap, below which stiffness changes stay within the margin of the step
 
 
 def problems_of(state: State, amplitude: float, overlap: float, breakable: float = 0.0) -> list[str]:
@@ -37,8 +39,7 @@ def problems_of(state: State, amplitude: float, overlap: float, breakable: float
     """
     problems = [""] * state.features.lanes
     # Comparisons with NaN are false, so the test asks for the valid case.
-    # 30.0: velocity over the amplitude of the pulse at which a run is unstable; waves stay below about 5.
-    for lane in np.flatnonzero(~(_largest_translation(state.motion.velocity) <= 30.0 * amplitude)).tolist():
+    for lane in np.flatnonzero(~(_largest_translation(state.motion.velocity) <= _BLOW_UP * amplitude)).tolist():
         speed = np.abs(state.motion.velocity[:, :2, lane]).max(axis=1)
         problems[lane] = f"{_name_disk(state, speed)} moves at {speed.max():.3g} m/s after {state.steps} steps"
     if state.features.linear:
@@ -88,8 +89,7 @@ def _find_broken_bonds(state: State, breakable: float) -> Iterator[tuple[int, st
 
 def _find_steps_above_limit(state: State, motion: Floats, overlap: float) -> Iterator[tuple[int, str]]:
     """Yield the lanes whose step exceeds the limit at the present overlaps."""
-    # 0.1: motion over mean overlap, below which stiffness changes stay within the margin of the step.
-    noticed = (motion > 0.1 * overlap) & (state.time_step > cheap_limit(state))
+    noticed = (motion > _NOTICEABLE * overlap) & (state.time_step > cheap_limit(state))
     if not noticed.any():
         return
     limit = _present_limit(state)

@@ -29,6 +29,9 @@ from calcidem.dem.wave.recorder import Recorder, WaveRecord
 from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, WaveRule, refuse_loud_pulse
 from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
+_LARGEST_MOTION = 10.0  # largest displacement of a disk over the stroke of the pulse
+_EXACT_STEP = 2.0**-30  # s; multiplication by a power of two is exact
+
 
 def send_waves(
     experiment: Experiment,
@@ -129,8 +132,7 @@ def _bare_sample(experiment: Experiment, features: Features, skin: float) -> tup
         # All lanes share the loads, so they must not depend on cement or time step of a sample.
         # Zero loads are exact and save compiling a kernel without loads.
         unloaded = _start_at_rest(experiment, scene, replace(features, loads=True), skin, single)
-        # 2.0**-30 s: multiplication by a power of two is exact.
-        scene = replace(scene, load=-net_forces(replace(unloaded, time_step=np.full(features.lanes, (2.0**-30)))))
+        scene = replace(scene, load=-net_forces(replace(unloaded, time_step=np.full(features.lanes, _EXACT_STEP))))
     return single, scene
 
 
@@ -241,5 +243,4 @@ def _wave_features(scene: Scene, rule: WaveRule, skin: float, lanes: int) -> Fea
 
 def _wave_skin(packing: Packing, pulse: Pulse) -> float:
     """Largest gap, in mean radii, that can close during the pulse; at most `state.SKIN`."""
-    # 10.0: largest displacement of a disk over the stroke of the pulse.
-    return min(SKIN, 2.0 * 10.0 * pulse.stroke / float(packing.radius.mean()))
+    return min(SKIN, 2.0 * _LARGEST_MOTION * pulse.stroke / float(packing.radius.mean()))

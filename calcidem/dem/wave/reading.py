@@ -29,6 +29,8 @@ Method = Literal["peak", "first_arrival", "cross_correlation"]
 SILENCE = 0.001
 """Velocity over v0 below which nothing is picked; the presets have at least 0.017, small stiff samples maybe less."""
 
+_LARGER_SWING = 3.0
+"""A swing along the path is a precursor if one this many times as large follows within a period."""
 
 _STEEPEST = 0.5
 """Largest ratio of motion across to motion along in a P wave: it then arrives at 27 degrees to the path."""
@@ -49,6 +51,23 @@ _FEWEST_STATIONS = 4
 _SMOOTHING = 0.3
 """Half-width of the smoothing window over the period: little of shorter duration propagates through grains."""
 
+_LARGEST_ERROR = 0.25
+"""Standard error above which a reading is refused; a smaller value refuses more fast samples than slow ones."""
+
+_LEAST_ERROR = 0.019
+"""Standard error of the clearest reading: dispersion and scattering shift any peak by this much."""
+
+_P_LEFT = 0.75
+"""Standard error over the shift by subtracting the P wave."""
+
+_NEAR_FIELD = 0.04
+"""Standard error at a path of one wavelength, where P and S wave overlap; it falls with the power 2.5 of the path."""
+
+_TIE = 0.05
+"""Difference of coherence above which the better of two peaks is certain; small changes of a signal cause less."""
+
+_CREST = 1.8
+"""Standard error of the path's velocity over the estimate from the scatter of the stations about their line."""
 
 ONSET = 0.1
 """Level of the first arrival, relative to the peak (Viggiani and Atkinson 1995, doi:10.1680/geot.1995.45.1.149)."""
@@ -79,8 +98,7 @@ class PickRule:
 
     method: Method = "peak"
     smoothing: PositivePart = _SMOOTHING
-    # 0.25: standard error above which a reading is refused; a smaller value refuses more fast samples than slow ones.
-    largest_error: PositivePart = 0.25
+    largest_error: PositivePart = _LARGEST_ERROR
 
     def __post_init__(self) -> None:
         """Refuse invalid windows and errors."""
@@ -232,8 +250,7 @@ def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int
     for peak in find_maxima(swing).tolist():
         if swing[peak] < SILENCE or peak + soon >= len(swing):
             continue
-        # 3.0: a swing along the path is a precursor if one this many times as large follows within a period.
-        if swing[peak : peak + soon].max() > 3.0 * swing[peak]:
+        if swing[peak : peak + soon].max() > _LARGER_SWING * swing[peak]:
             continue
         # The last sample counts in part, as the peak lies behind it, so the share does not jump with the sampling.
         weight = along[: peak + 1].copy()
@@ -278,8 +295,7 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
     reading = Reading(None, arrival, section.distance / arrival.travel_time, first, correlated, error)
     if arrival.path_scatter is None:
         return reading
-    # 1.8: standard error of the path's velocity over the estimate from the scatter of the stations about their line.
-    path_error = float(np.sqrt(error * error + (1.8 * arrival.path_scatter) ** 2))
+    path_error = float(np.sqrt(error * error + (_CREST * arrival.path_scatter) ** 2))
     known = path_error <= rule.largest_error
     return replace(reading, path=arrival.path_velocity, path_error=path_error) if known else reading
 
@@ -437,9 +453,7 @@ def _tie(coherence: float, travel: float, rivals: list[_Rival]) -> float:
     """Rms distance of the other peaks, weighted by odds that fall from 1/2 at equal coherence to 0."""
     total = 0.0
     for other in rivals:
-        # 0.05: difference of coherence above which the better of two peaks is certain; small changes of a signal cause
-        # less.
-        odds = 0.5 * max(0.0, 1.0 - (coherence - other.coherence) / 0.05)
+        odds = 0.5 * max(0.0, 1.0 - (coherence - other.coherence) / _TIE)
         apart = other.travel / travel - 1.0
         total += odds * apart * apart
     return float(np.sqrt(total))
@@ -497,12 +511,8 @@ def reading_error(arrival: ShearArrival, frequency: float) -> float:
 def reading_error_parts(arrival: ShearArrival, frequency: float) -> ReadingErrorParts:
     """Return the parts of `reading_error`; ``frequency`` is that of the pulse, Hz."""
     periods = arrival.travel_time * frequency
-    # 0.04: standard error at a path of one wavelength, where P and S wave overlap; it falls with the power 2.5 of the
-    # path.
-    near = 0.04 / (periods * periods * float(np.sqrt(periods)))
-    # 0.019: standard error of the clearest reading: dispersion and scattering shift any peak by this much.
-    # 0.75: standard error over the shift by subtracting the P wave.
-    return ReadingErrorParts(0.019, 0.75 * arrival.shifted, near, arrival.early, arrival.tie)
+    near = _NEAR_FIELD / (periods * periods * float(np.sqrt(periods)))
+    return ReadingErrorParts(_LEAST_ERROR, _P_LEFT * arrival.shifted, near, arrival.early, arrival.tie)
 
 
 def _read_first_arrival(section: Section, arrival: ShearArrival) -> float | None:

@@ -24,6 +24,7 @@ from calcidem.dem.wave.measurement import Measurement
 
 SCATTER_SEEDS = 16  # seeds for the scatter without a stored campaign
 _AMPLITUDES = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1)  # m/s
+_DENSE_SAMPLES = 400  # samples per period of the pulse
 _RATIOS = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the smallest is the reference
 
 _CellsFound = dict[tuple[int, float], Measurement]
@@ -107,8 +108,7 @@ def amplitude_rows(
     """Measure regimes at several amplitudes against the finite regime."""
 
     def measured(regime: Regime, amplitude: float) -> tuple[_CellsFound, str]:
-        # 400: samples per period of the pulse.
-        setting = with_wave(experiment, regime=regime, amplitude=amplitude, samples_per_period=400)
+        setting = with_wave(experiment, regime=regime, amplitude=amplitude, samples_per_period=_DENSE_SAMPLES)
         found: _CellsFound = {}
         refusal = ""
         for content in contents:

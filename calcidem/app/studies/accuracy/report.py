@@ -15,6 +15,8 @@ from calcidem.app.studies.tables import markdown_table, number
 
 _TARGETS = (0.005, 0.002, 0.001)
 _MANY_CELLS = 40  # most cells in a table; more are only in the JSON
+_SMALLEST = 1e-6  # smaller errors, including zero, are drawn here
+_STAIRS = 4  # levels of staggered labels
 
 
 def accuracy_tables(findings: Findings, targets: Sequence[float] = _TARGETS) -> dict[str, str]:
@@ -221,8 +223,7 @@ def draw_error_against_run_time(study: Study) -> "Figure":
     front = pareto(rows)
 
     def drawable(error: float) -> float:
-        # 1e-6: smaller errors, including zero, are drawn here.
-        return max(error, 1e-6)
+        return max(error, _SMALLEST)
 
     axes.plot([row.seconds for row in front], [drawable(row.median) for row in front], color=BLUE, label="Pareto front")
     for row in rows:
@@ -233,11 +234,10 @@ def draw_error_against_run_time(study: Study) -> "Figure":
     named = sorted({*front, *(row for row in rows if row.setting == DEFAULT)}, key=lambda row: row.seconds)
     for place, row in enumerate(named):
         # Labels are below the marks and their bars, and staggered, since settings of equal cost are close together.
-        # 4: levels of staggered labels.
         axes.annotate(
             row.setting,
             (row.seconds, drawable(row.median)),
-            xytext=(-10, -10 - 9 * (place % 4)),
+            xytext=(-10, -10 - 9 * (place % _STAIRS)),
             textcoords="offset points",
             fontsize=6.5,
             color=BLACK,

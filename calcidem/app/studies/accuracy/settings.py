@@ -12,7 +12,9 @@ from calcidem.dem.wave.rule import WHOLE_DOMAIN
 
 DEFAULT = "default"
 UNDAMPED = "damping 0"
+_STEP_FRACTIONS = (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95)
 _SAMPLES_PER_PERIOD = (50, 100, 200, 400)  # samples per period of the pulse: the stride of the record
+_BANDS = (0.8, 1.25)  # half-widths over the experiment's own
 REFERENCE_SAMPLES = 1600
 
 
@@ -46,7 +48,7 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
     """Yield the settings of a study: the experiment's own first, then every knob."""
     wave = experiment.wave
     yield Setting(DEFAULT, "", experiment)
-    yield from _vary(experiment, "step_fraction", (0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95))
+    yield from _vary(experiment, "step_fraction", _STEP_FRACTIONS)
     yield from _vary(experiment, "samples_per_period", _SAMPLES_PER_PERIOD)
     yield from _vary(experiment, "precision", ("float32", "float64"))
     if experiment.installation == "preserve":
@@ -62,8 +64,7 @@ def settings(experiment: Experiment) -> Iterator[Setting]:
     if wave.damping > 0.0:
         yield Setting(UNDAMPED, "", with_wave(experiment, damping=0.0), numerical=False)
     for name in ("transmitter_half_width", "receiver_half_width"):
-        # 0.8, 1.25: half-widths over the experiment's own.
-        for factor in (0.8, 1.25):
+        for factor in _BANDS:
             width = factor * getattr(wave, name)
             yield Setting(name, f"{1e3 * width:g} mm", with_wave(experiment, **{name: width}), numerical=False)
 

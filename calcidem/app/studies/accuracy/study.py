@@ -21,6 +21,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement
 
 ROUNDS = 3
+_SLOW = 3.0  # time over the default's above which a setting is timed only once
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +121,7 @@ def _compare_settings(
     times: dict[str, list[float]] = {}
     for round_ in range(rounds):
         for setting in compared:
-            # 3.0: time over the default's above which a setting is timed only once.
-            if round_ and (setting.name not in times or times[setting.name][0] > 3.0 * times[compared[0].name][0]):
+            if round_ and (setting.name not in times or times[setting.name][0] > _SLOW * times[compared[0].name][0]):
                 continue
             try:
                 found, taken = measure_and_time(setting.experiment, content, seeds, lanes)

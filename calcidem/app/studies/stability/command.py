@@ -40,6 +40,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, Outcome, measure
 from calcidem.storage.files import write_text_atomically
 
+_TOLERANCE = 0.05  # relative error of Vs above which a velocity is wrong, unless the cell states a larger error
 _FINER = 4  # factor of the smaller step and denser samples in the deciding run
 _ALIKE = 0.1
 """Distance of two signals (`signal_distance`) below which a pick in only one of them is a borderline case."""
@@ -128,8 +129,7 @@ def _judge_experiment(
     else:
         reason, error_of_vs = found.record.retry, found.vs / exact.vs - 1.0
         # The bound covers the neglect of a regime; 5 % cover the effect of a step on a reading.
-        # 0.05: relative error of Vs above which a velocity is wrong, unless the cell states a larger error.
-        tolerance = 0.0 if experiment.wave.regime == "linear" and isinstance(scene, Packed) else 0.05
+        tolerance = 0.0 if experiment.wave.regime == "linear" and isinstance(scene, Packed) else _TOLERANCE
         right = abs(error_of_vs) <= max(tolerance, found.result.error.bound if found.result.error else 0.0)
     verdict = StabilityVerdict.STABLE if right else StabilityVerdict.WRONG
     return _Judgement(scene, verdict, reason, found.vs, error_of_vs)
@@ -167,6 +167,9 @@ _COLOURS = {
     StabilityVerdict.WRONG: VERMILION,
 }
 _PANELS_ACROSS = 2
+_CONTRASTS = (1.0, 1e2, 1e4, 1e6)
+_FILLINGS = (0.0, 0.3, 1.0)  # parts of the contacts' capacity for cement
+_PROGRESS = 64  # drawn scenes between two messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,13 +306,12 @@ def stability(
 
     ``out`` receives ``stability.png``, ``.md`` and ``.json``.
     """
-    # 0.0, 0.3, 1.0: parts of the contacts' capacity for cement.
     found = _Maps(
         walks=_walks(progress),
         packings=_packing_map(progress=progress),
         limits={
-            contrast: tuple(limits(Extreme(contrast=contrast, content=content)) for content in (0.0, 0.3, 1.0))
-            for contrast in (1.0, 1e2, 1e4, 1e6)
+            contrast: tuple(limits(Extreme(contrast=contrast, content=content)) for content in _FILLINGS)
+            for contrast in _CONTRASTS
         },
         endurance=endurance(),
         detections=detections(),
@@ -337,8 +339,7 @@ def random_scenes(
         found[box] = []
         for scene in draw_scenes(count, draw, box):
             found[box].append(_judge_scene(scene))
-            # 64: drawn scenes between two messages.
-            if len(found[box]) % 64 == 0:
+            if len(found[box]) % _PROGRESS == 0:
                 progress(f"{box}: {len(found[box])} of {count}")
     for own in draw_own_scenes(count, draw):
         found.setdefault(own.kind, []).append(_judge_own_scene(own))

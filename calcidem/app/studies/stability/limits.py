@@ -17,6 +17,8 @@ from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.propagation import prepare_recorder
 
+_FACTORS = (0.99, 1.01, 1.05, 1.2, 2.0)  # step over the true limit
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -91,8 +93,7 @@ def _acceleration_matrix(state: State) -> Floats:
 
 def detections() -> tuple[Detection, ...]:
     """Force steps around the true limit in all regimes of the plain lattice."""
-    # The factors are steps over the true limit.
-    return tuple(_force_step(factor, regime) for factor in (0.99, 1.01, 1.05, 1.2, 2.0) for regime in REGIMES)
+    return tuple(_force_step(factor, regime) for factor in _FACTORS for regime in REGIMES)
 
 
 def _force_step(factor: float, regime: Regime) -> Detection:
@@ -111,6 +112,7 @@ def _force_step(factor: float, regime: Regime) -> Detection:
 
 _LONG = 100_000  # steps
 _LOOKS = 20  # energy checks in a run
+_MOTION = 1.0e-2  # motion of the disks per stability limit over the mean overlap: no contact opens or slips
 _PRESSED_LATTICE = Extreme(confinement=1e6)
 
 
@@ -145,8 +147,7 @@ def _moving_state(regime: Regime) -> State:
     scene, packing = scene_at_rest(replace(_PRESSED_LATTICE, regime=regime), 0.0)
     features = replace(choose_features(scene, regime, account=True), servo=False)
     limit = float(start(scene, features=features).critical_time_step[0])
-    # 1.0e-2: motion of the disks per stability limit over the mean overlap: no contact opens or slips.
-    speed = 1.0e-2 * packing.report.mean_overlap / limit
+    speed = _MOTION * packing.report.mean_overlap / limit
     return start(scene, features=features, velocity=speed * np.random.default_rng(1).standard_normal((scene.count, 2)))
 
 

@@ -25,6 +25,7 @@ _GREATEST = 1.0e-3  # radius of the largest disks, m
 _LOOK = 25  # steps between two checks of the energy
 _STEPS = 1500  # steps of a run; runs that wait for an event last up to `_TIMES_LONGER` times as long
 _TIMES_LONGER = 40
+_FASTEST_THROWN = 10.0  # m/s: by Hertz's law, disks ten times as fast penetrate a wall by more than their radius
 _AT_REST = 1e-4  # unbalanced-force ratio at which a lid must carry its target
 _OWN_RANGES = {
     "step_fraction": (0.5, 1.05),
@@ -139,8 +140,7 @@ def _collisions(own: OwnScene) -> float:
     radius = _GREATEST * own.size_ratio ** -draw.random(column.size)
     x, y = (apart * (index.ravel() + 0.5) for index in (column, row))
     scene = Scene(x, y, radius, Sand(friction=own.friction), box_walls(4.0 * apart, 3.0 * apart))
-    # At most 10 m/s: by Hertz's law, disks ten times as fast penetrate a wall by more than their radius.
-    speed = min(own.speed, 10.0)
+    speed = min(own.speed, _FASTEST_THROWN)
     velocity = speed * draw.standard_normal((scene.count, 2))
     state, energy = _watch_energies(_begin(own, scene, velocity, speed / _GREATEST * draw.standard_normal(scene.count)))
     place = state.position()

@@ -33,11 +33,16 @@ BOXES = ("extreme", "plausible")
 """Ranges for drawing scenes, see `_SceneQuantity`."""
 _PICK = PickRule(largest_error=1.0)
 """The boxes are short compared with the wavelength; only the dependence of the reading on the step is judged."""
+_FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
 
 STRESSES = (1.0e2, 5.0e3, 5.0e5)  # stresses on small packings, Pa
 FRICTIONS = (0.0, 0.2, 1.0)  # coefficients during packing
 CONTENTS = (0.0, 2.0)  # contents of small packings, percent
 _BOX_WIDTH, _BOX_HEIGHT = 0.025, 0.04  # m
+_UNBALANCED_FORCE_RATIO = 1.0e-7  # packings with so few contacts come to rest slowly
+_STROKE = 0.1  # stroke of the pulse over the mean overlap
+_SLOW_PULSE = 0.1  # frequency of the pulse over the cut-off of the pressed contacts
+_CEMENTED_FREQUENCY = 2.0e4  # Hz: bonds carry the wave at any stress
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,8 +256,7 @@ def _lattice(extreme: Extreme, sand: Sand) -> Packing:
         radius = np.append(radius, np.full(len(hosts), small))
     inside = (x < spacing * (_DISKS_ACROSS - 1) + 1.1 * to_wall) & (y < spacing * (_DISKS_UP - 1) + 1.1 * to_wall)
     # Floating disks form a row in the central pore and overlap only by rounding: they touch without force.
-    # 0.12: radius of a floating disk over that of its neighbours; three in a row fit into a pore.
-    count, own = extreme.floating, 0.12 * _RADIUS
+    count, own = extreme.floating, _FLOATER * _RADIUS
     along = 2.0 * own * (1.0 - 1e-12) * (np.arange(count) - 0.5 * (count - 1))
     middle = to_wall + spacing * np.array([_DISKS_ACROSS // 2 - 0.5, _DISKS_UP // 2 - 0.5])
     x, y = np.append(x[inside], middle[0] + along), np.append(y[inside], np.full(count, middle[1]))
@@ -282,13 +286,12 @@ def _lattice(extreme: Extreme, sand: Sand) -> Packing:
 
 def small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
     """About 150 disks at rest under a stress, Pa."""
-    # Packings with so few contacts come to rest slowly.
     rule = PackingRule(
         width=_BOX_WIDTH,
         height=_BOX_HEIGHT,
         stress=stress,
         friction_preparation=friction,
-        unbalanced_force_ratio=1.0e-7,
+        unbalanced_force_ratio=_UNBALANCED_FORCE_RATIO,
     )
     return make_packing(rule, Sand(), np.random.default_rng(seed))
 
@@ -298,12 +301,9 @@ def experiment_of_packing(packing: Packing, scene: Packed) -> Experiment:
     sand = Sand()
     radius = float(np.mean(packing.radius))
     cut_off = cutoff_frequency(_pressed_stiffness(packing, radius, sand), sand.density * np.pi * radius**2)
-    # 0.1: frequency of the pulse over the cut-off of the pressed contacts.
-    # 20 kHz: bonds carry the wave at any stress.
-    frequency = 2.0e4 if scene.content > 0.0 else 0.1 * cut_off
-    # 0.1: stroke of the pulse over the mean overlap.
+    frequency = _CEMENTED_FREQUENCY if scene.content > 0.0 else _SLOW_PULSE * cut_off
     wave = WaveRule(
-        amplitude=0.1 * packing.report.mean_overlap * frequency,
+        amplitude=_STROKE * packing.report.mean_overlap * frequency,
         transmitter_half_width=_BOX_HEIGHT / 5.0,
         receiver_half_width=_BOX_HEIGHT / 5.0,
         boundary_thickness=_BOX_HEIGHT / 8.0,
