@@ -29,7 +29,7 @@ SENTINELS = [
     ("sweep/schedule.py", "losses >= _LOSSES_BEFORE_SPLIT", "losses > _LOSSES_BEFORE_SPLIT", "sweep/test_schedule.py"),
     ("sweep/schedule.py", "losses < _LOSSES_BEFORE_Q", "losses <= _LOSSES_BEFORE_Q", "sweep/test_schedule.py"),
     ("sweep/schedule.py", "default=-1) + 1", "default=-1) + 0", "sweep/test_schedule.py"),
-    ("app/campaign/progress.py", "estimate(group) * scale", "estimate(group) / scale", "sweep/test_progress.py"),
+    ("app/campaign/progress.py", "estimate(group) * scale", "estimate(group) / scale", "app/test_forecast.py"),
     ("sweep/progress.py", "divmod(minutes, 60)", "divmod(minutes, 61)", "sweep/test_progress.py"),
 ]
 """Module, its text and what stands there instead, and the tests that know it."""
