@@ -254,16 +254,21 @@ def run_worker(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: SweepO
     """
     leave_signals_to_master()
     ranks, place = Ranks(comm), Place.here(comm.Get_rank())
+
+    def is_stopped() -> bool:
+        return comm.Iprobe(MASTER, Tag.STOP)
+
     try:
         wait_until(ranks.send(ProcessIdentity.of_this_process(), MASTER, Tag.HELLO).Test)
         message = _next_message(ranks)
         while message.tag is not Tag.STOP:
             batch: Batch[CellT] = message.value()
-            deadline = Deadline(options.time_limit, lambda: comm.Iprobe(MASTER, Tag.STOP))
+            deadline = Deadline(options.time_limit, is_stopped)
             with suppress(SweepInterrupted):  # by the STOP, which comes next
                 with hard_stop(options.hard_limit):
                     outcome = attempt(batch, compute, deadline, place)
-                _send_outcome(comm, outcome)
+                request = _send_outcome(ranks, outcome)
+                wait_until(lambda: is_stopped() or request.Test())  # noqa: B023 - called before the next batch
             message = _next_message(ranks)
     except MPI.Exception as error:
         raise MasterLostError(f"rank 0 has ended ({error}); run the same command again to continue") from error
@@ -280,16 +285,15 @@ def _next_message(ranks: Ranks) -> Incoming:
     return message
 
 
-def _send_outcome(comm: MPI.Comm, outcome: BatchOutcome[CellT, ResultT]) -> None:
-    """Send the outcome, unless a STOP comes before the master receives it."""
+def _send_outcome(ranks: Ranks, outcome: BatchOutcome[CellT, ResultT]) -> MPI.Request:
+    """Begin to send the outcome, or the failure to pickle it."""
     start = time.monotonic()
     try:
-        request = Ranks(comm).send(outcome, MASTER, Tag.OUTCOME)
+        return ranks.send(outcome, MASTER, Tag.OUTCOME)
     except MPI.Exception:
         raise
     except Exception as error:  # noqa: BLE001 - pickling runs code of the result's class
         failure = Failure.from_exception(FailureKind.FAILED, error)
         seconds = outcome.seconds + time.monotonic() - start
         unsent: BatchOutcome[CellT, ResultT] = BatchOutcome(outcome.batch, outcome.place, seconds, failure=failure)
-        request = Ranks(comm).send(unsent, MASTER, Tag.OUTCOME)
-    wait_until(lambda: comm.Iprobe(MASTER, Tag.STOP) or request.Test())
+        return ranks.send(unsent, MASTER, Tag.OUTCOME)

@@ -10,6 +10,12 @@ from typing import Any, Self
 
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
+
+def _known(*names: str) -> tuple[signal.Signals, ...]:
+    """Those of these signals that this system has: Windows lacks most."""
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
 _DRAIN_SIGNALS = ("SIGUSR1",)
 """Finish the running batches, store them, then stop."""
 
@@ -34,12 +40,12 @@ class StopLevel(IntEnum):
 class SignalHandlers:
     """Context manager that handles signals and puts the former handlers back; for the main thread only.
 
-    Signals are given by their names; those that this system lacks are left out: Windows lacks most.
+    Signals are given by their names; those that this system lacks are left out.
     """
 
     def __init__(self, handlers: Mapping[str, Callable[[int, FrameType | None], None]]) -> None:
         self._handlers: Mapping[signal.Signals, Any] = {
-            getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)
+            number: handler for name, handler in handlers.items() for number in _known(name)
         }
 
     def __enter__(self) -> Self:
@@ -105,6 +111,5 @@ class StopRequest(SignalHandlers):
 
 def leave_signals_to_master() -> None:
     """Ignore all signals that mean stop: mpirun sends them to every rank, but rank 0 alone decides."""
-    for name in (*_DRAIN_SIGNALS, *_HURRY_SIGNALS):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    for number in _known(*_DRAIN_SIGNALS, *_HURRY_SIGNALS):
+        signal.signal(number, signal.SIG_IGN)

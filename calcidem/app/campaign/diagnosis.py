@@ -169,9 +169,10 @@ def _find_remedies(
     values = _named_value(experiment, {}, cell.reason) | _trial_values(experiment, section, speed)
     damped, best = {"wave.damping": _two_digits(0.5 * experiment.wave.damping)}, attempt(*values.items())
     for _ in range(_MOST_NAMED):
-        if best.vs is None:
-            values = values | (_named_value(experiment, values, best.reason) or damped)
-            best = attempt(*values.items())
+        if best.vs is not None:
+            break
+        values = values | (_named_value(experiment, values, best.reason) or damped)
+        best = attempt(*values.items())
     text, wanted = f"All trial values together give no velocity: {best.reason}.", [expected]
     if best.vs is not None:
         ratio = f", {best.vs / speed:.2f} times the static speed" if speed > 0.0 else ""

@@ -9,14 +9,13 @@ from functools import partial
 from typing import NoReturn, Protocol
 
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunStage
-from calcidem.app.campaign.run import CampaignRun
+from calcidem.app.campaign.run import CampaignRun, sweep_options
 from calcidem.app.campaign.task import CellComputation, kernel_compilations
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import StoreUnavailableError
 from calcidem.sweep.attempt import SweepInterrupted
-from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.processes import keep_freed_memory
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.session import Session
@@ -113,7 +112,7 @@ def _lead(
                 work.batches,
                 CellComputation(orders.configuration, work.packing),
                 work.sink,
-                options=SweepOptions(time_limit=orders.configuration.run.time_limit),
+                options=sweep_options(orders.configuration),
                 progress=reporter,
                 stop_request=session.stop_request,
                 more=work.more,
@@ -136,7 +135,7 @@ def _follow(session: Session) -> tuple[int, SweepEnd | None]:
     orders: _Orders = session.broadcast(None)
     _compile_on_nodes(session, orders)
     cells = CellComputation(orders.configuration, orders.packing)
-    end = run_sweep(session.comm, (), cells, None, options=SweepOptions(time_limit=orders.configuration.run.time_limit))
+    end = run_sweep(session.comm, (), cells, None, options=sweep_options(orders.configuration))
     return end.exit_code, end
 
 

@@ -115,7 +115,7 @@ def run(
                 work.batches,
                 CellComputation(configuration, work.packing),
                 work.sink,
-                options=SweepOptions(time_limit=configuration.run.time_limit),
+                options=sweep_options(configuration),
                 progress=reporter,
                 stop_request=StopRequest(),  # no signal sets it: an interrupt goes to the caller
                 more=work.more,
@@ -126,6 +126,11 @@ def run(
             for line in work.demand.lines() if work.demand else ():
                 display.note(line)
     return open_campaign(configuration.database, configuration.campaign.name)
+
+
+def sweep_options(configuration: Configuration) -> SweepOptions:
+    """Limits of the sweep as the configuration has them."""
+    return SweepOptions(time_limit=configuration.run.time_limit)
 
 
 class CampaignRun:

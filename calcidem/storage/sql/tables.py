@@ -183,8 +183,7 @@ ATTEMPT = sa.Table(
     sa.Column("run_id", sa.ForeignKey("run.id")),
     *_columns_of(AttemptRecord, "key", "number", "run_id"),
     sa.Column("checksum", sa.BigInteger),
-    sa.CheckConstraint("number >= 1", name="number_positive"),
-    sa.CheckConstraint(f"seconds >= 0 AND seconds < {_LARGEST}", name="seconds_not_negative"),
+    *_checks_of(AttemptRecord.quantities()),
     _check_one_of("outcome", (*STORED_STATUSES, "lost")),
 )
 """One attempt at a cell (`AttemptRecord`)."""
