@@ -278,10 +278,10 @@ def test_sentences_on_shape(cells: xr.Dataset, published: dict[float, dict[str, 
 
 def test_sobol_indices_of_the_page() -> None:
     """The samples in docs give the total indices of the page (Jansen 1999), and belong to the plan beside them."""
-    from calcidem.app.studies.sensitivity.sobol import load_sobol_plan, stored_points  # noqa: PLC0415 - of this test
+    from calcidem.app.studies.sensitivity.sobol import SobolPlan  # noqa: PLC0415 - of this test
 
     bases = 64
-    points = stored_points(load_sobol_plan(SOBOL.with_suffix(".toml"), bases), SOBOL)
+    points = SobolPlan.load(SOBOL.with_suffix(".toml"), bases).stored(SOBOL)
     assert bool(points["done"].all())
     vs = np.ma.masked_invalid(points["vs"].transpose("point", "content", "seed").to_numpy())
     mean = np.ma.masked_where(vs.count(axis=2) < 2, vs.mean(axis=2)).filled(np.nan)

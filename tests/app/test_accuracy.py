@@ -9,15 +9,14 @@ from scipy.stats import binom
 from calcidem.app.studies.accuracy.command import parse_target
 from calcidem.app.studies.accuracy.questions import (
     Findings,
+    MeasuredErrors,
     amplitude_rows,
     equilibrium_rows,
-    findings_json,
-    measured_errors,
 )
-from calcidem.app.studies.accuracy.reference import _FINEST, HALVING, measure_convergence
+from calcidem.app.studies.accuracy.reference import _FINEST, HALVING, Convergence
 from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, with_wave
-from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, pareto, run_study
+from calcidem.app.studies.accuracy.study import Study, Summary, run_study
 from calcidem.app.studies.explain import Explanation, _alternatives_of, _with_errors
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.sample.cement import CementRule
@@ -92,7 +91,7 @@ def test_a_study_is_written_as_tables_figure_and_json(study: Study) -> None:
     assert "| precision float32 |" in text
     assert "<!-- settings -->\n| setting |" in text
     assert all(f"| {content:g} |" in text for content in {cell.content for cell in study.cells})
-    assert json.loads(findings_json(findings))["study"]["cells"][0]["setting"] == "default"
+    assert json.loads(findings.as_json())["study"]["cells"][0]["setting"] == "default"
     assert len(draw_error_against_run_time(study).axes) == 1
 
 
@@ -108,24 +107,24 @@ def test_the_references_step_is_halved_until_no_velocity_moves(study: Study) -> 
 def test_errors_are_read_back_for_the_same_campaign_and_packing_only(study: Study, tmp_path: Path) -> None:
     """What a study wrote says the largest error of a setting at a content, and refuses to speak for anything else."""
     file = tmp_path / "accuracy.json"
-    file.write_text(findings_json(Findings("a" * 64, "c" * 64, study)))
-    measured = measured_errors("a" * 64, "c" * 64, file)
+    file.write_text(Findings("a" * 64, "c" * 64, study).as_json())
+    measured = MeasuredErrors.find("a" * 64, "c" * 64, file)
     assert measured is not None
     errors = [abs(cell.vs_error or 0.0) for cell in study.cells if (cell.setting, cell.content) == (DEFAULT, 0.66)]
     assert measured.worst[DEFAULT, 0.66] == pytest.approx(max(errors), rel=1e-4)
     assert measured.worst.get((DEFAULT, 4.0)) is None
     with pytest.raises(ValueError, match="another campaign"):
-        measured_errors("b" * 64, "c" * 64, file)
+        MeasuredErrors.find("b" * 64, "c" * 64, file)
     with pytest.raises(ValueError, match="another packing, cccccccccccc and not bbbbbbbbbbbb"):
-        measured_errors("a" * 64, "b" * 64, file)
-    assert measured_errors("b" * 64, "c" * 64) is None
+        MeasuredErrors.find("a" * 64, "b" * 64, file)
+    assert MeasuredErrors.find("b" * 64, "c" * 64) is None
 
 
 def test_explain_shows_the_measured_errors_of_both_ways(experiment: Experiment, study: Study, tmp_path: Path) -> None:
     """A row has the error of the campaign's own way and of the other, and none where nothing was measured."""
     file = tmp_path / "accuracy.json"
-    file.write_text(findings_json(Findings("a" * 64, "c" * 64, study)))
-    measured = measured_errors("a" * 64, "c" * 64, file)
+    file.write_text(Findings("a" * 64, "c" * 64, study).as_json())
+    measured = MeasuredErrors.find("a" * 64, "c" * 64, file)
     precision = next(one for one in _alternatives_of(experiment, 0.66) if one.what == "double precision")
     row = _with_errors(Explanation(0.66, precision, 1.0, 0.0), measured)
     assert row.error is not None
@@ -153,8 +152,8 @@ def test_early_stop_changes_no_reading(experiment: Experiment) -> None:
 @pytest.mark.full
 def test_the_signal_converges_to_second_order_without_damping(experiment: Experiment) -> None:
     """Without damping each halving of the step divides the signal's change by four; with it by two to three."""
-    undamped = measure_convergence(experiment, 5.0, SEEDS, 1300.0, damped=False)
-    damped = measure_convergence(experiment, 5.0, SEEDS, 1300.0, damped=True)
+    undamped = Convergence.measure(experiment, 5.0, SEEDS, 1300.0, damped=False)
+    damped = Convergence.measure(experiment, 5.0, SEEDS, 1300.0, damped=True)
     # Velocities are recorded in steps, of which smoothing leaves half of the last change.
     assert undamped.orders == pytest.approx([2.0, 2.0], abs=0.15)
     # The sign in local damping turns over at some instant within a step.
@@ -226,11 +225,12 @@ def test_the_cheapest_setting_is_chosen_among_those_that_meet_the_target() -> No
     """Too large an error and lost cells rule a setting out; of the rest the fastest wins."""
     rows = (summary_of("a", 0.02, 1.0), summary_of("b", 0.004, 2.0), summary_of("c", 0.001, 3.0, lost=1))
     made_up = Study(cells=(), summaries=rows, references=(), reference_seconds=9.0, seconds={})
-    chosen = cheapest(made_up, 0.005)
+    chosen = made_up.cheapest(0.005)
     assert chosen is not None
     assert chosen.setting == "b"
-    assert cheapest(made_up, 0.0001) is None
-    assert [row.setting for row in pareto((*rows, summary_of("d", 0.02, 5.0)))] == ["a", "b", "c"]
+    assert made_up.cheapest(0.0001) is None
+    slow = replace(made_up, summaries=(*rows, summary_of("d", 0.02, 5.0)))
+    assert [row.setting for row in slow.pareto] == ["a", "b", "c"]
 
 
 @pytest.mark.parametrize(("text", "value"), [("0.5%", 0.005), ("0.005", 0.005), ("2 %", 0.02)])

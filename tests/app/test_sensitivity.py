@@ -10,19 +10,13 @@ import xarray as xr
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.studies.sensitivity.plan import (
     REFERENCE,
-    compare_variants,
-    compute_variants,
-    load_plan,
-    sensitivity_table,
+    VariantPlan,
 )
 from calcidem.app.studies.sensitivity.sobol import (
+    SobolPlan,
     _parameters_by_weight,
     _verdicts,
-    evaluate_points,
-    indices_of_points,
-    load_sobol_plan,
     sobol_table,
-    stored_points,
 )
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import CampaignMismatchError
@@ -83,7 +77,7 @@ def planned(folder: Path, plan: str = PLAN) -> Path:
 
 def test_variants_differ_from_the_base_in_what_they_say(tmp_path: Path) -> None:
     """The reference is the base; a variant has its value, and a key left out has its default."""
-    reference, modulus, calcite = load_plan(planned(tmp_path), str(tmp_path / "all.db"))
+    reference, modulus, calcite = VariantPlan.load(planned(tmp_path), str(tmp_path / "all.db")).variants
     assert reference.name == REFERENCE
     assert reference.configuration.pattern.cluster_area == 3.6e-6
     assert modulus.configuration.cement.bond_modulus == 1.28e12
@@ -108,7 +102,7 @@ def test_mistakes_in_a_plan_are_named(change: tuple[str, str], named: str, tmp_p
     """Whatever is wrong with a plan is told before anything is computed."""
     path = planned(tmp_path, PLAN.replace(*change))
     with pytest.raises(ConfigurationError, match=named):
-        load_plan(path, str(tmp_path / "all.db"))
+        VariantPlan.load(path, str(tmp_path / "all.db"))
 
 
 def test_a_section_that_is_none_is_refused(tmp_path: Path) -> None:
@@ -116,7 +110,7 @@ def test_a_section_that_is_none_is_refused(tmp_path: Path) -> None:
     path = planned(tmp_path)
     (tmp_path / "base.toml").write_text("run = 3", encoding="utf-8")
     with pytest.raises(ConfigurationError, match="run"):
-        load_plan(path, str(tmp_path / "all.db"))
+        VariantPlan.load(path, str(tmp_path / "all.db"))
 
 
 def test_stiffer_cement_is_faster_and_nothing_is_computed_twice(
@@ -124,18 +118,18 @@ def test_stiffer_cement_is_faster_and_nothing_is_computed_twice(
 ) -> None:
     """Sixteen times the modulus of the bonds raises mean Vs; a second call adds no attempt and gives the same table."""
     monkeypatch.setenv("CALCIDEM_CACHE", str(tmp_path / "cache"))
-    variants = load_plan(planned(tmp_path), str(tmp_path / "all.db"))[:2]
-    compute_variants(variants, lambda _: None)
-    found = compare_variants(variants)
-    (change,) = found[variants[1].name]
+    variants = VariantPlan(VariantPlan.load(planned(tmp_path), str(tmp_path / "all.db")).variants[:2])
+    variants.compute(lambda _: None)
+    found = variants.changes()
+    (change,) = found[variants.variants[1].name]
     assert change.planned == 8
     assert change.measured >= 4  # a box this small swallows some pulses and makes some velocities too uncertain
     assert change.mean_ratio > 1.02
-    table = sensitivity_table(variants, found)
+    table = variants.table()
     assert table.count("\n") == 4
     assert f"{change.mean:.0f} ± {change.standard_deviation:.0f}" in table
-    compute_variants(variants, lambda _: None)
-    assert sensitivity_table(variants, compare_variants(variants)) == table
+    variants.compute(lambda _: None)
+    assert variants.table() == table
 
 
 def test_the_plan_of_the_documentation_is_good(tmp_path: Path) -> None:
@@ -143,9 +137,9 @@ def test_the_plan_of_the_documentation_is_good(tmp_path: Path) -> None:
     plans = Path(__file__).parents[2] / "docs" / "reproduction"
     for plan in plans.glob("*.toml"):
         if "[ranges]" in plan.read_text(encoding="utf-8"):
-            assert load_sobol_plan(plan, 4).ranges
+            assert SobolPlan.load(plan, 4).ranges
         else:
-            assert len(load_plan(plan, str(tmp_path / "all.db"))) > 1
+            assert len(VariantPlan.load(plan, str(tmp_path / "all.db")).variants) > 1
 
 
 def test_ranges_that_cannot_be_varied_are_named(tmp_path: Path) -> None:
@@ -158,14 +152,14 @@ def test_ranges_that_cannot_be_varied_are_named(tmp_path: Path) -> None:
         (("seeds = 8", "seeds = 8"), 12, "power of two"),
     ):
         with pytest.raises(ConfigurationError, match=named):
-            load_sobol_plan(planned(tmp_path, RANGES.replace(*change)), bases)
+            SobolPlan.load(planned(tmp_path, RANGES.replace(*change)), bases)
 
 
 def test_points_that_are_stored_are_divided_as_the_closed_form_says(tmp_path: Path) -> None:
     """Velocities whose mean is linear in one parameter and deviation in the other give each its share, and no other."""
-    plan = load_sobol_plan(planned(tmp_path, RANGES), 128)
-    points = stored_points(plan, tmp_path / "none.nc")
-    nothing = _parameters_by_weight(indices_of_points(plan, points))
+    plan = SobolPlan.load(planned(tmp_path, RANGES), 128)
+    points = plan.stored(tmp_path / "none.nc")
+    nothing = _parameters_by_weight(plan.indices(points))
     assert not any(nothing.values())  # nothing is known before anything is computed
     low, high = np.array(list(plan.ranges.values())).T
     first, second = ((points["value"].to_numpy() - low) / (high - low)).T
@@ -175,7 +169,7 @@ def test_points_that_are_stored_are_divided_as_the_closed_form_says(tmp_path: Pa
     points["vs"][:, 1, 0] = 100.0  # the second content varies differently; its last seed is never read
     points["vs"][:, 1, 7] = np.nan
     points["done"][:] = True
-    indices = indices_of_points(plan, points)
+    indices = plan.indices(points)
     found = indices.sel(content=0.66)
     for output, shares in (("mean", [1.0, 0.0]), ("relative_deviation", [0.0, 1.0])):
         np.testing.assert_allclose(found["total"].sel(output=output), shares, atol=0.02)
@@ -192,7 +186,7 @@ def test_points_that_are_stored_are_divided_as_the_closed_form_says(tmp_path: Pa
 
 def test_what_few_points_do_not_show_is_not_called_negligible(tmp_path: Path) -> None:
     """A parameter whose interval is wide, or narrow from a few base points, is not decided, and the table says so."""
-    plan = load_sobol_plan(planned(tmp_path, RANGES), 128)
+    plan = SobolPlan.load(planned(tmp_path, RANGES), 128)
     both = ["mean", "relative_deviation"]
     totals = xr.Dataset(
         {
@@ -214,28 +208,28 @@ def test_points_are_computed_once_and_of_one_plan(
 ) -> None:
     """A file that lacks a point is completed to the same velocities; one of another plan is refused."""
     one = RANGES.replace("[0.66, 0.5]", "[0.66]").replace('"cement.bond_modulus" = [7.9e10, 8.1e10]\n', "")
-    plan = load_sobol_plan(planned(tmp_path, one), 4)
+    plan = SobolPlan.load(planned(tmp_path, one), 4)
     file, told = tmp_path / "points.nc", []
-    complete = evaluate_points(plan, small_packing, file, say=told.append)
+    complete = plan.evaluate(small_packing, file, say=told.append)
     assert told[0].startswith("12 points of 8 cells each: about")
     assert bool(complete["done"].all())
     assert bool(complete["vs"].notnull().any("seed").all())
     monkeypatch.setattr("calcidem.app.studies.sensitivity.sobol.trial_workers", None)  # nothing is left to compute
-    assert evaluate_points(plan, small_packing, file)["vs"].equals(complete["vs"])
+    assert plan.evaluate(small_packing, file)["vs"].equals(complete["vs"])
     with pytest.raises(CampaignMismatchError, match="another plan"):
-        stored_points(replace(plan, bases=8), file)
+        replace(plan, bases=8).stored(file)
     monkeypatch.undo()
     partial = complete.copy(deep=True)
     partial["done"][3], partial["vs"][3] = False, np.nan
     partial.to_netcdf(file)
-    assert evaluate_points(plan, small_packing, file)["vs"].equals(complete["vs"])
+    assert plan.evaluate(small_packing, file)["vs"].equals(complete["vs"])
 
 
 @pytest.mark.full
 def test_the_stiffness_of_the_sand_decides_where_little_is_cemented(tmp_path: Path, small_packing: Packing) -> None:
     """Of a small real campaign the mean at 0.66 % is decided by the sand, not by 1 % of the modulus of the bonds."""
-    plan = load_sobol_plan(planned(tmp_path, RANGES.replace("0.5]", "0.4]")), 64)
-    points = evaluate_points(plan, small_packing, tmp_path / "points.nc", cores=2)
-    total = indices_of_points(plan, points)["total"].sel(output="mean", content=0.66)
+    plan = SobolPlan.load(planned(tmp_path, RANGES.replace("0.5]", "0.4]")), 64)
+    points = plan.evaluate(small_packing, tmp_path / "points.nc", cores=2)
+    total = plan.indices(points)["total"].sel(output="mean", content=0.66)
     assert float(total[0]) > 0.8  # seeds that some points do not read make the rest
     assert float(total[1]) < 0.1

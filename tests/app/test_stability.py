@@ -7,14 +7,10 @@ import pytest
 
 from calcidem.app.studies.stability.command import StabilityVerdict, _judge_own_scene, _judge_packing, _judge_scene
 from calcidem.app.studies.stability.limits import _energy_drift, _force_step, limits
-from calcidem.app.studies.stability.own_scenes import _OWN_KINDS, draw_own_scenes
+from calcidem.app.studies.stability.own_scenes import _OWN_KINDS, OwnScene
 from calcidem.app.studies.stability.scenes import (
     Extreme,
     Packed,
-    content_of,
-    draw_scenes,
-    experiment_of_packing,
-    experiment_of_scene,
     small_packing,
 )
 from calcidem.dem.engine.material import Sand
@@ -34,7 +30,7 @@ SCENES = 512
 @pytest.mark.parametrize("scenes", [SCENES // 32, SCENES])
 def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None:
     """Of the scenes drawn over all quantities each is right, refused with a cure, or found out with a reason."""
-    judgements = [_judge_scene(scene) for scene in draw_scenes(scenes, seed=1)]
+    judgements = [_judge_scene(scene) for scene in Extreme.draw(scenes, seed=1)]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     count = Counter(judgement.verdict for judgement in judgements)
     # The draw has to reach all three, or it shows nothing.
@@ -48,7 +44,7 @@ def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None
 @pytest.mark.parametrize("regimes", [{"linear"}, pytest.param({"linear", "small", "finite"}, marks=pytest.mark.full)])
 def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str]) -> None:
     """Where a velocity is to be expected most scenes give one, and each is right."""
-    scenes = [scene for scene in draw_scenes(40, seed=3, box="plausible") if scene.regime in regimes]
+    scenes = [scene for scene in Extreme.draw(40, seed=3, box="plausible") if scene.regime in regimes]
     judgements = [_judge_scene(scene) for scene in scenes]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     assert sum(judgement.error is not None for judgement in judgements) >= 15 / 40 * len(scenes) > 2
@@ -58,7 +54,7 @@ def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str])
 @pytest.mark.parametrize("scenes", [SCENES // 16, SCENES])
 def test_no_scene_of_ones_own_goes_wrong_in_silence(scenes: int) -> None:
     """Impacts, disks that just touch, gravity and bonds across gaps end right to 2 %, or with an error that says so."""
-    judgements = [_judge_own_scene(scene) for scene in draw_own_scenes(scenes, seed=1)]
+    judgements = [_judge_own_scene(scene) for scene in OwnScene.draw(scenes, seed=1)]
     assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
     count = Counter(
         judgement.scene.kind  # type: ignore[union-attr]
@@ -111,7 +107,7 @@ def test_near_isostaticity_the_linear_regime_bounds_what_it_leaves_out(
     """A bare packing has the finite regime's velocity within the linear one's bound, and none below isostaticity."""
     packing = small_packing(stress, friction, seed)
     scene = Packed(stress, friction, 0.0, "linear", seed)
-    judgement = _judge_packing(scene, experiment_of_packing(packing, scene))
+    judgement = _judge_packing(scene, scene.experiment(packing))
     assert judgement.verdict != StabilityVerdict.WRONG, judgement
     if friction > Sand().friction and seed == 1:
         assert packing.report.coordination_number_without_rattlers < 3.0
@@ -131,9 +127,7 @@ def test_near_isostaticity_the_linear_regime_bounds_what_it_leaves_out(
 )
 def test_slip_that_begins_down_the_way_is_counted(scene: Packed) -> None:
     """Contacts of cemented packings near isostaticity slip after the pulse was sent; what was stated is not given."""
-    judgement = _judge_packing(
-        scene, experiment_of_packing(small_packing(scene.stress, scene.friction, scene.seed), scene)
-    )
+    judgement = _judge_packing(scene, scene.experiment(small_packing(scene.stress, scene.friction, scene.seed)))
     assert judgement.verdict != StabilityVerdict.WRONG, judgement
 
 
@@ -174,8 +168,8 @@ def test_what_is_unbalanced_is_held_while_a_tiny_pulse_passes() -> None:
 def test_bonds_that_break_are_reported_after_one_retry() -> None:
     """A pulse that breaks its sample gives no velocity but the number of broken bonds, and says it was tried twice."""
     scene = Extreme(strength=0.01, regime="small", amplitude=1e-3, content=0.9)
-    experiment = experiment_of_scene(scene)
-    found = measure(experiment, content_of(scene, experiment), [1], lanes=1)[0]
+    experiment, content = scene.experiment()
+    found = measure(experiment, content, [1], lanes=1)[0]
     assert found.result.outcome == Outcome.UNSTABLE
     assert found.vs is None
     assert "bonds broke" in found.result.reason
@@ -186,8 +180,7 @@ def test_bonds_that_break_are_reported_after_one_retry() -> None:
 def test_chatter_counts_what_half_of_the_step_changes() -> None:
     """Where contacts chatter the velocity is that of half of the step, and its change by it is a part of its bound."""
     scene = Extreme(damping=0.66, content=0.3, contrast=100.0)
-    strong = experiment_of_scene(scene)
-    content = content_of(scene, strong)
+    strong, content = scene.experiment()
     found = measure(strong, content, [1], lanes=1)[0]
     assert found.record.time_step == pytest.approx(0.5 * scene.step_fraction * found.record.stability_limit)
     cemented = [strong.ordering(1).at(content).bonded]
@@ -216,7 +209,7 @@ def test_chatter_counts_what_half_of_the_step_changes() -> None:
 @pytest.mark.full
 def test_a_scene_at_rest_stays_at_rest() -> None:
     """Undisturbed, the balanced lattice moves by rounding alone over 20 000 steps."""
-    experiment = experiment_of_scene(Extreme(regime="finite"))
+    experiment, _ = Extreme(regime="finite").experiment()
     scene = wave_scene(experiment.packing, experiment.sand, experiment.wave, None)
     state = advance(start(scene, regime="small", preload=experiment.packing.preload), 20_000)
     overlap = experiment.packing.report.mean_overlap
@@ -226,7 +219,7 @@ def test_a_scene_at_rest_stays_at_rest() -> None:
 @pytest.mark.full
 def test_a_restarted_run_goes_on_as_if_it_had_never_stopped() -> None:
     """Twice 500 steps from a moving state are 1000 steps, bit by bit."""
-    experiment = experiment_of_scene(Extreme(regime="finite", confinement=1e6))
+    experiment, _ = Extreme(regime="finite", confinement=1e6).experiment()
     scene = wave_scene(experiment.packing, experiment.sand, experiment.wave, None)
     velocity = 1e-3 * np.random.default_rng(1).standard_normal((scene.count, 2))
     state = start(scene, regime="small", velocity=velocity)

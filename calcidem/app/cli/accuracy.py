@@ -37,25 +37,23 @@ def accuracy_command(
 ) -> None:
     """Measure error against run time of every numerical setting, on cells of the campaign."""
     from calcidem.app.config.reader import change_configuration, load_configuration
-    from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target, plan_task
-    from calcidem.app.studies.accuracy.questions import findings_json
+    from calcidem.app.studies.accuracy.command import AccuracyTask, parse_target
     from calcidem.app.studies.accuracy.report import accuracy_tables, name_of
-    from calcidem.app.studies.accuracy.study import cheapest
 
     loaded = load_configuration(configuration)
     planned = {"campaign.contents": sorted(set(content or loaded.campaign.contents))}
-    task = plan_task(change_configuration(loaded, planned), (), seeds, db, tell)
+    task = AccuracyTask.plan(change_configuration(loaded, planned), (), seeds, db, tell)
     try:
-        choose_settings(task.experiment, only or ())
+        task.choose_settings(only or ())
         parse_target(target or "1%")
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
-    findings = accuracy(task, only=only or (), out=out, progress=tell)
+    findings = task.measure(only=only or (), out=out, progress=tell)
     if layout is Format.TABLE:
         typer.echo("\n\n".join(accuracy_tables(findings).values()))
         if target is not None:
-            chosen = cheapest(findings.study, parse_target(target))
+            chosen = findings.study.cheapest(parse_target(target))
             typer.echo(f"Cheapest setting with an error of at most {target}: {name_of(chosen)}")
     else:
-        whole = json.loads(findings_json(findings))
+        whole = json.loads(findings.as_json())
         tell_rows(whole["study"]["cells"], layout, whole=whole)

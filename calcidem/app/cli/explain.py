@@ -39,7 +39,7 @@ def explain_command(
     from calcidem.app.config.calibrated import calibration_note
     from calcidem.app.config.checks import check_against_packing
     from calcidem.app.config.reader import change_configuration, load_configuration
-    from calcidem.app.studies.accuracy.questions import measured_errors
+    from calcidem.app.studies.accuracy.questions import MeasuredErrors
     from calcidem.app.studies.explain import explain
 
     loaded = load_configuration(configuration)
@@ -52,7 +52,7 @@ def explain_command(
         with open_campaign_of(loaded, db) as opened:
             packing = opened.experiment().packing
     try:
-        measured = measured_errors(loaded.hash, packing.content_hash, accuracy)
+        measured = MeasuredErrors.find(loaded.hash, packing.content_hash, accuracy)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     check_against_packing(loaded, packing)

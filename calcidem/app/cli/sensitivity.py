@@ -52,8 +52,8 @@ def sensitivity_command(
     --sobol varies all \[ranges] of the plan together and shows shares of the variance. 'frequency' or 'damping' instead
     of a plan computes samples of a stored campaign with other values; its database is not written.
     """
-    from calcidem.app.studies.sensitivity.plan import compare_variants, compute_variants, load_plan, sensitivity_table
-    from calcidem.app.studies.sensitivity.sobol import load_sobol_plan
+    from calcidem.app.studies.sensitivity.plan import VariantPlan
+    from calcidem.app.studies.sensitivity.sobol import SobolPlan
     from calcidem.storage.files import refuse_to_replace, write_text_atomically
 
     if out is not None:
@@ -61,13 +61,13 @@ def sensitivity_command(
     if str(plan) in {"frequency", "damping"}:
         table = _vary_one(str(plan), database, content, campaign, out)
     elif sobol is None:
-        variants = load_plan(plan, database)
+        variants = VariantPlan.load(plan, database)
         if not only_table:
-            compute_variants(variants, tell)
-        table = sensitivity_table(variants, compare_variants(variants))
+            variants.compute(tell)
+        table = variants.table()
     else:
         table = _sobol_study(
-            load_sobol_plan(plan, sobol), Path(database), out, 0 if only_table else cores or available_cores()
+            SobolPlan.load(plan, sobol), Path(database), out, 0 if only_table else cores or available_cores()
         )
     if out is None:
         typer.echo(table)
@@ -99,14 +99,14 @@ def _sobol_study(plan: "SobolPlan", file: Path, out: Path | None, cores: int) ->
     from calcidem.analysis.figures.sensitivity import draw_sobol
     from calcidem.analysis.figures.style import save
     from calcidem.app.campaign.packing import provide_packing
-    from calcidem.app.studies.sensitivity.sobol import evaluate_points, indices_of_points, sobol_table, stored_points
+    from calcidem.app.studies.sensitivity.sobol import sobol_table
 
     if cores:
         packing = provide_packing(plan.configuration, None, tell)
-        points = evaluate_points(plan, packing, file, cores, tell)
+        points = plan.evaluate(packing, file, cores, tell)
     else:
-        points = stored_points(plan, file)
-    indices = indices_of_points(plan, points)
+        points = plan.stored(file)
+    indices = plan.indices(points)
     if out is not None:
         for written in save(draw_sobol(indices), out.parent, out.stem, ("png",)):
             typer.echo(f"Wrote {written}")

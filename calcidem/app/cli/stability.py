@@ -1,7 +1,6 @@
 """``calcidem stability``: extreme cases."""
 
-from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -17,13 +16,11 @@ def stability_command(
     layout: FormatOption = Format.TABLE,
 ) -> None:
     """Map which small extreme scenes are stable, refused or detected, and check the predicted step limits."""
-    from calcidem.app.studies.stability.command import StabilityVerdict, random_scene_tables, random_scenes, stability
+    from calcidem.app.studies.stability.command import StabilityVerdict, random_scenes, stability
 
     if scenes:
-        found = random_scenes(scenes, draw, progress=tell)
-        whole: dict[str, Any] = {box: [asdict(judgement) for judgement in row] for box, row in found.items()}
+        text, whole = random_scenes(scenes, draw, progress=tell)
         rows = [{"box": box, **judgement} for box, row in whole.items() for judgement in row]
-        text = random_scene_tables(found)
     else:
         text, whole = stability(out=out, progress=tell)
         rows = [{"quantity": name, **judgement} for name, walk in whole["walks"].items() for judgement in walk]
@@ -31,5 +28,5 @@ def stability_command(
         typer.echo(text)
     else:
         tell_rows(rows, layout, whole=whole)
-    if scenes and any(judgement.verdict == StabilityVerdict.WRONG for row in found.values() for judgement in row):
+    if scenes and any(row["verdict"] == StabilityVerdict.WRONG for row in rows):
         raise typer.Exit(1)

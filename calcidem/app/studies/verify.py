@@ -85,12 +85,6 @@ class Verification:
         return tuple(name for name in _VERIFIED if name in there[1] - there[0])
 
 
-def worst_agreement(found: Iterable[Verification]) -> Agreement:
-    """Worst agreement of all cells."""
-    order = list(Agreement)
-    return max((verification.agreement for verification in found), key=order.index, default=Agreement.SAME_BITS)
-
-
 def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[CellKey, ...]:
     """Choose stored cells at random, by seed, then content; all if there are fewer.
 

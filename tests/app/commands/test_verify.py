@@ -21,7 +21,7 @@ from calcidem.app.cli.run_view import _vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import _velocity_remarks
-from calcidem.app.studies.accuracy.command import plan_task
+from calcidem.app.studies.accuracy.command import AccuracyTask
 from calcidem.app.studies.explain import Explanation, _Alternative
 from calcidem.app.studies.verify import Agreement, _compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
@@ -247,7 +247,7 @@ def test_choice_of_cells(small: Path) -> None:
 @pytest.mark.usefixtures("no_packing_is_made")
 def test_accuracy_judges_the_packing_of_the_database(small: Path, toml: Path, small_packing: Packing) -> None:
     """With --db the cells are those of the stored packing; none is made."""
-    task = plan_task(load_configuration(toml), (), 1, small, lambda _: None)
+    task = AccuracyTask.plan(load_configuration(toml), (), 1, small, lambda _: None)
     assert task.experiment.packing.content_hash == small_packing.content_hash
     assert task.stored is not None
     assert set(task.stored) == {0.0, 0.66}

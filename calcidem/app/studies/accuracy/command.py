@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 from calcidem.analysis.figures.style import save
 from calcidem.app.campaign.opened import open_campaign_of
@@ -14,10 +15,9 @@ from calcidem.app.studies.accuracy.questions import (
     Findings,
     amplitude_rows,
     equilibrium_rows,
-    findings_json,
     scatter_rows,
 )
-from calcidem.app.studies.accuracy.reference import Convergence, measure_cells, measure_convergence
+from calcidem.app.studies.accuracy.reference import Convergence, measure_cells
 from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings
 from calcidem.app.studies.accuracy.study import Study, run_study
@@ -30,8 +30,8 @@ _CONVERGENCE_CASES: tuple[tuple[bool, Regime], ...] = ((True, "linear"), (False,
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Task:
-    """Measurements to make."""
+class AccuracyTask:
+    """Cells to measure with every setting."""
 
     configuration: Configuration
     """Configuration of the campaign."""
@@ -42,69 +42,68 @@ class _Task:
     stored: Mapping[float, Sequence[float]] | None = None
     """Velocities of a stored campaign at each content, m/s; None measures a few samples instead."""
 
+    @classmethod
+    def plan(
+        cls,
+        configuration: Configuration,
+        contents: Sequence[float],
+        seeds: int,
+        database: str | os.PathLike[str] | None,
+        progress: Callable[[str], None],
+    ) -> Self:
+        """Plan to measure the given contents, by default all of the campaign, with its first seeds.
 
-def plan_task(
-    configuration: Configuration,
-    contents: Sequence[float],
-    seeds: int,
-    database: str | os.PathLike[str] | None,
-    progress: Callable[[str], None],
-) -> _Task:
-    """Plan to measure the given contents, by default all of the campaign, with its first seeds.
+        A database supplies the campaign's packing, and its velocities for the scatter of samples.
+        `CampaignMismatchError` if its campaign has another configuration.
+        """
+        contents = contents or sorted(configuration.campaign.contents)
+        velocities = None
+        if database is None:
+            packing = provide_packing(configuration, None, progress)
+        else:
+            with open_campaign_of(configuration, database) as campaign:
+                packing, vs = campaign.experiment().packing, campaign.vs()
+            known = [value for value in contents if value in vs.content.to_numpy()]
+            velocities = {value: vs.sel(content=value).dropna("seed").to_numpy().tolist() for value in known}
+        chosen = configuration.campaign.seed_numbers[:seeds]
+        return cls(configuration, configuration.experiment(packing), contents, chosen, velocities)
 
-    A database supplies the campaign's packing, and its velocities for the scatter of samples.
-    `CampaignMismatchError` if its campaign has another configuration.
-    """
-    contents = contents or sorted(configuration.campaign.contents)
-    velocities = None
-    if database is None:
-        packing = provide_packing(configuration, None, progress)
-    else:
-        with open_campaign_of(configuration, database) as campaign:
-            packing, vs = campaign.experiment().packing, campaign.vs()
-        known = [value for value in contents if value in vs.content.to_numpy()]
-        velocities = {value: vs.sel(content=value).dropna("seed").to_numpy().tolist() for value in known}
-    chosen = configuration.campaign.seed_numbers[:seeds]
-    return _Task(configuration, configuration.experiment(packing), contents, chosen, velocities)
+    def choose_settings(self, only: Sequence[str]) -> list[Setting]:
+        """Return the default and the settings of these names; `ValueError` for an unknown name."""
+        known = {setting.name: setting for setting in settings(self.experiment)}
+        for name in only:
+            if name not in known:
+                raise ValueError(f"only = {name}: choose among {', '.join(known)}")
+        return [known[DEFAULT], *(known[name] for name in only if name != DEFAULT)]
 
+    def measure(
+        self,
+        *,
+        only: Sequence[str] = (),
+        out: Path | None = None,
+        progress: Callable[[str], None] = lambda _: None,
+    ) -> Findings:
+        """Measure error over run time.
 
-def accuracy(
-    task: _Task,
-    *,
-    only: Sequence[str] = (),
-    out: Path | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> Findings:
-    """Measure error over run time.
-
-    With names of settings in ``only``, only these and the default are compared with the reference; `ValueError` for an
-    unknown name. The folder ``out`` receives the figure, ``accuracy.md`` and ``accuracy.json``.
-    """
-    compared, rounds = (choose_settings(task.experiment, only), {"rounds": 1}) if only else (None, {})
-    lanes = task.configuration.run.lanes
-    study = run_study(
-        task.experiment, task.contents, task.seeds, compared=compared, lanes=lanes, progress=progress, **rounds
-    )
-    findings = Findings(task.configuration.hash, task.experiment.packing.content_hash, study)
-    if not only:
-        findings = _answer_questions(task, findings, progress)
-    if out is not None:
-        save(draw_error_against_run_time(findings.study), out, "accuracy", ("png",))
-        write_text_atomically(out / "accuracy.md", accuracy_page(findings))
-        write_text_atomically(out / "accuracy.json", findings_json(findings))
-    return findings
+        With names of settings in ``only``, only these and the default are compared with the reference; `ValueError` for
+        an unknown name. The folder ``out`` receives the figure, ``accuracy.md`` and ``accuracy.json``.
+        """
+        compared, rounds = (self.choose_settings(only), {"rounds": 1}) if only else (None, {})
+        lanes = self.configuration.run.lanes
+        study = run_study(
+            self.experiment, self.contents, self.seeds, compared=compared, lanes=lanes, progress=progress, **rounds
+        )
+        findings = Findings(self.configuration.hash, self.experiment.packing.content_hash, study)
+        if not only:
+            findings = _answer_questions(self, findings, progress)
+        if out is not None:
+            save(draw_error_against_run_time(findings.study), out, "accuracy", ("png",))
+            write_text_atomically(out / "accuracy.md", accuracy_page(findings))
+            write_text_atomically(out / "accuracy.json", findings.as_json())
+        return findings
 
 
-def choose_settings(experiment: Experiment, only: Sequence[str]) -> list[Setting]:
-    """Return the default and the settings of these names; `ValueError` for an unknown name."""
-    known = {setting.name: setting for setting in settings(experiment)}
-    for name in only:
-        if name not in known:
-            raise ValueError(f"only = {name}: choose among {', '.join(known)}")
-    return [known[DEFAULT], *(known[name] for name in only if name != DEFAULT)]
-
-
-def _answer_questions(task: _Task, findings: Findings, progress: Callable[[str], None]) -> Findings:
+def _answer_questions(task: AccuracyTask, findings: Findings, progress: Callable[[str], None]) -> Findings:
     """Add the results that have their own reference."""
     configuration, experiment, contents, seeds = task.configuration, task.experiment, task.contents, task.seeds
     lanes, all_seeds = configuration.run.lanes, configuration.campaign.seed_numbers
@@ -131,7 +130,7 @@ def _answer_questions(task: _Task, findings: Findings, progress: Callable[[str],
     )
 
 
-def _orders(task: _Task, study: Study, progress: Callable[[str], None]) -> tuple[Convergence, ...]:
+def _orders(task: AccuracyTask, study: Study, progress: Callable[[str], None]) -> tuple[Convergence, ...]:
     """Order of convergence at each content with a velocity of the reference."""
     orders, own = [], task.experiment.wave.regime
     for content in dict.fromkeys(cell.content for cell in study.references if cell.vs is not None):
@@ -142,7 +141,7 @@ def _orders(task: _Task, study: Study, progress: Callable[[str], None]) -> tuple
             progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}, {regime}")
             lanes = task.configuration.run.lanes
             orders.append(
-                measure_convergence(
+                Convergence.measure(
                     task.experiment, content, task.seeds, slowest, damped=damped, regime=regime, lanes=lanes
                 )
             )

@@ -9,6 +9,7 @@ import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -240,6 +241,22 @@ class Findings:
     scatter: tuple[_Scatter, ...] = ()
     """Rows of the other tables, empty if not measured."""
 
+    def as_json(self) -> str:
+        """Results as JSON: numbers to five digits, null for values that are not finite."""
+
+        def rounded(value: object) -> object:
+            if isinstance(value, dict):
+                return {
+                    f"{key:g}" if isinstance(key, float) else str(key): rounded(item) for key, item in value.items()
+                }
+            if isinstance(value, list | tuple):
+                return [rounded(item) for item in value]
+            if isinstance(value, float):
+                return float(f"{value:.5g}") if np.isfinite(value) else None
+            return value
+
+        return json.dumps(rounded(asdict(self)), separators=(",", ":"))
+
 
 @dataclass(frozen=True, slots=True)
 class MeasuredErrors:
@@ -250,44 +267,33 @@ class MeasuredErrors:
     worst: dict[tuple[str, float], float]
     """Largest error by name of the setting and content in percent."""
 
+    @classmethod
+    def find(cls, campaign_hash: str, packing_hash: str, path: Path | None = None) -> Self | None:
+        """Errors measured for a campaign's physics and packing (`Packing.content_hash`).
 
-def findings_json(findings: Findings) -> str:
-    """Results as JSON: numbers to five digits, null for values that are not finite."""
-
-    def rounded(value: object) -> object:
-        if isinstance(value, dict):
-            return {f"{key:g}" if isinstance(key, float) else str(key): rounded(item) for key, item in value.items()}
-        if isinstance(value, list | tuple):
-            return [rounded(item) for item in value]
-        if isinstance(value, float):
-            return float(f"{value:.5g}") if np.isfinite(value) else None
-        return value
-
-    return json.dumps(rounded(asdict(findings)), separators=(",", ":"))
-
-
-def measured_errors(campaign_hash: str, packing_hash: str, path: Path | None = None) -> MeasuredErrors | None:
-    """Errors measured for a campaign's physics and packing (`Packing.content_hash`).
-
-    They are read from a JSON of `calcidem accuracy`, by default the packaged one if it matches both. `ValueError` if
-    the given file is not such a JSON, or has another campaign or packing.
-    """
-    source = path or _PACKAGED
-    try:
-        found = json.loads(source.read_text())
-        hashes = found["campaign_hash"], found["packing_hash"]
-        worst: dict[tuple[str, float], float] = {}
-        for cell in found["study"]["cells"]:
-            if cell["vs_error"] is not None:
-                key = (cell["setting"], cell["content"])
-                worst[key] = max(abs(cell["vs_error"]), worst.get(key, 0.0))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"accuracy = {source}: give the accuracy.json of 'calcidem accuracy --out DIR'") from error
-    if hashes != (campaign_hash, packing_hash):
-        if path is None:
-            return None
-        other = (
-            "campaign" if hashes[0] != campaign_hash else f"packing, {str(hashes[1])[:12]} and not {packing_hash[:12]}"
-        )
-        raise ValueError(f"accuracy = {source}: it is about another {other}; measure this one with 'calcidem accuracy'")
-    return MeasuredErrors(source, worst)
+        They are read from a JSON of `calcidem accuracy`, by default the packaged one if it matches both. `ValueError`
+        if the given file is not such a JSON, or has another campaign or packing.
+        """
+        source = path or _PACKAGED
+        try:
+            found = json.loads(source.read_text())
+            hashes = found["campaign_hash"], found["packing_hash"]
+            worst: dict[tuple[str, float], float] = {}
+            for cell in found["study"]["cells"]:
+                if cell["vs_error"] is not None:
+                    key = (cell["setting"], cell["content"])
+                    worst[key] = max(abs(cell["vs_error"]), worst.get(key, 0.0))
+        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+            raise ValueError(f"accuracy = {source}: give the accuracy.json of 'calcidem accuracy --out DIR'") from error
+        if hashes != (campaign_hash, packing_hash):
+            if path is None:
+                return None
+            other = (
+                "campaign"
+                if hashes[0] != campaign_hash
+                else f"packing, {str(hashes[1])[:12]} and not {packing_hash[:12]}"
+            )
+            raise ValueError(
+                f"accuracy = {source}: it is about another {other}; measure this one with 'calcidem accuracy'"
+            )
+        return cls(source, worst)

@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import process_time
+from typing import Self
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -61,6 +62,24 @@ class CellError:
     bound: float | None
     """Relative error estimated by the cell itself, and its bound."""
 
+    @classmethod
+    def compare(cls, setting: str, found: Measurement, exact: Measurement) -> Self:
+        """Compare a cell with the reference of the same cell."""
+        readings = (exact.result.reading, found.result.reading)
+        exact_arrival, arrival = (None if one is None else one.first_arrival for one in readings)
+        return cls(
+            setting=setting,
+            seed=found.seed,
+            content=found.content,
+            vs=found.vs,
+            reference_vs=exact.vs,
+            vs_error=relative_deviation(found.vs, exact.vs),
+            arrival_error=relative_deviation(exact_arrival, arrival),
+            signal_error=signal_distance(found.record, exact.record),
+            expected=found.result.error and found.result.error.expected,
+            bound=found.result.error and found.result.error.bound,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Convergence:
@@ -76,6 +95,39 @@ class Convergence:
     """Change of the signal by each halving of the step: normalised L2, at the sampling times of the largest step."""
     orders: tuple[float, ...]
     """Logarithm to base 2 of each change over the next: the order, without an exact solution."""
+
+    @classmethod
+    def measure(
+        cls,
+        experiment: Experiment,
+        content: float,
+        seeds: Sequence[int],
+        velocity: float,
+        *,
+        damped: bool,
+        regime: Regime = "linear",
+        lanes: int = 8,
+    ) -> Self:
+        """Measure it at one content, with records until a wave with two thirds of ``velocity`` (m/s) has arrived.
+
+        Local damping opposes the velocity half a step before, whose sign changes within a step: an error of first
+        order. The shear-force increment of a sticking contact with changing stiffness, as in the small and finite
+        regimes, has the same order. All other errors are of second order, as the linear regime without damping shows.
+        """
+        even = with_wave(
+            experiment,
+            regime=regime,
+            precision="float64",
+            samples_per_period=REFERENCE_SAMPLES,
+            slowest=velocity / 1.5,
+            **({} if damped else {"damping": 0.0, "boundary_damping": 0.0}),
+        )
+        even = replace(even, early_stop=False, installation="preserve")
+        runs = [measure_cells(with_wave(even, step_fraction=step), content, seeds, lanes) for step in CONVERGENCE_STEPS]
+        records = [[run[seed, content].record for run in runs] for seed in seeds]
+        changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in records], axis=0)
+        orders = np.log2(changes[:-1] / changes[1:])
+        return cls(content, damped, regime, tuple(changes.tolist()), tuple(orders.tolist()))
 
 
 def fitting_lanes(seeds: Sequence[int], lanes: int) -> int:
@@ -133,24 +185,6 @@ def find_reference(
     return measurements, cells, float(np.mean(times))
 
 
-def cell_error(setting: str, found: Measurement, exact: Measurement) -> CellError:
-    """Compare a cell with the reference of the same cell."""
-    readings = (exact.result.reading, found.result.reading)
-    exact_arrival, arrival = (None if one is None else one.first_arrival for one in readings)
-    return CellError(
-        setting=setting,
-        seed=found.seed,
-        content=found.content,
-        vs=found.vs,
-        reference_vs=exact.vs,
-        vs_error=relative_deviation(found.vs, exact.vs),
-        arrival_error=relative_deviation(exact_arrival, arrival),
-        signal_error=signal_distance(found.record, exact.record),
-        expected=found.result.error and found.result.error.expected,
-        bound=found.result.error and found.result.error.bound,
-    )
-
-
 def relative_deviation(found: float | None, exact: float | None) -> float | None:
     """Relative deviation; None if either is missing."""
     return None if found is None or exact is None else found / exact - 1.0
@@ -182,38 +216,6 @@ def _at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:
     if not np.all(np.isfinite(values)):
         return np.full(len(wanted), np.nan)
     return np.asarray(CubicSpline(time, values)(wanted))
-
-
-def measure_convergence(
-    experiment: Experiment,
-    content: float,
-    seeds: Sequence[int],
-    velocity: float,
-    *,
-    damped: bool,
-    regime: Regime = "linear",
-    lanes: int = 8,
-) -> Convergence:
-    """Measure the order at one content; records last until a wave with two thirds of ``velocity`` (m/s) has arrived.
-
-    Local damping opposes the velocity half a step before, whose sign changes within a step: an error of first order.
-    The shear-force increment of a sticking contact with changing stiffness, as in the small and finite regimes, has the
-    same order. All other errors are of second order, as the linear regime without damping shows.
-    """
-    even = with_wave(
-        experiment,
-        regime=regime,
-        precision="float64",
-        samples_per_period=REFERENCE_SAMPLES,
-        slowest=velocity / 1.5,
-        **({} if damped else {"damping": 0.0, "boundary_damping": 0.0}),
-    )
-    even = replace(even, early_stop=False, installation="preserve")
-    runs = [measure_cells(with_wave(even, step_fraction=step), content, seeds, lanes) for step in CONVERGENCE_STEPS]
-    records = [[run[seed, content].record for run in runs] for seed in seeds]
-    changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in records], axis=0)
-    orders = np.log2(changes[:-1] / changes[1:])
-    return Convergence(content, damped, regime, tuple(changes.tolist()), tuple(orders.tolist()))
 
 
 def _signal_changes(records: Sequence[WaveRecord], smoothing: float) -> Floats:

@@ -10,7 +10,7 @@ from calcidem.analysis.figures.style import BLACK, BLUE, GREY, VERMILION, apply_
 from calcidem.app.studies.accuracy.questions import Findings
 from calcidem.app.studies.accuracy.reference import CONVERGENCE_STEPS, HALVING, CellError
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED
-from calcidem.app.studies.accuracy.study import Study, Summary, cheapest, covered_share, pareto
+from calcidem.app.studies.accuracy.study import Study, Summary, covered_share
 from calcidem.app.studies.tables import markdown_table, number
 
 _TARGETS = (0.005, 0.002, 0.001)
@@ -22,7 +22,7 @@ _STAIRS = 4  # levels of staggered labels
 def accuracy_tables(findings: Findings, targets: Sequence[float] = _TARGETS) -> dict[str, str]:
     """Return all measured tables as Markdown, by name."""
     study = findings.study
-    wanted = [f"- {100 * target:g} %: {name_of(cheapest(study, target))}" for target in targets]
+    wanted = [f"- {100 * target:g} %: {name_of(study.cheapest(target))}" for target in targets]
     parts = {
         "opening": _opening(study),
         "settings": _settings_table(study),
@@ -220,7 +220,7 @@ def draw_error_against_run_time(study: Study) -> "Figure":
     figure = new_figure(3.6)
     axes = figure.subplots()
     rows = [row for row in study.summaries if row.numerical and row.cells]
-    front = pareto(rows)
+    front = study.pareto
 
     def drawable(error: float) -> float:
         return max(error, _SMALLEST)

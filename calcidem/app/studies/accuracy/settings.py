@@ -30,7 +30,7 @@ class Setting:
     """Complete experiment."""
     numerical: bool = True
     """False if the exact answer also changes, as with the width of a band or the damping. The difference is then not an
-    error, and `cheapest` excludes the setting.
+    error, and `Study.cheapest` excludes the setting.
     """
 
     @property

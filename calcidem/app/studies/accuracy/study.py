@@ -11,7 +11,6 @@ from calcidem.app.studies.accuracy.reference import (
     COARSEST,
     CellError,
     ReferenceCell,
-    cell_error,
     find_reference,
     fitting_lanes,
     measure_and_time,
@@ -61,6 +60,22 @@ class Study:
     """Processor time of a cell of the reference."""
     seconds: Mapping[str, Mapping[float, float]]
     """Processor time of a cell by setting and content."""
+
+    def cheapest(self, target: float) -> Summary | None:
+        """Cheapest numerical setting whose worst relative error of Vs meets a target; None if there is none."""
+        meeting = [
+            row for row in self.summaries if row.numerical and row.cells and not row.lost and row.worst <= target
+        ]
+        return min(meeting, key=lambda row: row.seconds, default=None)
+
+    @property
+    def pareto(self) -> tuple[Summary, ...]:
+        """Settings that no other beats in both median error and run time (Pareto front), fastest first."""
+        front: list[Summary] = []
+        for row in sorted((s for s in self.summaries if s.numerical and s.cells), key=lambda s: (s.seconds, s.median)):
+            if not front or row.median < front[-1].median:
+                front.append(row)
+        return tuple(front)
 
 
 def run_study(  # noqa: PLR0913 - every departure from the default is a keyword
@@ -130,7 +145,9 @@ def _compare_settings(
                 continue
             times.setdefault(setting.name, []).append(taken)
             if round_ == 0:
-                cells += [cell_error(setting.name, cell, other) for cell, other in zip(found, exact, strict=True)]
+                cells += [
+                    CellError.compare(setting.name, cell, other) for cell, other in zip(found, exact, strict=True)
+                ]
     return cells, {name: median(values) for name, values in times.items()}
 
 
@@ -162,18 +179,3 @@ def covered_share(cells: Iterable[CellError]) -> float:
         abs(cell.vs_error) <= cell.bound for cell in cells if cell.vs_error is not None and cell.bound is not None
     ]
     return float(np.mean(honest)) if honest else np.nan
-
-
-def cheapest(study: Study, target: float) -> Summary | None:
-    """Cheapest numerical setting whose worst relative error of Vs meets a target; None if there is none."""
-    meeting = [row for row in study.summaries if row.numerical and row.cells and not row.lost and row.worst <= target]
-    return min(meeting, key=lambda row: row.seconds, default=None)
-
-
-def pareto(summaries: Iterable[Summary]) -> tuple[Summary, ...]:
-    """Settings that no other beats in both median error and run time (Pareto front), fastest first."""
-    front: list[Summary] = []
-    for row in sorted((s for s in summaries if s.numerical and s.cells), key=lambda s: (s.seconds, s.median)):
-        if not front or row.median < front[-1].median:
-            front.append(row)
-    return tuple(front)

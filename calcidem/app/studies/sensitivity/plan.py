@@ -2,11 +2,11 @@
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -75,32 +75,80 @@ class Variant:
     """Configuration to compute."""
 
 
-def load_plan(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...]:
-    """Read a file of variants (`_ListedPlan`); the reference comes first.
+@dataclass(frozen=True, slots=True)
+class VariantPlan:
+    """Variants of one configuration, with the same seeds."""
 
-    The database stores each variant as a separate campaign. `ConfigurationError` lists all problems of the file and of
-    the resulting configurations.
-    """
-    source = os.fspath(path)
-    listed = _parse_plan(path)
-    base = parse_file(Path(path).parent / listed.configuration)
-    _change(base, "run", {"database": database, "store_sections": False})
-    known = {REFERENCE, *(variant.name for variant in listed.variant)}
-    problems = [
-        Problem(f'variant "{variant.name}": against = "{variant.against}" is none of the variants; correct it')
-        for variant in listed.variant
-        if variant.against not in known
-    ]
-    if len(known) != 1 + len(listed.variant):
-        problems.append(Problem("two variants have the same choice and value; rename one"))
-    if problems:
-        raise ConfigurationError(source, problems)
-    first = _ListedVariant(choice=REFERENCE, value="")
-    return tuple(_variant(entry, base, listed, source) for entry in (first, *listed.variant))
+    variants: tuple[Variant, ...]
+    """The reference comes first."""
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], database: str) -> Self:
+        """Read a file (`_ListedPlan`).
+
+        The database stores each variant as a separate campaign. `ConfigurationError` lists all problems of the file and
+        of the resulting configurations.
+        """
+        source = os.fspath(path)
+        listed = _parse_plan(path)
+        base = parse_file(Path(path).parent / listed.configuration)
+        _change(base, "run", {"database": database, "store_sections": False})
+        known = {REFERENCE, *(variant.name for variant in listed.variant)}
+        problems = [
+            Problem(f'variant "{variant.name}": against = "{variant.against}" is none of the variants; correct it')
+            for variant in listed.variant
+            if variant.against not in known
+        ]
+        if len(known) != 1 + len(listed.variant):
+            problems.append(Problem("two variants have the same choice and value; rename one"))
+        if problems:
+            raise ConfigurationError(source, problems)
+        first = _ListedVariant(choice=REFERENCE, value="")
+        return cls(tuple(_variant(entry, base, listed, source) for entry in (first, *listed.variant)))
+
+    def compute(self, say: Callable[[str], None]) -> None:
+        """Compute all cells that the database lacks, variant by variant; the same call continues after a stop.
+
+        `CampaignMismatchError` if the database has a variant of that name with other parameters.
+        """
+        for number, variant in enumerate(self.variants, start=1):
+            say(f"{number} of {len(self.variants)}: {variant.name}")
+            run(variant.configuration).close()
+
+    def changes(self) -> dict[str, tuple[Change, ...]]:
+        """Compare every computed variant with its reference variant, by its name."""
+        found = {variant.name: _variant_velocities(variant) for variant in self.variants}
+        compared = {}
+        for variant in self.variants:
+            own, other = found[variant.name], found[variant.against]
+            if own is not None and other is not None:
+                compared[variant.name] = paired_changes(own, other)
+        return compared
+
+    def table(self) -> str:
+        """Table of the `changes`: a row for each variant, a column for each content of the reference.
+
+        An entry has mean and standard deviation in m/s. Below them are the change of the mean, and the ratio of
+        standard deviations with its 95 % interval, in bold if the interval excludes 1.
+        """
+        changes = self.changes()
+        contents = [change.content for change in changes.get(REFERENCE, ())]
+        rows = []
+        former = ""
+        for variant in self.variants:
+            found = {change.content: change for change in changes.get(variant.name, ())}
+            if not found:
+                continue
+            choice = variant.choice if variant.choice != former else ""
+            former = variant.choice
+            entries = [_table_entry(found.get(content), is_reference=variant.name == REFERENCE) for content in contents]
+            value = variant.value if variant.against == REFERENCE else f"{variant.value} (against {variant.against})"
+            rows.append((choice, value, *entries))
+        return markdown_table(("choice", "value", *(f"{content:g} %" for content in contents)), rows) + "\n"
 
 
 def read_plan(path: str | os.PathLike[str]) -> tuple[_ListedPlan, Configuration]:
-    """Read a file of variants or ranges, and its configuration with its cells; errors as for `load_plan`."""
+    """Read a file of variants or ranges, and its configuration with its cells; errors as for `VariantPlan.load`."""
     listed = _parse_plan(path)
     base = parse_file(Path(path).parent / listed.configuration)
     _change(base, "campaign", {"seeds": listed.seeds, "contents": listed.contents})
@@ -140,16 +188,6 @@ def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, 
     return Variant(entry.name, entry.choice, entry.value, entry.against, configuration)
 
 
-def compute_variants(variants: Sequence[Variant], say: Callable[[str], None]) -> None:
-    """Compute all cells that the database lacks, variant by variant; the same call continues after a stop.
-
-    `CampaignMismatchError` if the database has a variant of that name with other parameters.
-    """
-    for number, variant in enumerate(variants, start=1):
-        say(f"{number} of {len(variants)}: {variant.name}")
-        run(variant.configuration).close()
-
-
 def _variant_velocities(variant: Variant) -> xr.DataArray | None:
     """Vs of the planned cells of a variant, m/s along (seed, content); None if none was computed."""
     plan = variant.configuration.campaign
@@ -159,38 +197,6 @@ def _variant_velocities(variant: Variant) -> xr.DataArray | None:
             return campaign.vs().reindex(seed=list(plan.seed_numbers), content=sorted(plan.contents))
     except UnknownCampaignError:
         return None
-
-
-def compare_variants(variants: Sequence[Variant]) -> dict[str, tuple[Change, ...]]:
-    """Compare every computed variant with its reference variant, by its name."""
-    found = {variant.name: _variant_velocities(variant) for variant in variants}
-    compared = {}
-    for variant in variants:
-        own, other = found[variant.name], found[variant.against]
-        if own is not None and other is not None:
-            compared[variant.name] = paired_changes(own, other)
-    return compared
-
-
-def sensitivity_table(variants: Sequence[Variant], changes: Mapping[str, Sequence[Change]]) -> str:
-    """Table with a row for each variant and a column for each content of the reference.
-
-    An entry has mean and standard deviation in m/s. Below them are the change of the mean, and the ratio of standard
-    deviations with its 95 % interval, in bold if the interval excludes 1.
-    """
-    contents = [change.content for change in changes.get(REFERENCE, ())]
-    rows = []
-    former = ""
-    for variant in variants:
-        found = {change.content: change for change in changes.get(variant.name, ())}
-        if not found:
-            continue
-        choice = variant.choice if variant.choice != former else ""
-        former = variant.choice
-        entries = [_table_entry(found.get(content), is_reference=variant.name == REFERENCE) for content in contents]
-        value = variant.value if variant.against == REFERENCE else f"{variant.value} (against {variant.against})"
-        rows.append((choice, value, *entries))
-    return markdown_table(("choice", "value", *(f"{content:g} %" for content in contents)), rows) + "\n"
 
 
 def _table_entry(change: Change | None, *, is_reference: bool) -> str:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import xarray as xr
@@ -41,6 +42,22 @@ class SobolPlan:
     bases: int
     """Base points, a power of two; there are (parameters + 2) times as many points."""
 
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], bases: int) -> Self:
+        """Read a plan with the lowest and the highest value by ``section.key`` in the table ``[ranges]``.
+
+        `ConfigurationError` lists all problems of the file, the ranges and the configuration.
+        """
+        listed, configuration = read_plan(path)
+        ranges = [ParameterRange(name, low, high) for name, (low, high) in listed.ranges.items()]
+        check_ranges(configuration, ranges, os.fspath(path))
+        plan = cls(configuration, {varied.name: (varied.low, varied.high) for varied in ranges}, bases)
+        try:
+            sobol_points(plan.ranges, bases)
+        except ValueError as error:
+            raise ConfigurationError(os.fspath(path), [Problem(str(error))]) from error
+        return plan
+
     @property
     def contents(self) -> tuple[float, ...]:
         """Contents of every point, percent."""
@@ -51,56 +68,95 @@ class SobolPlan:
         """Seeds of every point."""
         return self.configuration.campaign.seed_numbers
 
+    def evaluate(
+        self, packing: Packing, file: Path, cores: int = 1, say: Callable[[str], None] = lambda _: None
+    ) -> xr.Dataset:
+        """Measure Vs at all points that the file lacks; the same call continues after a stop.
 
-def load_sobol_plan(path: str | os.PathLike[str], bases: int) -> SobolPlan:
-    """Read a plan with the lowest and the highest value by ``section.key`` in the table ``[ranges]``.
-
-    `ConfigurationError` lists all problems of the file, the ranges and the configuration.
-    """
-    listed, configuration = read_plan(path)
-    ranges = [ParameterRange(name, low, high) for name, (low, high) in listed.ranges.items()]
-    check_ranges(configuration, ranges, os.fspath(path))
-    plan = SobolPlan(configuration, {varied.name: (varied.low, varied.high) for varied in ranges}, bases)
-    try:
-        sobol_points(plan.ranges, bases)
-    except ValueError as error:
-        raise ConfigurationError(os.fspath(path), [Problem(str(error))]) from error
-    return plan
-
-
-def evaluate_points(
-    plan: SobolPlan, packing: Packing, file: Path, cores: int = 1, say: Callable[[str], None] = lambda _: None
-) -> xr.Dataset:
-    """Measure Vs at all points of a plan that the file lacks; the same call continues after a stop.
-
-    The NetCDF file of the points is written every minute. ``say`` receives the forecast at the start, and then the
-    progress. Returns ``vs`` (point, content, seed) in m/s, NaN if missing, ``value`` (point, parameter) and ``done``
-    (point). `ConfigurationError` if the packing cannot hold the cells; `CampaignMismatchError` if the file belongs to
-    another plan.
-    """
-    check_cells(plan.configuration, packing, plan.contents, plan.seeds)
-    points = stored_points(plan, file)
-    left = np.flatnonzero(~points["done"].to_numpy())
-    if not left.size:
+        The NetCDF file of the points is written every minute. ``say`` receives the forecast at the start, and then the
+        progress. Returns ``vs`` (point, content, seed) in m/s, NaN if missing, ``value`` (point, parameter) and
+        ``done`` (point). `ConfigurationError` if the packing cannot hold the cells; `CampaignMismatchError` if the file
+        belongs to another plan.
+        """
+        check_cells(self.configuration, packing, self.contents, self.seeds)
+        points = self.stored(file)
+        left = np.flatnonzero(~points["done"].to_numpy())
+        if not left.size:
+            return points
+        values = [dict(zip(self.ranges, row, strict=True)) for row in points["value"].to_numpy()[left].tolist()]
+        tried = [with_values(self.configuration, changed) for changed in values]
+        _save_points(points, file)  # report an unwritable file before hours of work
+        saved = time.monotonic()
+        with trial_workers(packing, self.contents, self.seeds, cores) as measure_trials:
+            say(
+                _forecast(
+                    lambda: list(measure_trials([self.configuration])), len(left), len(self.contents) * len(self.seeds)
+                )
+            )
+            for count, (place, vs) in enumerate(zip(left, measure_trials(tried), strict=True), start=1):
+                points["vs"][place] = vs.T
+                points["done"][place] = True
+                if time.monotonic() - saved > _SECONDS_BETWEEN_SAVES or count == len(left):
+                    saved = time.monotonic()
+                    _save_points(points, file)
+                    say(f"{count} of {len(left)} points")
         return points
-    values = [dict(zip(plan.ranges, row, strict=True)) for row in points["value"].to_numpy()[left].tolist()]
-    tried = [with_values(plan.configuration, changed) for changed in values]
-    _save_points(points, file)  # report an unwritable file before hours of work
-    saved = time.monotonic()
-    with trial_workers(packing, plan.contents, plan.seeds, cores) as measure_trials:
-        say(
-            _forecast(
-                lambda: list(measure_trials([plan.configuration])), len(left), len(plan.contents) * len(plan.seeds)
+
+    def stored(self, file: Path) -> xr.Dataset:
+        """Points that a file has; none if the file does not exist.
+
+        `CampaignMismatchError` if the file belongs to another plan.
+        """
+        value = sobol_points(self.ranges, self.bases)
+        shape = len(value), len(self.contents), len(self.seeds)
+        empty = xr.Dataset(
+            {
+                "vs": (("point", "content", "seed"), np.full(shape, np.nan), {"units": "m s-1"}),
+                "value": (("point", "parameter"), value),
+                "done": ("point", np.zeros(len(value), dtype=bool)),
+            },
+            coords={"content": list(self.contents), "seed": list(self.seeds), "parameter": list(self.ranges)},
+            attrs={"title": "Points of a Sobol plan", "calcidem_campaign_hash": self.configuration.hash},
+        )
+        if not file.exists():
+            return empty
+        refuse_unreadable(file)
+        with xr.open_dataset(file, engine="netcdf4") as opened:
+            found = opened.load()
+        same = found.attrs.get("calcidem_campaign_hash") == self.configuration.hash
+        if not same or any(
+            name not in found or not found[name].equals(empty[name]) for name in (*empty.coords, "value")
+        ):
+            raise CampaignMismatchError(f"{file} holds points of another plan.", "Give another file with --db.")
+        return found.assign(done=found["done"].astype(bool))
+
+    def indices(self, points: xr.Dataset) -> xr.Dataset:
+        """Sobol indices along (output, content, parameter), see `calcidem.analysis.sensitivity.sobol_indices`.
+
+        ``lowest`` and ``highest`` are the extreme outputs over the points, along (output, content).
+        """
+        vs = points["vs"].transpose("point", "content", "seed").to_numpy()
+        outputs = campaign_outputs(np.where(points["done"].to_numpy()[:, None, None], vs, np.nan))
+        outputs["readable_share"] = np.where(points["done"].to_numpy()[:, None], outputs["readable_share"], np.nan)
+        by_output = [
+            xr.concat([sobol_indices(self.ranges, column) for column in values.T], dim="content")
+            for values in outputs.values()
+        ]
+        coords = {"content": list(self.contents), "output": list(outputs)}
+        values = np.stack(list(outputs.values()))
+        lowest, highest = (
+            np.where(np.isfinite(values).any(axis=1), found, np.nan)
+            for found in (
+                np.min(values, axis=1, initial=np.inf, where=np.isfinite(values)),
+                np.max(values, axis=1, initial=-np.inf, where=np.isfinite(values)),
             )
         )
-        for count, (place, vs) in enumerate(zip(left, measure_trials(tried), strict=True), start=1):
-            points["vs"][place] = vs.T
-            points["done"][place] = True
-            if time.monotonic() - saved > _SECONDS_BETWEEN_SAVES or count == len(left):
-                saved = time.monotonic()
-                _save_points(points, file)
-                say(f"{count} of {len(left)} points")
-    return points
+        both = ("output", "content")
+        return (
+            xr.concat(by_output, dim="output")
+            .assign_coords(coords)
+            .assign(lowest=(both, lowest), highest=(both, highest))
+        )
 
 
 def _save_points(points: xr.Dataset, file: Path) -> None:
@@ -116,60 +172,6 @@ def _forecast(measure_once: Callable[[], object], points: int, cells: int) -> st
     measure_once()
     minutes = points * (time.monotonic() - began) / 60.0
     return f"{points} points of {cells} cells each: about {minutes:.1f} minutes on these cores."
-
-
-def stored_points(plan: SobolPlan, file: Path) -> xr.Dataset:
-    """Points of a plan that its file has; none if the file does not exist.
-
-    `CampaignMismatchError` if the file belongs to another plan.
-    """
-    value = sobol_points(plan.ranges, plan.bases)
-    shape = len(value), len(plan.contents), len(plan.seeds)
-    empty = xr.Dataset(
-        {
-            "vs": (("point", "content", "seed"), np.full(shape, np.nan), {"units": "m s-1"}),
-            "value": (("point", "parameter"), value),
-            "done": ("point", np.zeros(len(value), dtype=bool)),
-        },
-        coords={"content": list(plan.contents), "seed": list(plan.seeds), "parameter": list(plan.ranges)},
-        attrs={"title": "Points of a Sobol plan", "calcidem_campaign_hash": plan.configuration.hash},
-    )
-    if not file.exists():
-        return empty
-    refuse_unreadable(file)
-    with xr.open_dataset(file, engine="netcdf4") as opened:
-        found = opened.load()
-    same = found.attrs.get("calcidem_campaign_hash") == plan.configuration.hash
-    if not same or any(name not in found or not found[name].equals(empty[name]) for name in (*empty.coords, "value")):
-        raise CampaignMismatchError(f"{file} holds points of another plan.", "Give another file with --db.")
-    return found.assign(done=found["done"].astype(bool))
-
-
-def indices_of_points(plan: SobolPlan, points: xr.Dataset) -> xr.Dataset:
-    """Sobol indices along (output, content, parameter), see `calcidem.analysis.sensitivity.sobol_indices`.
-
-    ``lowest`` and ``highest`` are the extreme outputs over the points, along (output, content).
-    """
-    vs = points["vs"].transpose("point", "content", "seed").to_numpy()
-    outputs = campaign_outputs(np.where(points["done"].to_numpy()[:, None, None], vs, np.nan))
-    outputs["readable_share"] = np.where(points["done"].to_numpy()[:, None], outputs["readable_share"], np.nan)
-    by_output = [
-        xr.concat([sobol_indices(plan.ranges, column) for column in values.T], dim="content")
-        for values in outputs.values()
-    ]
-    coords = {"content": list(plan.contents), "output": list(outputs)}
-    values = np.stack(list(outputs.values()))
-    lowest, highest = (
-        np.where(np.isfinite(values).any(axis=1), found, np.nan)
-        for found in (
-            np.min(values, axis=1, initial=np.inf, where=np.isfinite(values)),
-            np.max(values, axis=1, initial=-np.inf, where=np.isfinite(values)),
-        )
-    )
-    both = ("output", "content")
-    return (
-        xr.concat(by_output, dim="output").assign_coords(coords).assign(lowest=(both, lowest), highest=(both, highest))
-    )
 
 
 def sobol_table(indices: xr.Dataset) -> str:

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from calcidem.analysis.figures.style import BLUE, GREY, ORANGE, VERMILION, apply_style, letter_panels, new_figure, save
 from calcidem.app.studies.accuracy.reference import signal_distance
 from calcidem.app.studies.stability.limits import Detection, Endurance, Limits, detections, endurance, limits
-from calcidem.app.studies.stability.own_scenes import OWN_TOLERANCE, OwnScene, draw_own_scenes, error_of_run
+from calcidem.app.studies.stability.own_scenes import OWN_TOLERANCE, OwnScene
 from calcidem.app.studies.stability.scenes import (
     BOXES,
     CONTENTS,
@@ -27,10 +27,6 @@ from calcidem.app.studies.stability.scenes import (
     STRESSES,
     Extreme,
     Packed,
-    content_of,
-    draw_scenes,
-    experiment_of_packing,
-    experiment_of_scene,
     small_packing,
 )
 from calcidem.app.studies.tables import markdown_table, number
@@ -66,17 +62,12 @@ class _Judgement:
     vs: float | None = None
     """Velocity, m/s; None if there is none."""
     error: float | None = None
-    """True relative error, or that of `own_scenes.error_of_run`; None if unknown."""
+    """True relative error, or that of `OwnScene.error`; None if unknown."""
 
 
 def _judge_scene(scene: Extreme) -> _Judgement:
     """Run a scene as a user would; if it gives a velocity, repeat it longer with a much smaller step."""
-
-    def make() -> tuple[Experiment, float]:
-        experiment = experiment_of_scene(scene)
-        return experiment, content_of(scene, experiment)
-
-    return _judge_experiment(scene, make)
+    return _judge_experiment(scene, scene.experiment)
 
 
 def _judge_packing(scene: Packed, experiment: Experiment) -> _Judgement:
@@ -87,7 +78,7 @@ def _judge_packing(scene: Packed, experiment: Experiment) -> _Judgement:
 def _judge_own_scene(scene: OwnScene) -> _Judgement:
     """Run a user-defined scene and compare its error with the tolerance."""
     try:
-        error = error_of_run(scene)
+        error = scene.error()
     except ValueError as refusal:
         return _Judgement(scene, StabilityVerdict.REFUSED, str(refusal))
     except UnstableRunError as end:
@@ -156,7 +147,7 @@ def _packing_map(
             progress(f"packing under {stress:g} Pa, friction {friction:g}")
             packing = small_packing(stress, friction)
             scenes = [Packed(stress, friction, content, regime) for content in CONTENTS for regime in REGIMES]
-            found += [_judge_packing(scene, experiment_of_packing(packing, scene)) for scene in scenes]
+            found += [_judge_packing(scene, scene.experiment(packing)) for scene in scenes]
     return tuple(found)
 
 
@@ -237,7 +228,7 @@ def _verdict_table(title: str, found: Mapping[str, Iterable[_Judgement]]) -> str
     return markdown_table((title, *StabilityVerdict), rows)
 
 
-def random_scene_tables(found: Mapping[str, Sequence[_Judgement]]) -> str:
+def _random_tables(found: Mapping[str, Sequence[_Judgement]]) -> str:
     """Return the verdicts of each box or kind, the errors, and every scene that was wrong."""
     known = {
         box: [abs(judgement.error) for judgement in row if judgement.error is not None] for box, row in found.items()
@@ -329,18 +320,18 @@ def random_scenes(
     draw: int,
     *,
     progress: Callable[[str], None] = lambda _: None,
-) -> dict[str, list[_Judgement]]:
+) -> tuple[str, dict[str, Any]]:
     """Judge ``count`` scenes drawn at random from each of the `BOXES`, and as many own scenes of all kinds.
 
-    ``draw`` is the seed of the draw. The verdicts are by box or kind, for `random_scene_tables`.
+    ``draw`` is the seed of the draw. Returns tables, and the judgements by box or kind for programs.
     """
     found: dict[str, list[_Judgement]] = {}
     for box in BOXES:
         found[box] = []
-        for scene in draw_scenes(count, draw, box):
+        for scene in Extreme.draw(count, draw, box):
             found[box].append(_judge_scene(scene))
             if len(found[box]) % _PROGRESS == 0:
                 progress(f"{box}: {len(found[box])} of {count}")
-    for own in draw_own_scenes(count, draw):
+    for own in OwnScene.draw(count, draw):
         found.setdefault(own.kind, []).append(_judge_own_scene(own))
-    return found
+    return _random_tables(found), {box: [asdict(judgement) for judgement in row] for box, row in found.items()}

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.app.studies.stability.scenes import REGIMES, Extreme, content_of, experiment_of_scene, scene_at_rest
+from calcidem.app.studies.stability.scenes import REGIMES, Extreme
 from calcidem.dem.engine.leapfrog import State, duplicate, no_recording, run_kernel
 from calcidem.dem.engine.readout import energies
 from calcidem.dem.engine.scene import Regime
@@ -54,7 +54,7 @@ def limits(scene: Extreme) -> Limits:
 
     All disks have the scene's damping, so the true limit is ``2 / (omega_max sqrt(1 + alpha))``.
     """
-    damped, _ = scene_at_rest(replace(scene, regime="linear", step_fraction=0.8), scene.damping)
+    damped, _ = replace(scene, regime="linear", step_fraction=0.8).at_rest(scene.damping)
     predicted = float(start(damped, features=choose_features(damped, "linear")).critical_time_step[0])
     undamped = replace(damped, damping=0.0)
     fastest = fastest_mode(start(undamped, features=choose_features(undamped, "linear")))
@@ -99,9 +99,8 @@ def detections() -> tuple[Detection, ...]:
 def _force_step(factor: float, regime: Regime) -> Detection:
     """Transmit a pulse through the plain lattice with a step that configurations do not allow."""
     scene = Extreme(regime=regime, damping=0.0)
-    experiment = experiment_of_scene(scene)
+    experiment, content = scene.experiment()
     experiment = replace(experiment, wave=replace(experiment.wave, boundary_damping=0.0))
-    content = content_of(scene, experiment)
     bonded = experiment.ordering(scene.seed).at(content).bonded
     recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), 1, check=lambda: None)
     step = recorder.state.time_step * 0.0 + factor * limits(scene).true
@@ -144,7 +143,7 @@ def endurance() -> tuple[Endurance, ...]:
 
 def _moving_state(regime: Regime) -> State:
     """Pressed lattice without damping, with random velocities so small that no contact opens or slips."""
-    scene, packing = scene_at_rest(replace(_PRESSED_LATTICE, regime=regime), 0.0)
+    scene, packing = replace(_PRESSED_LATTICE, regime=regime).at_rest(0.0)
     features = replace(choose_features(scene, regime, account=True), servo=False)
     limit = float(start(scene, features=features).critical_time_step[0])
     speed = _MOTION * packing.report.mean_overlap / limit
@@ -182,7 +181,7 @@ def _linear_invariant(state: State) -> Callable[[State], float]:
 
 def _residual_motion(regime: Regime, steps: int) -> float:
     """Largest displacement in an undisturbed balanced scene, over the mean overlap."""
-    scene, packing = scene_at_rest(replace(_PRESSED_LATTICE, regime=regime), 0.3)
+    scene, packing = replace(_PRESSED_LATTICE, regime=regime).at_rest(0.3)
     state = start(scene, features=replace(choose_features(scene, regime), servo=False))
     return float(np.abs(advance(state, steps).motion.displacement[:, :2]).max()) / packing.report.mean_overlap
 

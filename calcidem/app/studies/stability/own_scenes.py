@@ -5,6 +5,7 @@ Each is judged by the energy balance and the closed-form results of its kind.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -65,23 +66,22 @@ class OwnScene:
     seed: int = 1
     """Seed of everything else."""
 
+    @classmethod
+    def draw(cls, count: int, seed: int) -> tuple[Self, ...]:
+        """Latin hypercube over all quantities with alternating kinds; a third of the scenes have a fixed step."""
+        kinds = tuple(_OWN_KINDS)
+        scenes = []
+        for number, values in enumerate(draw_quantities(_OWN_RANGES, _OWN_RANGES.keys() - _PLAIN, count, seed)):
+            turn = number // len(kinds)
+            scenes.append(cls(kinds[number % len(kinds)], **values, fixed=not turn % 3, seed=number))
+        return tuple(scenes)
 
-def draw_own_scenes(count: int, seed: int) -> tuple[OwnScene, ...]:
-    """Latin hypercube over all quantities with alternating kinds; a third of the scenes have a fixed step."""
-    kinds = tuple(_OWN_KINDS)
-    scenes = []
-    for number, values in enumerate(draw_quantities(_OWN_RANGES, _OWN_RANGES.keys() - _PLAIN, count, seed)):
-        turn = number // len(kinds)
-        scenes.append(OwnScene(kinds[number % len(kinds)], **values, fixed=not turn % 3, seed=number))
-    return tuple(scenes)
+    def error(self) -> float:
+        """Run the scene and return its relative error, of the energy balance or of a closed-form result of its kind.
 
-
-def error_of_run(own: OwnScene) -> float:
-    """Run a scene and return its relative error, of the energy balance or of a closed-form result of its kind.
-
-    `ValueError` if the scene is refused; `UnstableRunError` if the run is ended.
-    """
-    return _OWN_KINDS[own.kind](own)
+        `ValueError` if the scene is refused; `UnstableRunError` if the run is ended.
+        """
+        return _OWN_KINDS[self.kind](self)
 
 
 def _begin(own: OwnScene, scene: Scene, velocity: Floats | None = None, spin: Floats | None = None) -> State:

@@ -7,7 +7,7 @@ which limit is approached.
 
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy.stats import qmc
@@ -75,6 +75,66 @@ class Extreme:
     """See `state.start`."""
     seed: int = 1
     """Seed of disorder and cement."""
+
+    def experiment(self) -> tuple[Experiment, float]:
+        """Experiment for `measurement.measure`, and its content: the part of the capacity of its contacts, percent.
+
+        `ValueError` if the scene is refused.
+        """
+        sand = Sand()
+        packing = _lattice(self, sand)
+        stiffness = _pressed_stiffness(packing, _RADIUS, sand)
+        modulus = self.contrast * stiffness
+        stress = max(self.amplitude * np.sqrt(sand.density * modulus), 1e-3)
+        cement = Cement(
+            bond_modulus=modulus,
+            tensile_strength=self.strength * stress,
+            cohesion=self.strength * stress,
+        )
+        width = 0.5 * float(packing.radius.min())
+        cut_off = cutoff_frequency(stiffness, sand.density * np.pi * _RADIUS**2)
+        frequency = self.frequency * cut_off
+        wave = WaveRule(
+            amplitude=self.amplitude,
+            damping=self.damping,
+            regime=self.regime,
+            step_fraction=self.step_fraction,
+            transmitter_half_width=4.0 * _RADIUS,
+            receiver_half_width=6.0 * _RADIUS,
+            boundary_thickness=2.0 * _RADIUS,
+            listening_depth=0.29 * packing.width,
+            slowest=2.0 * _RADIUS * cut_off,
+        )
+        experiment = Experiment(
+            packing,
+            sand=sand,
+            cement=cement,
+            cement_rule=CementRule(p_diameter=width, c_diameter=width, threshold=100.0),
+            wave=wave,
+            pick=_PICK,
+            root_seed=self.seed,
+            frequencies=((0.0, 100.0), (frequency, frequency)),
+        )
+        return experiment, self.content * experiment.ordering(self.seed).maximum_content
+
+    def at_rest(self, damping: float) -> tuple[Scene, Packing]:
+        """Cemented scene without a pulse, with one damping factor for all disks, and its packing."""
+        experiment, content = self.experiment()
+        packing = experiment.packing
+        bonded = experiment.ordering(self.seed).at(content).bonded
+        bonds = lane_bonds(packing, experiment.cement, [bonded], 1, "preserve")
+        return replace(wave_scene(packing, experiment.sand, experiment.wave, bonds), damping=damping), packing
+
+    @classmethod
+    def draw(cls, count: int, seed: int, box: str = "extreme") -> tuple[Self, ...]:
+        """Latin hypercube over all quantities of one of the `BOXES`, with alternating regimes."""
+        ends = {name: getattr(quantity, box) for name, quantity in QUANTITIES.items()}
+        ranges = {name: both for name, both in ends.items() if both is not None}
+        powers = {name for name, quantity in QUANTITIES.items() if quantity.powers}
+        return tuple(
+            cls(**values, regime=REGIMES[number % len(REGIMES)], seed=number)
+            for number, values in enumerate(draw_quantities(ranges, powers, count, seed))
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,16 +216,22 @@ class Packed:
     seed: int = 1
     """Seed of packing and cement."""
 
-
-def draw_scenes(count: int, seed: int, box: str = "extreme") -> tuple[Extreme, ...]:
-    """Latin hypercube over all quantities of one of the `BOXES`, with alternating regimes."""
-    ends = {name: getattr(quantity, box) for name, quantity in QUANTITIES.items()}
-    ranges = {name: both for name, both in ends.items() if both is not None}
-    powers = {name for name, quantity in QUANTITIES.items() if quantity.powers}
-    return tuple(
-        Extreme(**values, regime=REGIMES[number % len(REGIMES)], seed=number)
-        for number, values in enumerate(draw_quantities(ranges, powers, count, seed))
-    )
+    def experiment(self, packing: Packing) -> Experiment:
+        """Experiment with a pulse much smaller than the overlaps and far below the cut-off of the contacts."""
+        sand = Sand()
+        radius = float(np.mean(packing.radius))
+        cut_off = cutoff_frequency(_pressed_stiffness(packing, radius, sand), sand.density * np.pi * radius**2)
+        frequency = _CEMENTED_FREQUENCY if self.content > 0.0 else _SLOW_PULSE * cut_off
+        wave = WaveRule(
+            amplitude=_STROKE * packing.report.mean_overlap * frequency,
+            transmitter_half_width=_BOX_HEIGHT / 5.0,
+            receiver_half_width=_BOX_HEIGHT / 5.0,
+            boundary_thickness=_BOX_HEIGHT / 8.0,
+            listening_depth=5.0 * radius,
+            slowest=0.3 * radius * cut_off,
+            regime=self.regime,
+        )
+        return replace(Experiment(packing, sand=sand, wave=wave), frequencies=((0.0, 100.0), (frequency, frequency)))
 
 
 def draw_quantities(
@@ -177,61 +243,6 @@ def draw_quantities(
         {name: float(10.0**value if name in powers else value) for name, value in zip(ranges, row, strict=True)}
         for row in sample
     ]
-
-
-def experiment_of_scene(extreme: Extreme) -> Experiment:
-    """Experiment for `measurement.measure`, with the single content `content_of`.
-
-    `ValueError` if the scene is refused.
-    """
-    sand = Sand()
-    packing = _lattice(extreme, sand)
-    stiffness = _pressed_stiffness(packing, _RADIUS, sand)
-    modulus = extreme.contrast * stiffness
-    stress = max(extreme.amplitude * np.sqrt(sand.density * modulus), 1e-3)
-    cement = Cement(
-        bond_modulus=modulus,
-        tensile_strength=extreme.strength * stress,
-        cohesion=extreme.strength * stress,
-    )
-    width = 0.5 * float(packing.radius.min())
-    cut_off = cutoff_frequency(stiffness, sand.density * np.pi * _RADIUS**2)
-    frequency = extreme.frequency * cut_off
-    wave = WaveRule(
-        amplitude=extreme.amplitude,
-        damping=extreme.damping,
-        regime=extreme.regime,
-        step_fraction=extreme.step_fraction,
-        transmitter_half_width=4.0 * _RADIUS,
-        receiver_half_width=6.0 * _RADIUS,
-        boundary_thickness=2.0 * _RADIUS,
-        listening_depth=0.29 * packing.width,
-        slowest=2.0 * _RADIUS * cut_off,
-    )
-    return Experiment(
-        packing,
-        sand=sand,
-        cement=cement,
-        cement_rule=CementRule(p_diameter=width, c_diameter=width, threshold=100.0),
-        wave=wave,
-        pick=_PICK,
-        root_seed=extreme.seed,
-        frequencies=((0.0, 100.0), (frequency, frequency)),
-    )
-
-
-def content_of(extreme: Extreme, experiment: Experiment) -> float:
-    """Content for the scene's part of the capacity of its contacts, percent."""
-    return extreme.content * experiment.ordering(extreme.seed).maximum_content
-
-
-def scene_at_rest(extreme: Extreme, damping: float) -> tuple[Scene, Packing]:
-    """Cemented scene without a pulse, with one damping factor for all disks, and its packing."""
-    experiment = experiment_of_scene(extreme)
-    packing = experiment.packing
-    bonded = experiment.ordering(extreme.seed).at(content_of(extreme, experiment)).bonded
-    bonds = lane_bonds(packing, experiment.cement, [bonded], 1, "preserve")
-    return replace(wave_scene(packing, experiment.sand, experiment.wave, bonds), damping=damping), packing
 
 
 def _lattice(extreme: Extreme, sand: Sand) -> Packing:
@@ -294,24 +305,6 @@ def small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
         unbalanced_force_ratio=_UNBALANCED_FORCE_RATIO,
     )
     return make_packing(rule, Sand(), np.random.default_rng(seed))
-
-
-def experiment_of_packing(packing: Packing, scene: Packed) -> Experiment:
-    """Experiment with a pulse much smaller than the overlaps and far below the cut-off frequency of the contacts."""
-    sand = Sand()
-    radius = float(np.mean(packing.radius))
-    cut_off = cutoff_frequency(_pressed_stiffness(packing, radius, sand), sand.density * np.pi * radius**2)
-    frequency = _CEMENTED_FREQUENCY if scene.content > 0.0 else _SLOW_PULSE * cut_off
-    wave = WaveRule(
-        amplitude=_STROKE * packing.report.mean_overlap * frequency,
-        transmitter_half_width=_BOX_HEIGHT / 5.0,
-        receiver_half_width=_BOX_HEIGHT / 5.0,
-        boundary_thickness=_BOX_HEIGHT / 8.0,
-        listening_depth=5.0 * radius,
-        slowest=0.3 * radius * cut_off,
-        regime=scene.regime,
-    )
-    return replace(Experiment(packing, sand=sand, wave=wave), frequencies=((0.0, 100.0), (frequency, frequency)))
 
 
 def _pressed_stiffness(packing: Packing, radius: float, sand: Sand) -> float:
