@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 import xarray as xr
@@ -45,29 +46,29 @@ class NormalityTest:
     value.
     """
 
+    @classmethod
+    def of_moments(cls, n: int, skewness: float, kurtosis: float) -> Self:
+        """Test a sample of n values from its population moments, Eqs. 6 and 7, such as those of a printed table.
+
+        Jarque and Bera (1987), doi:10.2307/1403192. The statistic approaches its limit slowly, so the p-value among
+        simulated samples of the same size is also given.
+        """
+        statistic = n * (skewness**2 / 6 + (kurtosis - 3) ** 2 / 24)  # Eq. 5
+        in_the_limit = float(stats.chi2.sf(statistic, 2))
+        if n >= _MOST_SIMULATED:
+            return cls(statistic, in_the_limit, in_the_limit)
+        null = _null_statistics(n)
+        # The relative tolerance makes statistics equal despite round-off. The two ones count the sample itself, so p is
+        # never zero (Davison and Hinkley 1997, section 4.2).
+        at_least = null.size - int(np.searchsorted(null, statistic * (1 - 1e-12)))
+        return cls(statistic, in_the_limit, (1 + at_least) / (1 + null.size))
+
 
 def _jarque_bera(values: NDArray[np.float64]) -> NormalityTest:
     """Test a finite sample (n,) for normality; NaN for fewer than two values or equal values."""
     if values.size <= 1 or np.ptp(values) == 0:
         return NormalityTest(math.nan, math.nan, math.nan)
-    return jarque_bera_from_moments(values.size, _skewness(values), _kurtosis(values))
-
-
-def jarque_bera_from_moments(n: int, skewness: float, kurtosis: float) -> NormalityTest:
-    """Test a sample of n values from its population moments, Eqs. 6 and 7, such as those of a printed table.
-
-    Jarque and Bera (1987), doi:10.2307/1403192. The statistic approaches its limit slowly, so the p-value among
-    simulated samples of the same size is also given.
-    """
-    statistic = n * (skewness**2 / 6 + (kurtosis - 3) ** 2 / 24)  # Eq. 5
-    in_the_limit = float(stats.chi2.sf(statistic, 2))
-    if n >= _MOST_SIMULATED:
-        return NormalityTest(statistic, in_the_limit, in_the_limit)
-    null = _null_statistics(n)
-    # The relative tolerance makes statistics equal despite round-off. The two ones count the sample itself, so p is
-    # never zero (Davison and Hinkley 1997, section 4.2).
-    at_least = null.size - int(np.searchsorted(null, statistic * (1 - 1e-12)))
-    return NormalityTest(statistic, in_the_limit, (1 + at_least) / (1 + null.size))
+    return NormalityTest.of_moments(values.size, _skewness(values), _kurtosis(values))
 
 
 def _skewness(values: NDArray[np.float64]) -> float:

@@ -29,6 +29,19 @@ class ErrorBudget:
     departing: int
     """Number of cells with both velocities, and number of those that differ by more than their errors."""
 
+    @property
+    def texts(self) -> tuple[str, str]:
+        """Texts on the standard error of a velocity, and on its parts."""
+        if not np.isfinite(self.total):
+            return "unknown", "no error of the reading is stored"
+        total, reading, numerical = (f"{100 * part:.2g} %" for part in (self.total, self.reading, self.numerical))
+        return total, f"median; reading {reading}, simulation {numerical}"
+
+    def __str__(self) -> str:
+        """Return both in one text."""
+        total, parts = self.texts
+        return f"{total} ({parts})"
+
 
 def error_budget(cells: Mapping[Any, ArrayLike]) -> ErrorBudget:
     """Summarise the errors of cells: `BUDGET_QUANTITIES` by name, arrays of one shape with NaN if missing."""
@@ -51,17 +64,3 @@ def median_known(given: ArrayLike) -> float:
     values = np.asarray(given, dtype=float)
     known = values[np.isfinite(values)]
     return float(np.median(known)) if known.size else np.nan
-
-
-def budget_text(budget: ErrorBudget) -> str:
-    """Describe the standard error of a velocity and its parts in one text."""
-    total, parts = budget_texts(budget)
-    return f"{total} ({parts})"
-
-
-def budget_texts(budget: ErrorBudget) -> tuple[str, str]:
-    """Describe the standard error of a velocity, and its parts."""
-    if not np.isfinite(budget.total):
-        return "unknown", "no error of the reading is stored"
-    total, reading, numerical = (f"{100 * part:.2g} %" for part in (budget.total, budget.reading, budget.numerical))
-    return total, f"median; reading {reading}, simulation {numerical}"

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import xarray as xr
@@ -43,6 +44,26 @@ class SeedPlan:
         """Seeds still to be computed, if the same share as so far gives no velocity."""
         return math.ceil(max(0, self.needed - self.present) * (self.present + self.unreadable) / self.present)
 
+    @classmethod
+    def of_values(cls, values: ArrayLike, half_width: float, level: float = 0.95, unreadable: int = 0) -> Self:
+        """Plan the seeds of one content from its values (n,), without NaN, and its seeds without a velocity.
+
+        ``level`` applies to the planned interval and to the interval of the deviation, which gives the range of the
+        plan. `ValueError` for fewer than two values, or if the half-width, in their unit, is not positive.
+        """
+        sample = _finite_values(values)
+        deviation = float(standard_deviation(sample))
+        spread = standard_deviation_interval(sample, level)
+        return cls(
+            half_width=half_width,
+            present=sample.size,
+            present_half_width=mean_half_width(deviation, sample.size, level),
+            unreadable=unreadable,
+            needed=_seeds_needed(deviation, half_width, level),
+            needed_low=_seeds_needed(spread.low, half_width, level),
+            needed_high=_seeds_needed(spread.high, half_width, level),
+        )
+
 
 def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0.95) -> int:
     """Smallest number of seeds for an interval of the mean of at most this half-width, in the unit of the deviation."""
@@ -56,26 +77,6 @@ def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0
     while mean_half_width(standard_deviation, n, level) > half_width:
         n += 1
     return n
-
-
-def plan_seeds(values: ArrayLike, half_width: float, level: float = 0.95, unreadable: int = 0) -> SeedPlan:
-    """Plan the seeds of one content from its values (n,), without NaN, and its seeds without a velocity.
-
-    ``level`` applies to the planned interval and to the interval of the deviation, which gives the range of the plan.
-    `ValueError` for fewer than two values, or if the half-width, in their unit, is not positive.
-    """
-    sample = _finite_values(values)
-    deviation = float(standard_deviation(sample))
-    spread = standard_deviation_interval(sample, level)
-    return SeedPlan(
-        half_width=half_width,
-        present=sample.size,
-        present_half_width=mean_half_width(deviation, sample.size, level),
-        unreadable=unreadable,
-        needed=_seeds_needed(deviation, half_width, level),
-        needed_low=_seeds_needed(spread.low, half_width, level),
-        needed_high=_seeds_needed(spread.high, half_width, level),
-    )
 
 
 FEWEST_READ = 0.5

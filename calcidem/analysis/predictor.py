@@ -7,6 +7,7 @@ never negative.
 
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,7 +38,7 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VelocityPredictor:
-    """Predictor for one content; see `fit_predictor`."""
+    """Predictor for one content."""
 
     centre: float
     slopes: Matrix
@@ -66,30 +67,30 @@ class VelocityPredictor:
         half = float(stats.t.ppf(1.0 - tail, count - 1)) * self.errors.std(ddof=1) * math.sqrt(1.0 + 1.0 / count)
         return float(self.errors.mean()) + np.array([-half, 0.0, half])
 
+    @classmethod
+    def fit(cls, features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> Self:
+        """Fit the predictor of one content by least squares to features (n, k) and positive velocities (n,), m/s.
 
-def fit_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> VelocityPredictor:
-    """Fit the predictor of one content by least squares to features (n, k) and positive velocities (n,), m/s.
-
-    For k = 0 or constant features the content alone is used. `ValueError` if there are fewer than k + 3 samples, or
-    lengths differ. The error of a left-out sample is its residual in the full fit over one minus its leverage (Allen
-    1974, doi:10.1080/00401706.1974.10489157).
-    """
-    x, y = np.asarray(features, dtype=np.float64), np.log(np.asarray(vs, dtype=np.float64))
-    if x.ndim != 2 or len(x) != len(y) or len(y) < FEWEST_ROWS + x.shape[1]:  # noqa: PLR2004 - a table
-        fewest = f"at least {FEWEST_ROWS} more than features"
-        raise ValueError(f"features {x.shape} and vs {y.shape}: give one row for each velocity, and {fewest}")
-    centred = x - x.mean(axis=0)
-    scale = np.linalg.norm(centred, axis=0)
-    varied = scale > _CONSTANT * np.linalg.norm(x, axis=0)
-    standard = centred[:, varied] / scale[varied]
-    # Pseudo-inverse, since features may be linearly dependent: some of a path are sums of others.
-    inverse = np.linalg.pinv(standard, rcond=1e-9)
-    weights = inverse @ (y - y.mean())
-    influence = np.einsum("ik,ki->i", standard, inverse) + 1.0 / y.size
-    errors = (y - y.mean() - standard @ weights) / (1.0 - influence)
-    slopes = np.zeros(x.shape[1])
-    slopes[varied] = weights / scale[varied]
-    return VelocityPredictor(float(y.mean() - x.mean(axis=0) @ slopes), slopes, errors, level)
+        For k = 0 or constant features the content alone is used. `ValueError` if there are fewer than k + 3 samples, or
+        lengths differ. The error of a left-out sample is its residual in the full fit over one minus its leverage
+        (Allen 1974, doi:10.1080/00401706.1974.10489157).
+        """
+        x, y = np.asarray(features, dtype=np.float64), np.log(np.asarray(vs, dtype=np.float64))
+        if x.ndim != 2 or len(x) != len(y) or len(y) < FEWEST_ROWS + x.shape[1]:  # noqa: PLR2004 - a table
+            fewest = f"at least {FEWEST_ROWS} more than features"
+            raise ValueError(f"features {x.shape} and vs {y.shape}: give one row for each velocity, and {fewest}")
+        centred = x - x.mean(axis=0)
+        scale = np.linalg.norm(centred, axis=0)
+        varied = scale > _CONSTANT * np.linalg.norm(x, axis=0)
+        standard = centred[:, varied] / scale[varied]
+        # Pseudo-inverse, since features may be linearly dependent: some of a path are sums of others.
+        inverse = np.linalg.pinv(standard, rcond=1e-9)
+        weights = inverse @ (y - y.mean())
+        influence = np.einsum("ik,ki->i", standard, inverse) + 1.0 / y.size
+        errors = (y - y.mean() - standard @ weights) / (1.0 - influence)
+        slopes = np.zeros(x.shape[1])
+        slopes[varied] = weights / scale[varied]
+        return cls(float(y.mean() - x.mean(axis=0) @ slopes), slopes, errors, level)
 
 
 def interval_score(interval: Interval, value: float, level: float) -> float:
@@ -125,16 +126,16 @@ class PredictorCheck:
         """Mean interval score in m/s."""
         return float(self.scores.mean())
 
-
-def check_predictor(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> PredictorCheck:
-    """Predict each sample of one content from all others; as `fit_predictor`, but with at least one more sample."""
-    x, y = np.asarray(features, dtype=np.float64), np.asarray(vs, dtype=np.float64)
-    intervals = [
-        fit_predictor(np.delete(x, out, axis=0), np.delete(y, out), level).predict(x[out]).interval
-        for out in range(len(y))
-    ]
-    pairs = list(zip(intervals, y.tolist(), strict=True))
-    return PredictorCheck(
-        np.array([interval.contains(value) for interval, value in pairs]),
-        np.array([interval_score(interval, value, level) for interval, value in pairs]),
-    )
+    @classmethod
+    def of_samples(cls, features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> Self:
+        """Predict each sample of one content from all others: one more is needed than for `VelocityPredictor.fit`."""
+        x, y = np.asarray(features, dtype=np.float64), np.asarray(vs, dtype=np.float64)
+        intervals = [
+            VelocityPredictor.fit(np.delete(x, out, axis=0), np.delete(y, out), level).predict(x[out]).interval
+            for out in range(len(y))
+        ]
+        pairs = list(zip(intervals, y.tolist(), strict=True))
+        return cls(
+            np.array([interval.contains(value) for interval, value in pairs]),
+            np.array([interval_score(interval, value, level) for interval, value in pairs]),
+        )

@@ -50,12 +50,8 @@ class ForeignDatabaseError(StoreError):
     """The file or database exists but was not made by calcidem."""
 
 
-class NewerSchemaError(StoreError):
-    """The database or file was written by a later calcidem, whose tables this one doesn't know."""
-
-
-class OlderSchemaError(StoreError):
-    """The database or file was written by an earlier calcidem, whose tables this one doesn't read."""
+class OtherSchemaError(StoreError):
+    """The database or file was written by an earlier or a later calcidem, whose tables this one doesn't read."""
 
 
 class DamagedStoreError(StoreError):

@@ -8,7 +8,7 @@ import argparse
 import numpy as np
 import xarray as xr
 
-from calcidem.analysis.predictor import VelocityPredictor, fit_predictor, interval_score
+from calcidem.analysis.predictor import VelocityPredictor, interval_score
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.prediction import CEMENT_FEATURES, cement_shares
 
@@ -74,7 +74,7 @@ def fit_without_each(cells: xr.Dataset, columns: tuple[str, ...]) -> Fits:
         known = np.isfinite(vs) & np.isfinite(table).all(axis=1)
         for out in np.flatnonzero(known).tolist():
             others = known & (np.arange(vs.size) != out)
-            fits[content, out] = fit_predictor(table[others], vs[others])
+            fits[content, out] = VelocityPredictor.fit(table[others], vs[others])
     return fits
 
 

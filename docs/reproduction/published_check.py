@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calcidem.analysis.connectivity import ContactWeights
-from calcidem.analysis.distribution import NormalityTest, jarque_bera_from_moments
+from calcidem.analysis.distribution import NormalityTest
 from calcidem.analysis.fits import power_law
 from calcidem.analysis.published import (
     STAGES,
@@ -92,7 +92,7 @@ def check_verdicts(study: PublishedStudy | None = None) -> tuple[VerdictCheck, .
     """Test each row of Table 3 for normality and compare with its mark."""
     study = study or published_study()
     return tuple(
-        VerdictCheck(content, row.normal, jarque_bera_from_moments(study.seeds, row.skewness, row.kurtosis))
+        VerdictCheck(content, row.normal, NormalityTest.of_moments(study.seeds, row.skewness, row.kurtosis))
         for content, row in study.velocities
     )
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calcidem.analysis.error_budget import budget_text, error_budget
+from calcidem.analysis.error_budget import error_budget
 
 CELLS = {
     "vs": np.array([100.0, 200.0, 300.0, np.nan]),
@@ -20,7 +20,7 @@ def test_budget_sums_up_the_cells_that_have_errors() -> None:
     assert (budget.reading, budget.numerical, budget.total) == pytest.approx((0.035, 0.003, 0.0352))
     assert budget.scatter == pytest.approx(np.sqrt((3.0**2 + 8.0**2) / 2))
     assert (budget.compared, budget.departing) == (2, 1)  # a departure of two standard errors is none
-    assert budget_text(budget) == "3.5 % (median; reading 3.5 %, simulation 0.3 %)"
+    assert str(budget) == "3.5 % (median; reading 3.5 %, simulation 0.3 %)"
 
 
 def test_one_sample_read_for_many_seeds_has_no_scatter_by_readings() -> None:
@@ -33,4 +33,4 @@ def test_one_sample_read_for_many_seeds_has_no_scatter_by_readings() -> None:
 def test_a_budget_without_errors_is_unknown() -> None:
     """Cells of an old campaign have no error of the reading, and the text says so instead of showing a part."""
     old = {name: values[2:] for name, values in CELLS.items()}
-    assert budget_text(error_budget(old)).startswith("unknown")
+    assert str(error_budget(old)).startswith("unknown")

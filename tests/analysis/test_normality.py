@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from calcidem.analysis.distribution import (
+    NormalityTest,
     _jarque_bera,
     _kurtosis,
     _null_statistics,
     _skewness,
-    jarque_bera_from_moments,
 )
 
 
@@ -77,7 +77,7 @@ def test_units_and_origin_do_not_matter(shift: float, scale: float) -> None:
 def test_moments_alone_give_the_same_test() -> None:
     """The test from printed moments is the test from the values."""
     values = np.random.default_rng(12).normal(0, 1, 50)
-    assert jarque_bera_from_moments(50, _skewness(values), _kurtosis(values)) == _jarque_bera(values)
+    assert NormalityTest.of_moments(50, _skewness(values), _kurtosis(values)) == _jarque_bera(values)
 
 
 def test_the_simulation_is_done_once_for_a_size_and_is_the_same_every_time() -> None:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from calcidem.analysis.intervals import mean_interval, standard_deviation_interval
-from calcidem.analysis.planning import _seeds_needed, mean_half_width, narrowing, next_seed_count, plan_seeds
+from calcidem.analysis.planning import SeedPlan, _seeds_needed, mean_half_width, narrowing, next_seed_count
 
 
 def test_seeds_for_the_papers_widest_content() -> None:
@@ -28,7 +28,7 @@ def test_the_number_is_the_smallest_that_suffices(deviation: float, half_width: 
 def test_plan_counts_what_is_there() -> None:
     """A plan knows the seeds present, the half-width they give, and how many are still to be computed."""
     values = np.append(np.random.default_rng(1).normal(1200, 260, 40), np.nan)
-    plan = plan_seeds(values, 40.0)
+    plan = SeedPlan.of_values(values, 40.0)
     assert plan.present == 40
     assert plan.present_half_width == pytest.approx(mean_interval(values[:40]).half_width)
     assert plan.more == plan.needed - 40 > 0
@@ -37,14 +37,14 @@ def test_plan_counts_what_is_there() -> None:
 
 def test_a_campaign_that_is_narrow_enough_needs_no_more() -> None:
     """Where the interval is narrower than asked, nothing is left to compute; nor without any scatter."""
-    assert plan_seeds(np.random.default_rng(1).normal(1200, 260, 40), 200.0).more == 0
-    assert plan_seeds(np.full(5, 169.73), 0.1).more == 0
+    assert SeedPlan.of_values(np.random.default_rng(1).normal(1200, 260, 40), 200.0).more == 0
+    assert SeedPlan.of_values(np.full(5, 169.73), 0.1).more == 0
 
 
 def test_seeds_that_cannot_be_read_are_planned_for() -> None:
     """Where a third of the seeds gave no velocity, half as many again have to be computed for the same interval."""
     values = np.random.default_rng(2).normal(1200, 260, 20)
-    readable, some = (plan_seeds(values, 40.0, unreadable=count) for count in (0, 10))
+    readable, some = (SeedPlan.of_values(values, 40.0, unreadable=count) for count in (0, 10))
     assert (some.needed, some.present) == (readable.needed, 20)
     assert some.more == int(np.ceil(1.5 * readable.more))
 
@@ -55,7 +55,7 @@ def test_the_range_of_the_plan_covers_the_true_need(
     """Of 400 plans from 10 normal values each, 95 % have the true need in their range."""
     truth = _seeds_needed(100.0, 10.0)
     samples = np.random.default_rng(2).normal(0, 100, (400, 10))
-    plans = [plan_seeds(sample, 10.0) for sample in samples]
+    plans = [SeedPlan.of_values(sample, 10.0) for sample in samples]
     hits = sum(plan.needed_low <= truth <= plan.needed_high for plan in plans)
     assert within_binomial(hits, 400, 0.95)
 
@@ -91,7 +91,7 @@ def test_impossible_plans_are_refused() -> None:
     with pytest.raises(ValueError, match="standard_deviation"):
         _seeds_needed(float("nan"), 10.0)
     with pytest.raises(ValueError, match="at least two"):
-        plan_seeds([1.0, float("nan")], 10.0)
+        SeedPlan.of_values([1.0, float("nan")], 10.0)
     with pytest.raises(ValueError, match="at least 3 seeds"):
         narrowing([1.0, 2.0, 3.0], [2, 5])
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from calcidem.analysis.intervals import Interval
-from calcidem.analysis.predictor import VelocityPredictor, check_predictor, fit_predictor, interval_score
+from calcidem.analysis.predictor import PredictorCheck, VelocityPredictor, interval_score
 
 SLOPES = np.array([0.10, -0.05, 0.0])
 NOISE = 0.05
@@ -26,7 +26,7 @@ def drawn(
 def test_a_law_without_noise_is_given_back() -> None:
     """Exact velocities are predicted, and so is the median."""
     features, vs = drawn(1, 200, noise=0.0)
-    fit = fit_predictor(features, vs)
+    fit = VelocityPredictor.fit(features, vs)
     np.testing.assert_allclose(fit.slopes, SLOPES, atol=1e-12)
     found = fit.predict([1.0, 1.0, 0.0])
     assert found.vs == pytest.approx(800.0 * np.exp(0.05), rel=1e-9)
@@ -36,7 +36,7 @@ def test_a_law_without_noise_is_given_back() -> None:
 def test_the_interval_is_that_of_the_noise() -> None:
     """From many samples the interval has the quantiles of the law's own noise: 1.96 standard deviations each way."""
     features, vs = drawn(2, 4000)
-    interval = fit_predictor(features, vs).predict([0.0, 0.0, 0.0]).interval
+    interval = VelocityPredictor.fit(features, vs).predict([0.0, 0.0, 0.0]).interval
     # The quantile of 4,000 normal values has a standard error of 0.042 deviations; four of them.
     assert np.log([interval.low / 800.0, interval.high / 800.0]) / NOISE == pytest.approx([-1.96, 1.96], abs=0.17)
 
@@ -55,7 +55,7 @@ def test_skewed_scatter_makes_a_skewed_interval_that_is_never_negative() -> None
     """Of exponential logarithms the lower end lies near the median and the upper one far, as their quantiles say."""
     generator = np.random.default_rng(3)
     vs = 100.0 * np.exp(generator.exponential(1.0, 4000))
-    interval = fit_predictor(np.empty((4000, 0)), vs).predict().interval
+    interval = VelocityPredictor.fit(np.empty((4000, 0)), vs).predict().interval
     assert np.log([interval.low / 100.0, interval.high / 100.0]) == pytest.approx(
         stats.expon.ppf([0.025, 0.975]), abs=0.35
     )
@@ -68,7 +68,7 @@ def test_new_samples_fall_into_their_intervals_as_promised(within_binomial: Call
         hits = 0
         for random in range(600):
             features, vs = drawn(random, n + 1)
-            hits += fit_predictor(features[:-1], vs[:-1]).predict(features[-1]).interval.contains(vs[-1])
+            hits += VelocityPredictor.fit(features[:-1], vs[:-1]).predict(features[-1]).interval.contains(vs[-1])
         # Errors without the sample are those of fits to one sample less: a little too wide for few samples.
         assert within_binomial(hits, 600, 0.95)
 
@@ -76,7 +76,7 @@ def test_new_samples_fall_into_their_intervals_as_promised(within_binomial: Call
 def test_errors_are_those_of_fits_without_the_sample() -> None:
     """Each error is that of least squares by hand on the other samples."""
     features, vs = drawn(4, 80)
-    fit = fit_predictor(features, vs)
+    fit = VelocityPredictor.fit(features, vs)
     for out in (0, 17):
         design = np.column_stack([np.ones(79), np.delete(features, out, axis=0)])
         solution = np.linalg.lstsq(design, np.log(np.delete(vs, out)), rcond=None)[0]
@@ -87,7 +87,7 @@ def test_features_that_depend_on_one_another_are_no_error() -> None:
     """A feature twice, or the sum of two others, changes no prediction: slopes are shared out among them."""
     features, vs = drawn(7, 60)
     more = np.column_stack([features, features[:, 0], features.sum(axis=1)])
-    single, double = fit_predictor(features, vs), fit_predictor(more, vs)
+    single, double = VelocityPredictor.fit(features, vs), VelocityPredictor.fit(more, vs)
     np.testing.assert_allclose(double.errors, single.errors, rtol=1e-9)
     assert double.predict(more[3]).vs == pytest.approx(single.predict(features[3]).vs)
 
@@ -95,7 +95,7 @@ def test_features_that_depend_on_one_another_are_no_error() -> None:
 def test_a_check_tells_the_gain_of_known_noise(within_binomial: Callable[[int, int, float], bool]) -> None:
     """Intervals shrink as the scatter does: to NOISE over that of content alone; both hold 95 % of left-out samples."""
     features, vs = drawn(6, 300)
-    check, alone = check_predictor(features, vs), check_predictor(features[:, :0], vs)
+    check, alone = PredictorCheck.of_samples(features, vs), PredictorCheck.of_samples(features[:, :0], vs)
     total = np.hypot(NOISE, np.linalg.norm(SLOPES))
     assert check.score / alone.score == pytest.approx(NOISE / total, rel=0.15)
     for found in (check, alone):
@@ -114,7 +114,7 @@ def test_the_score_is_width_and_penalty() -> None:
 
 def test_equal_velocities_and_constant_features_are_no_error() -> None:
     """Without cement all seeds are the same sample: the interval has no width, and the features no part."""
-    found = fit_predictor(np.ones((8, 2)), np.full(8, 201.0)).predict([1.0, 1.0])
+    found = VelocityPredictor.fit(np.ones((8, 2)), np.full(8, 201.0)).predict([1.0, 1.0])
     assert (found.vs, found.interval.low, found.interval.high) == pytest.approx((201.0, 201.0, 201.0))
     assert not found.uses_features
 
@@ -122,6 +122,6 @@ def test_equal_velocities_and_constant_features_are_no_error() -> None:
 def test_too_few_samples_are_refused() -> None:
     """Two velocities have no scatter to speak of, and each needs its features."""
     with pytest.raises(ValueError, match="at least 3 more"):
-        fit_predictor(np.ones((2, 1)), [200.0, 210.0])
+        VelocityPredictor.fit(np.ones((2, 1)), [200.0, 210.0])
     with pytest.raises(ValueError, match="one row for each velocity"):
-        fit_predictor(np.ones((4, 1)), np.ones(5))
+        VelocityPredictor.fit(np.ones((4, 1)), np.ones(5))

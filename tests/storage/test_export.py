@@ -29,8 +29,7 @@ from calcidem.storage.errors import (
     DiskError,
     ForeignDatabaseError,
     LeaseHeldError,
-    NewerSchemaError,
-    OlderSchemaError,
+    OtherSchemaError,
     StoreError,
     StoreUnavailableError,
     UnknownCampaignError,
@@ -327,8 +326,8 @@ def test_foreign_files_are_refused(exported: Path, tmp_path: Path) -> None:
         for name, error in (
             ("text.nc", StoreUnavailableError),
             ("other.nc", ForeignDatabaseError),
-            ("calcidem_0.1.0.nc", OlderSchemaError),
-            (exported.name, NewerSchemaError),
+            ("calcidem_0.1.0.nc", OtherSchemaError),
+            (exported.name, OtherSchemaError),
         ):
             with pytest.raises(error):
                 import_netcdf(tmp_path / name, copy)

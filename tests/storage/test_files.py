@@ -18,8 +18,7 @@ from calcidem.storage.errors import (
     DamagedStoreError,
     DiskFullError,
     ForeignDatabaseError,
-    NewerSchemaError,
-    OlderSchemaError,
+    OtherSchemaError,
     ReplacedStoreError,
     StoreError,
     StoreInterruptedError,
@@ -97,7 +96,7 @@ def test_newer_schema_is_refused(database: Path) -> None:
     """A revision from the future is refused with the advice to upgrade, for reading and writing."""
     execute(database, "UPDATE calcidem_schema SET version = 9999")
     for read_only in (True, False):
-        with pytest.raises(NewerSchemaError, match="upgrade"):
+        with pytest.raises(OtherSchemaError, match="upgrade"):
             open_store(database, read_only=read_only)
 
 
@@ -106,7 +105,7 @@ def test_the_former_tables_are_refused(tmp_path: Path, read_only: bool) -> None:
     """A database of calcidem 0.1.0 is refused in one sentence, for reading and for writing, and left as it was."""
     asset = Path(__file__).parent / "assets" / "calcidem_0.1.0.db"
     path = Path(shutil.copy(asset, tmp_path))
-    with pytest.raises(OlderSchemaError, match=r"written by calcidem 0\.1\.0 or earlier"):
+    with pytest.raises(OtherSchemaError, match=r"written by calcidem 0\.1\.0 or earlier"):
         open_store(path, read_only=read_only)
     assert path.read_bytes() == asset.read_bytes()
     assert [found.name for found in tmp_path.iterdir()] == [path.name]

@@ -54,10 +54,6 @@ class _SmallGifWriter(PillowWriter):
         frames[-1] = frame.quantize(_GIF_PALETTE, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
 
 
-ShowFrame = Callable[[int], None]
-"""Puts one moment into a figure."""
-
-
 def movie_writer(file: Path) -> AbstractMovieWriter:
     """Writer for the ending .gif or .mp4 of a file; `OutputRefusedError` for others, or without ffmpeg."""
     if file.suffix.lower() == ".gif":
@@ -73,11 +69,16 @@ def movie_writer(file: Path) -> AbstractMovieWriter:
 
 
 def write_movie(
-    figure: Figure, show: ShowFrame, frames: int, file: Path, writer: AbstractMovieWriter, watch: Callable[[int], None]
+    figure: Figure,
+    frames: tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]],
+    file: Path,
+    writer: AbstractMovieWriter,
+    watch: Callable[[int], None],
 ) -> None:
-    """Write all frames of a figure into a file; `watch` receives their number."""
+    """Write all frames of a figure of `draw_film` into a file; `watch` receives their number."""
+    show = _frame_shower(figure, *frames)
     with mpl.rc_context({"savefig.bbox": None}), writer.saving(figure, str(file), _DOTS):
-        for frame in range(frames):
+        for frame in range(len(frames[0])):
             show(frame)
             writer.grab_frame()
             figure.set_layout_engine("none")  # the first frame has laid it out
@@ -93,7 +94,7 @@ def draw_film(
     half_widths: tuple[float, float],
     frames: tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]],
 ) -> Figure:
-    """Draw the first moment of a wave; `frame_shower` shows the others.
+    """Draw the first moment of a wave; `write_movie` shows the others.
 
     Of the packing the pairs ``cemented`` (m, 2) are; ``disks`` are x, y and radius of those that were computed, (n,) m;
     ``half_widths`` those of transmitter and receiver, m. ``frames`` are times (f,), s, and velocities of the disks
@@ -134,7 +135,9 @@ def draw_film(
     return figure
 
 
-def frame_shower(figure: Figure, times: NDArray[np.floating[Any]], velocity: NDArray[np.floating[Any]]) -> ShowFrame:
+def _frame_shower(
+    figure: Figure, times: NDArray[np.floating[Any]], velocity: NDArray[np.floating[Any]]
+) -> Callable[[int], None]:
     """Give what shows one moment in a figure of `draw_film`; arguments as its `frames`."""
     (disks,) = (artist for artist in figure.axes[0].collections if artist.get_gid() == "disks")
     (now,) = (line for line in figure.axes[1].lines if line.get_gid() == "now")

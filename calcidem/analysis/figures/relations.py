@@ -23,14 +23,13 @@ from calcidem.analysis.figures.style import (
     VERMILION,
     VS_LABEL,
     apply_style,
-    figure_of,
     letter_panels,
     new_figure,
     new_panel,
 )
 from calcidem.analysis.fits import power_law
 from calcidem.analysis.packing_graph import FEATURES
-from calcidem.analysis.predictor import fit_predictor
+from calcidem.analysis.predictor import VelocityPredictor
 from calcidem.analysis.published import PublishedLaw
 from calcidem.analysis.weights import RatioScan
 
@@ -91,7 +90,7 @@ def _draw_matrix(axes: Axes, matrices: xr.Dataset) -> AxesImage:
 @apply_style
 def draw_ratio_scan(scan: RatioScan, published_ratio: float | None = None) -> Figure:
     """Draw the correlation of C_d,n with Vs over the ratio of the weights (Fig. 14), and the published best."""
-    axes, _ = new_panel(height=3.4)
+    figure, axes, _ = new_panel(height=3.4)
     interval = scan.best_ratio_interval
     axes.axvspan(interval.low, interval.high, color=SKY, alpha=0.3, linewidth=0, label="95 % interval of the best")
     axes.plot(scan.ratios, scan.correlation, color=BLUE)
@@ -109,7 +108,7 @@ def draw_ratio_scan(scan: RatioScan, published_ratio: float | None = None) -> Fi
     axes.set_xlabel(r"weight ratio $\omega_{LPB}\,/\,\omega_h$")
     axes.set_ylabel("correlation of $C_{d,n}$ with $V_s$")
     axes.legend(loc="best")
-    return figure_of(axes)
+    return figure
 
 
 @apply_style
@@ -172,7 +171,7 @@ def _intervals_by_content(
         if known.sum() < _SAMPLES_OF_AN_INTERVAL:
             continue
         mean = float(np.mean(connectivity[known]))
-        interval = fit_predictor(connectivity[known, None], vs[known]).predict([mean]).interval
+        interval = VelocityPredictor.fit(connectivity[known, None], vs[known]).predict([mean]).interval
         found.append((mean, interval.low, interval.high))
     return np.array(found, dtype=np.float64).reshape(-1, 3)
 

@@ -130,16 +130,12 @@ def new_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     return cast("Figure", owner.add_subfigure(cell))  # all that is drawn on a figure can be drawn on a part of one
 
 
-def new_panel(height: float, width: float = FIGURE_WIDTH) -> tuple[Axes, bool]:
-    """Give the only panel of a figure, and whether it is one of the caller's."""
+def new_panel(height: float, width: float = FIGURE_WIDTH) -> tuple[Figure, Axes, bool]:
+    """Give a whole figure with its only panel, and whether they are the caller's."""
     if (place := _CALLERS_AXES.get()) is None:
-        return new_figure(height, width).subplots(), False
-    return place, True
-
-
-def figure_of(axes: Axes) -> Figure:
-    """Give the whole figure that axes are in."""
-    return axes.figure.figure  # of a part of a figure it is the figure, of a figure itself
+        figure = new_figure(height, width)
+        return figure, figure.subplots(), False
+    return place.figure.figure, place, True  # of a part of a figure it is the figure, of a figure itself
 
 
 def letter_panels(panels: Iterable[Axes], **look: Any) -> None:  # noqa: ANN401 - of a text of matplotlib

@@ -27,7 +27,6 @@ from calcidem.analysis.figures.style import (
     VERMILION,
     VS_LABEL,
     apply_style,
-    figure_of,
     letter_panels,
     new_figure,
     new_panel,
@@ -61,8 +60,7 @@ def draw_range(
     ``cells`` has vs (m/s), vs_error and path_departure along (seed, content), NaN where missing.
     """
     rows = [row for row in distributions if row.vs.n]
-    axes, placed = new_panel(height=4.6)
-    figure = figure_of(axes)
+    figure, axes, placed = new_panel(height=4.6)
     low = [row for row in rows if row.content <= _LOW_CONTENT]
     enlarged = not placed and len(low) > 2 and rows[-1].content > 4 * _LOW_CONTENT  # noqa: PLR2004 - fewer need no second picture
     _draw_range(axes, cells, rows, [row for row in published if not enlarged or row[0] > _LOW_CONTENT])

@@ -11,8 +11,11 @@ def physics_version(record: CampaignRecord) -> object:
     return record.parameters.get("physics_version", "unknown")
 
 
-def refuse_other_physics(record: CampaignRecord) -> None:
-    """Raise `CampaignMismatchError` unless a campaign was computed with this program's `PHYSICS_VERSION`."""
+def refuse_other_physics(record: CampaignRecord, configuration: Configuration | None = None) -> None:
+    """Raise `CampaignMismatchError` unless a campaign was computed with this program's `PHYSICS_VERSION`.
+
+    With a configuration it must have its physics, too.
+    """
     stored = physics_version(record)
     if stored != PHYSICS_VERSION:
         raise CampaignMismatchError(
@@ -21,6 +24,8 @@ def refuse_other_physics(record: CampaignRecord) -> None:
             "Its results can be read, reported and exported as before. Use the calcidem that computed it for more "
             "cells or to verify it, or begin a new database.",
         )
+    if configuration is not None:
+        record.refuse_other(configuration.record())
 
 
 def choose_campaign(store: Store, configuration: Configuration) -> bool:
@@ -31,7 +36,7 @@ def choose_campaign(store: Store, configuration: Configuration) -> bool:
     name = configuration.campaign.name
     for record in store.campaigns():
         if record.name == name:
-            refuse_other_configuration(record, configuration)
+            refuse_other_physics(record, configuration)
             store.use_campaign(name)
             return True
     for record in store.campaigns():
@@ -41,9 +46,3 @@ def choose_campaign(store: Store, configuration: Configuration) -> bool:
                 f"Set campaign.name to '{record.name}', or give another database.",
             )
     return False
-
-
-def refuse_other_configuration(record: CampaignRecord, configuration: Configuration) -> None:
-    """Raise `CampaignMismatchError` unless a stored campaign has the physics of a configuration."""
-    refuse_other_physics(record)
-    record.refuse_other(configuration.record())

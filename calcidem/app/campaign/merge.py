@@ -38,7 +38,7 @@ class MergeConflictError(StoreError):
 
 
 @dataclass(frozen=True, slots=True)
-class Conflict:
+class _Conflict:
     """A done cell on which sources disagree."""
 
     key: CellKey
@@ -63,7 +63,7 @@ class Merged:
     """Done cells that several sources have with the same values."""
     overruled: int
     """Cells that are done in one source and failed in another."""
-    conflicts: tuple[Conflict, ...]
+    conflicts: tuple[_Conflict, ...]
     """Done cells on which sources disagree. If there are any and no source was preferred, nothing was written."""
     lacking: tuple[str, ...]
     """Quantities of done cells that one source has and another lacks, which may be older than they are."""
@@ -132,7 +132,7 @@ def _merge_campaigns(sources: Sequence[Store], target: Store, prefer: int | None
     _refuse_other_campaigns(sources)
     packings = _join_packings(sources)
     choice: dict[CellKey, int] = {}
-    conflicts: list[Conflict] = []
+    conflicts: list[_Conflict] = []
     lacking: set[str] = set()
     shared = overruled = 0
     for key, found in sorted(_settled_cells(sources).items()):
@@ -145,7 +145,7 @@ def _merge_campaigns(sources: Sequence[Store], target: Store, prefer: int | None
         lacking |= {name for name, values in quantities.items() if None in values and len(values) > 1}
         if different := tuple(name for name, values in quantities.items() if len(values - {None}) > 1):
             conflicts.append(
-                Conflict(key, {source: values[0] or math.nan for source, values in done.items()}, different)
+                _Conflict(key, {source: values[0] or math.nan for source, values in done.items()}, different)
             )
         else:
             shared += len(done) > 1

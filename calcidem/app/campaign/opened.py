@@ -31,7 +31,7 @@ from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.random_field import describe_fields
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
-from calcidem.app.campaign.identity import refuse_other_configuration
+from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
 from calcidem.app.campaign.prediction import draw_pattern, pattern_features, predict_velocity
 from calcidem.app.campaign.stored_packing import content_hash_of
@@ -142,7 +142,7 @@ def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLik
     try:
         several = len(store.campaigns()) > 1
         record = store.use_campaign(configuration.campaign.name if several else None)
-        refuse_other_configuration(record, configuration)
+        refuse_other_physics(record, configuration)
     except BaseException:
         store.close()
         raise

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.figures.film import draw_film, frame_shower, movie_writer, write_movie
+from calcidem.analysis.figures.film import draw_film, movie_writer, write_movie
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, load_arrival, read_arrival
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals
@@ -206,20 +206,20 @@ class CampaignPlots:
             watch=lambda done, count: watch(done, 2 * count),
         )
         shown = replace(cell, section=stored_section(film.record.section))
+        moving = film.times, film.velocity
         figure = draw_film(
             self.analysis.store.packing(cell.packing_index),
             experiment.packing.pairs[bonded],
             (film.x, film.y, film.radius),
             read_arrival(self.analysis, shown),
             (wave.transmitter_half_width, wave.receiver_half_width),
-            (film.times, film.velocity),
+            moving,
         )
         count = len(film.times)
         with write_atomically(path) as temporary:
             named = temporary.with_suffix(path.suffix)  # which writers go by
             try:
-                show = frame_shower(figure, film.times, film.velocity)
-                write_movie(figure, show, count, named, writer, lambda done: watch(count + done, 2 * count))
+                write_movie(figure, moving, named, writer, lambda done: watch(count + done, 2 * count))
                 named.replace(temporary)
             finally:
                 named.unlink(missing_ok=True)

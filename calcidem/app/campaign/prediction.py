@@ -12,8 +12,7 @@ from calcidem.analysis.predictor import (
     FEWEST_ROWS,
     Prediction,
     PredictorCheck,
-    check_predictor,
-    fit_predictor,
+    VelocityPredictor,
 )
 from calcidem.app.campaign.patterns import pattern_of
 from calcidem.dem.sample.cement import CementCapacityError
@@ -57,7 +56,7 @@ def predict_velocity(
         problem = f"{others.sum()} cells at {content:g} % have a velocity and these features."
         raise QueryError(problem, f"Compute at least {fewest} seeds, or give fewer features.")
     _refuse_far_features(content, names, features, table[others])
-    predictor = fit_predictor(table[others], vs[others], level)
+    predictor = VelocityPredictor.fit(table[others], vs[others], level)
     return predictor.predict([features[name] for name in names])
 
 
@@ -74,7 +73,7 @@ def check_predictions(
     cells = _cells_with(analysis, names)
     samples = {content: _velocities_at(cells, content, names, shares) for content in contents}
     return {
-        content: check_predictor(table, vs, level)
+        content: PredictorCheck.of_samples(table, vs, level)
         for content, (table, vs, _) in samples.items()
         if len(vs) > FEWEST_ROWS + len(names) and np.ptp(vs) > 0.0
     }

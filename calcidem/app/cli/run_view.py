@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES, budget_text, error_budget
+from calcidem.analysis.error_budget import BUDGET_QUANTITIES, error_budget
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
 from calcidem.app.campaign.display import command_display
 from calcidem.app.campaign.progress import ProgressDisplay
@@ -137,9 +137,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
             _other_outcomes(columns["status"][here]),
         )
     whole = error_budget(columns)
-    remarks = [
-        f"standard error of Vs: {budget_text(whole)}; reading m/s: sd that errors of the readings alone would give"
-    ]
+    remarks = [f"standard error of Vs: {whole}; reading m/s: sd that errors of the readings alone would give"]
     if any(str(cell).endswith("*") for column in table.columns for cell in column.cells):
         remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
     remarks += remarks_on(marks, whole.departing)

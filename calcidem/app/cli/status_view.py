@@ -9,7 +9,6 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from calcidem.analysis.error_budget import budget_text
 from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, URGENCY, CampaignStatus, ContentStatus, Trouble
 from calcidem.app.cli.tables import format_number, marks_of, remarks_on
 from calcidem.app.cli.terminal import printable
@@ -53,7 +52,7 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
     marks = [marks_of(content.counts, content.budget.departing) for content in status.contents]
     parts += [Text(f"  {remark}") for remark in remarks_on(marks, status.budget.departing)]
     if status.counts.get(CellStatus.DONE):
-        parts.append(Text(f"  standard error of Vs: {budget_text(status.budget)}"))
+        parts.append(Text(f"  standard error of Vs: {status.budget}"))
     if half_width is not None:
         parts += map(Text, _seed_lines(status, half_width))
     parts += [Text(printable(line), overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
@@ -173,11 +172,11 @@ def _words(status: CellStatus) -> str:
 
 def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":
     """Seeds that a content needs for a half-width in m/s; None if its scatter is not known."""
-    from calcidem.analysis.planning import plan_seeds  # statistics of SciPy, which take half a second
+    from calcidem.analysis.planning import SeedPlan  # statistics of SciPy, which take half a second
 
     if len(content.vs) < FEWEST_TO_PLAN:
         return None
-    return plan_seeds(content.vs, half_width, unreadable=sum(content.counts.get(kind, 0) for kind in UNREAD))
+    return SeedPlan.of_values(content.vs, half_width, unreadable=sum(content.counts.get(kind, 0) for kind in UNREAD))
 
 
 def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:

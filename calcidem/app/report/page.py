@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.doubt import is_in_doubt
-from calcidem.analysis.error_budget import budget_texts
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render
@@ -200,7 +199,7 @@ def _render_page(
 
 def _key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     """Give the key numbers of the campaign."""
-    outcomes, (error, parts) = analysis.outcomes, budget_texts(analysis.budget)
+    outcomes, (error, parts) = analysis.outcomes, analysis.budget.texts
     done, failed = int(outcomes["measured"].sum()), int(outcomes["failed"].sum())
     missing = int(outcomes["missing"].sum())
     means = [row.vs.mean for row in analysis.distributions if row.vs.n]

@@ -17,8 +17,7 @@ from calcidem.storage.dataset import INDEX_NAMES, LAYOUT
 from calcidem.storage.errors import (
     DamagedStoreError,
     ForeignDatabaseError,
-    NewerSchemaError,
-    OlderSchemaError,
+    OtherSchemaError,
     StoreUnavailableError,
 )
 from calcidem.storage.netcdf.export import Group
@@ -59,7 +58,7 @@ def import_netcdf(
     All of it is one transaction. ``identify`` checks the state of a packing and adds its content hash.
 
     `StoreUnavailableError` if the file is not NetCDF; `ForeignDatabaseError` if calcidem did not write it;
-    `OlderSchemaError`, `NewerSchemaError` if it has another layout; `DamagedStoreError` if it was changed, lacks a
+    `OtherSchemaError` if it has another layout; `DamagedStoreError` if it was changed, lacks a
     packing, or can't be read to its end; `CampaignMismatchError` if the store has another campaign of that name, or
     another packing; `LeaseHeldError` while a run writes the database.
     """
@@ -114,13 +113,13 @@ def _open(path: Path) -> Group:
         return file
     file.close()
     if former is not None:
-        raise OlderSchemaError(
+        raise OtherSchemaError(
             f"{path} was exported by calcidem 0.1.0 or earlier, whose layout this calcidem does not read.",
             "Use that version, or compute the campaign again.",
         )
     if layout is None:
         raise ForeignDatabaseError(f"{path} was not written by calcidem.", "Give a file made by 'calcidem export'.")
-    raise NewerSchemaError(
+    raise OtherSchemaError(
         f"{path} has layout {layout}; this calcidem reads {LAYOUT}.", "Use the calcidem that wrote it, or a later one."
     )
 

@@ -49,8 +49,8 @@ _NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE, CellS
 def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> "Store":
     """Open the file of a SQLite database, or an URL such as ``postgresql://user@host/database``; create it if need be.
 
-    With `read_only` every write is refused, and nothing created. Errors are `ForeignDatabaseError`, `NewerSchemaError`,
-    `OlderSchemaError`, `StoreUnavailableError`, `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a
+    With `read_only` every write is refused, and nothing created. Errors are `ForeignDatabaseError`, `OtherSchemaError`,
+    `StoreUnavailableError`, `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a
     database that is refused is left as it was.
     """
     return Store(Address.parse(path_or_url), read_only=read_only)

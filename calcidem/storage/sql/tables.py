@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from sqlalchemy.schema import CreateColumn
 from sqlalchemy.types import TypeEngine
 
-from calcidem.storage.errors import ForeignDatabaseError, NewerSchemaError, OlderSchemaError
+from calcidem.storage.errors import ForeignDatabaseError, OtherSchemaError
 from calcidem.storage.records import (
     ARRAY_RECORDS,
     QUANTITY_BY_NAME,
@@ -292,7 +292,7 @@ def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bo
         _create_view(connection)
         return None
     if connection.dialect.name != "sqlite":
-        raise OlderSchemaError(
+        raise OtherSchemaError(
             f"{address} lacks the quantities {', '.join(names)}, which an earlier calcidem did not know.",
             "Open it for writing once, with 'calcidem run' for example; that adds them and keeps all values.",
         )
@@ -313,8 +313,8 @@ def _create_view(connection: sa.Connection) -> None:
     connection.execute(sa.text(f"CREATE VIEW cells AS {statement.compile(dialect=connection.dialect)}"))
 
 
-def _newer(address: Address, what: str) -> NewerSchemaError:
-    return NewerSchemaError(
+def _newer(address: Address, what: str) -> OtherSchemaError:
+    return OtherSchemaError(
         f"{address} has {what}, which this calcidem does not know: a later one wrote it.",
         "Use that version (pip install --upgrade calcidem); the database was left as it is.",
     )
@@ -323,8 +323,8 @@ def _newer(address: Address, what: str) -> NewerSchemaError:
 def is_empty(connection: sa.Connection, address: Address) -> bool:
     """Whether a database has no tables yet; one that is not of this schema is refused.
 
-    `ForeignDatabaseError` if it has tables but not calcidem's mark, `OlderSchemaError` or `NewerSchemaError` if an
-    earlier or a later calcidem wrote it.
+    `ForeignDatabaseError` if it has tables but not calcidem's mark, `OtherSchemaError` if another calcidem
+    wrote it.
     """
     inspector = sa.inspect(connection)
     tables = inspector.get_table_names()
@@ -336,7 +336,7 @@ def is_empty(connection: sa.Connection, address: Address) -> bool:
             "Choose another name; it was left as it is.",
         )
     if "version" not in {column["name"] for column in inspector.get_columns(_VERSION.name)}:
-        raise OlderSchemaError(
+        raise OtherSchemaError(
             f"{address} was written by calcidem 0.1.0 or earlier, whose tables this calcidem does not read.",
             "Use that version, or compute the campaign in a new database; it was left as it is.",
         )
