@@ -15,7 +15,7 @@ from calcidem.app.config.measured import read_targets
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
-from calcidem.app.studies.parameters import ParameterRange, parse_range, start_value, text_with_values, with_values
+from calcidem.app.studies.parameters import ParameterRange, text_with_values, with_values
 from calcidem.app.studies.trials import KeptTrials, trial_workers
 from calcidem.dem.sample.packing import Packing
 
@@ -43,7 +43,7 @@ def test_the_parameters_that_made_the_targets_are_found_again(
 
     Every trial is kept, so that the same fit computes none again.
     """
-    truth = {chosen.name: start_value(configuration, small_packing, chosen) for chosen in BOTH}
+    truth = {chosen.name: chosen.start_value(configuration, small_packing) for chosen in BOTH}
     with trial_workers(small_packing, CONTENTS, SEEDS) as measure_trials:
         (vs,) = measure_trials([configuration])
     read = np.isfinite(vs)
@@ -290,7 +290,7 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
     """Unknown names, numbers of the packing, ranges that are none or impossible, too many parameters: each is named."""
 
     def refuse(*names: str, match: str, content: float = 0.66, tolerance: float = 0.0) -> None:
-        ranges = [parse_range(name) for name in names]
+        ranges = [ParameterRange.parse(name) for name in names]
         plan = FitPlan([Target(content, 380.0)], ranges, SEEDS, tolerance=tolerance)
         with pytest.raises(ConfigurationError, match=match):
             calibrate(configuration, small_packing, plan)
@@ -346,7 +346,7 @@ def test_targets_are_read_with_what_they_have(tmp_path: Path) -> None:
 
 def test_a_cluster_without_area_starts_from_its_contacts(configuration: Configuration, small_packing: Packing) -> None:
     """The area to begin with is the calcite of a mean cluster: it gives as many clusters as Eq. 2 does."""
-    area = start_value(configuration, small_packing, ParameterRange("pattern.cluster_area"))
+    area = ParameterRange("pattern.cluster_area").start_value(configuration, small_packing)
     by_contacts, by_area = (
         chosen.experiment(small_packing).ordering(1).at(5.0).clusters
         for chosen in (configuration, with_values(configuration, {"pattern.cluster_area": area}))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calcidem.app.studies.stability.command import StabilityVerdict, _judge_own_scene, _judge_packing, _judge_scene
-from calcidem.app.studies.stability.limits import _energy_drift, _force_step, limits
+from calcidem.app.studies.stability.limits import Limits, _energy_drift, _force_step
 from calcidem.app.studies.stability.own_scenes import _OWN_KINDS, OwnScene
 from calcidem.app.studies.stability.scenes import (
     Extreme,
@@ -138,7 +138,7 @@ def test_the_predicted_limit_is_safe_and_sharp(contrast: float, damping: float, 
     """The per-particle bound lies between half and the whole of the limit that eigenvalues give."""
     scene = Extreme(contrast=contrast, damping=damping, content=content, size_ratio=5.0)
     # A bound by (a - b)^2 <= 2 a^2 + 2 b^2 loses at most a factor sqrt 2, and more only by mixed masses.
-    assert 0.5 < limits(scene).ratio <= 1.0 + 1e-9
+    assert 0.5 < Limits.of_scene(scene).ratio <= 1.0 + 1e-9
 
 
 def test_a_step_above_the_limit_is_refused_with_the_cure() -> None:

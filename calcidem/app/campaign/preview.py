@@ -21,7 +21,6 @@ from calcidem.app.config.checks import (
     cutoff_estimate,
     disks_in_box,
     limit_of_mean_disks,
-    packing_warnings,
 )
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
@@ -116,8 +115,7 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     yield f"Database: {address}{', new' if is_new else ''}"
     if note := calibration_note(configuration):
         yield note
-    if packing is not None:
-        check_against_packing(configuration, packing)
+    doubts = [] if packing is None else check_against_packing(configuration, packing)
     speeds = _expected_speeds(configuration, packing)
     kept = [(batch, [cell for cell in batch.cells if CellKey(*cell) not in settled]) for batch in batches]
     left = [replace(batch, cells=tuple(cells)) for batch, cells in kept if cells]
@@ -128,8 +126,8 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
             "\n  that it cannot hold or that are hard to read."
         )
         return
-    for warning in packing_warnings(configuration, packing):
-        yield f"Warning: {warning}."
+    for doubt in doubts:
+        yield f"Warning: {doubt}."
     yield f"Packing: {len(packing.radius)} disks; they hold these contents and this wave."
     yield from _waves(configuration, packing, speeds)
 

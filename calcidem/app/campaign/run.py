@@ -21,7 +21,7 @@ from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.app.campaign.stored_packing import packing_record, readable_packing
 from calcidem.app.campaign.task import CellComputation, kernel_compilations
 from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
-from calcidem.app.config.checks import check_against_packing, packing_warnings
+from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError
@@ -183,8 +183,7 @@ class CampaignRun:
         store = self._master(tell, check) if _exists(configuration.database) else None
         try:
             self.packing = provide_packing(configuration, store, tell, check, watch)
-            check_against_packing(configuration, self.packing)
-            for warning in packing_warnings(configuration, self.packing):
+            for warning in check_against_packing(configuration, self.packing):
                 tell(f"Warning: {warning}.")
             store = store or self._master(tell, check)
             self.store: Store = store

@@ -65,14 +65,14 @@ def calibrate_command(
     from calcidem.app.config.measured import read_targets
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.calibrate import FITTED_BY_DEFAULT, FitPlan, calibrate
-    from calcidem.app.studies.parameters import parse_range, text_with_values
+    from calcidem.app.studies.parameters import ParameterRange, text_with_values
     from calcidem.storage.files import refuse_to_replace, write_text_atomically
 
     refuse_to_replace(out)
     loaded = load_configuration(configuration)
     targets = read_targets(target)
     packing = provide_packing(loaded, None, tell)
-    ranges = [parse_range(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
+    ranges = [ParameterRange.parse(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
     chosen = range(first_seed, first_seed + seeds)
     plan = FitPlan(targets, ranges, chosen, tuple(predict or ()), tolerance)
     kept = out.with_suffix(".trials.jsonl")

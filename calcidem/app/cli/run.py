@@ -126,12 +126,11 @@ def _make_packing_alone(configuration: "Configuration") -> None:
     """Make the packing alone, and report on it."""
     from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.cli.run_view import packing_lines
-    from calcidem.app.config.checks import check_against_packing, packing_warnings
+    from calcidem.app.config.checks import check_against_packing
 
     packing = provide_packing(configuration, None, tell)
     typer.echo("\n".join(packing_lines(packing)))
-    check_against_packing(configuration, packing)
-    for warning in packing_warnings(configuration, packing):
+    for warning in check_against_packing(configuration, packing):
         typer.echo(f"Warning: {warning}.")
 
 

@@ -314,9 +314,13 @@ def can_make_files(folder: Path) -> bool:
         return False
 
 
-def check_against_packing(configuration: Configuration, packing: Packing) -> None:
-    """Refuse what the packing that was made cannot hold; `ConfigurationError` with everything that is wrong."""
-    problems = [Problem(f"packing.{fault.text}") for fault in judge_disks(packing, configuration.sand) if fault.refused]
+def check_against_packing(configuration: Configuration, packing: Packing) -> list[str]:
+    """Refuse what the packing that was made cannot hold; give what is doubtful about it and its waves, a sentence each.
+
+    `ConfigurationError` with everything that is wrong.
+    """
+    faults = judge_disks(packing, configuration.sand)
+    problems = [Problem(f"packing.{fault.text}") for fault in faults if fault.refused]
     if problems:
         raise ConfigurationError("configuration", problems)
     experiment, plan = configuration.experiment(packing), configuration.campaign
@@ -340,6 +344,15 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> Non
         problems += _sample_problems(configuration, experiment)
     if problems:
         raise ConfigurationError("configuration", problems)
+    doubts = [f"packing.{fault.text}" for fault in faults]
+    cutoff = cutoff_estimate(configuration, cemented=False)
+    frequency = experiment.frequency(0.0) if 0.0 in plan.contents else 0.0
+    if frequency > _SHORT_WAVE * cutoff:
+        doubts.append(
+            f"wave.frequency = {frequency:g}: at 0 % a wavelength has fewer than {np.pi / _SHORT_WAVE:.0f} grains, "
+            f"and dispersion slows the wave by 4 % and more; give at most {_SHORT_WAVE * cutoff:.2g} Hz"
+        )
+    return doubts
 
 
 def _sample_problems(configuration: Configuration, experiment: Experiment) -> list[Problem]:
@@ -352,19 +365,6 @@ def _sample_problems(configuration: Configuration, experiment: Experiment) -> li
         except ValueError as error:
             return [Problem(f"at {content:g} % wave.{error}")]
     return []
-
-
-def packing_warnings(configuration: Configuration, packing: Packing) -> Iterator[str]:
-    """What is doubtful about a packing that is not refused, and about waves through it; a sentence each."""
-    for fault in judge_disks(packing, configuration.sand):
-        yield f"packing.{fault.text}"
-    limit = cutoff_estimate(configuration, cemented=False)
-    frequency = configuration.experiment(packing).frequency(0.0) if 0.0 in configuration.campaign.contents else 0.0
-    if frequency > _SHORT_WAVE * limit:
-        yield (
-            f"wave.frequency = {frequency:g}: at 0 % a wavelength has fewer than {np.pi / _SHORT_WAVE:.0f} grains, "
-            f"and dispersion slows the wave by 4 % and more; give at most {_SHORT_WAVE * limit:.2g} Hz"
-        )
 
 
 def _tightest_seed(experiment: Experiment, seeds: Sequence[int], content: float) -> tuple[int, float]:

@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 from calcidem.analysis.measured import Target
 from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.parameters import ParameterRange, check_ranges, start_value, with_values
+from calcidem.app.studies.parameters import ParameterRange, check_ranges, with_values
 from calcidem.app.studies.posterior import draw_posterior, linear_model
 from calcidem.app.studies.trials import KeptTrials, check_cells, trial_workers
 from calcidem.dem.kernels.layout import Floats
@@ -263,7 +263,7 @@ def calibrate(
     check_ranges(configuration, plan.free, "calibration")
     check_cells(configuration, packing, sorted({row.content for row in plan.targets} | set(plan.predict)), plan.seeds)
     try:
-        start = [start_value(configuration, packing, chosen) for chosen in plan.free]
+        start = [chosen.start_value(configuration, packing) for chosen in plan.free]
     except ValueError as error:
         raise ConfigurationError("calibration", [Problem(str(error))]) from error
 

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import get_type_hints
+from typing import Self, get_type_hints
 
 import numpy as np
 
@@ -25,20 +25,35 @@ class ParameterRange:
     high: float = math.inf
     """Limits in the unit of the key, positive."""
 
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read ``section.key`` or ``section.key=low:high``.
 
-def parse_range(text: str) -> ParameterRange:
-    """Read ``section.key`` or ``section.key=low:high``.
+        `ConfigurationError` if the limits are not increasing positive numbers.
+        """
+        name, _, limits = text.partition("=")
+        if not limits:
+            return cls(name.strip())
+        try:
+            low, high = (float(limit) for limit in limits.split(":"))
+        except ValueError:
+            low, high = math.nan, math.nan
+        return cls(name.strip(), low, high)
 
-    `ConfigurationError` if the limits are not increasing positive numbers.
-    """
-    name, _, limits = text.partition("=")
-    if not limits:
-        return ParameterRange(name.strip())
-    try:
-        low, high = (float(limit) for limit in limits.split(":"))
-    except ValueError:
-        low, high = math.nan, math.nan
-    return ParameterRange(name.strip(), low, high)
+    def start_value(self, configuration: Configuration, packing: Packing) -> float:
+        """Initial value of a parameter, within its range; for a cluster's area that of Eq. 2 for a mean cluster.
+
+        A key without a value starts at the geometric mean of its range. `ValueError` if there is neither.
+        """
+        attribute, key = _variable_keys()[self.name]
+        value = getattr(getattr(configuration, attribute), key)
+        if self.name == "pattern.cluster_area" and value is None:
+            value = _area_of_clusters(configuration, packing)
+        if not isinstance(value, float) or value <= 0.0:
+            if not 0.0 < self.low < self.high < math.inf:
+                raise ValueError(f"{self.name} = {value}: is not a positive start value; give a range low:high")
+            value = math.sqrt(self.low * self.high)
+        return float(np.clip(value, self.low, self.high))
 
 
 def check_ranges(configuration: Configuration, ranges: Sequence[ParameterRange], source: str) -> None:
@@ -100,22 +115,6 @@ def with_values(configuration: Configuration, values: Mapping[str, float]) -> Co
         attribute, key = _variable_keys()[name]
         changed = replace(changed, **{attribute: replace(getattr(changed, attribute), **{key: float(value)})})
     return changed
-
-
-def start_value(configuration: Configuration, packing: Packing, chosen: ParameterRange) -> float:
-    """Initial value of a parameter, within its range; for a cluster's area that of Eq. 2 for a mean cluster.
-
-    A key without a value starts at the geometric mean of its range. `ValueError` if there is neither.
-    """
-    attribute, key = _variable_keys()[chosen.name]
-    value = getattr(getattr(configuration, attribute), key)
-    if chosen.name == "pattern.cluster_area" and value is None:
-        value = _area_of_clusters(configuration, packing)
-    if not isinstance(value, float) or value <= 0.0:
-        if not 0.0 < chosen.low < chosen.high < math.inf:
-            raise ValueError(f"{chosen.name} = {value}: is not a positive start value; give a range low:high")
-        value = math.sqrt(chosen.low * chosen.high)
-    return float(np.clip(value, chosen.low, chosen.high))
 
 
 def _area_of_clusters(configuration: Configuration, packing: Packing) -> float:

@@ -34,7 +34,6 @@ from calcidem.storage.records import (
     CellStatus,
     PackingRecord,
     RunRecord,
-    WorkerRecord,
 )
 from calcidem.storage.sql.store import Store
 
@@ -94,8 +93,7 @@ def import_netcdf(
         for run in json.loads(file.calcidem_runs):
             number = run.pop("number")
             moments = {name: run[name] and datetime.fromisoformat(run[name]) for name in ("started", "ended")}
-            workers = tuple(WorkerRecord(**worker) for worker in run["workers"])
-            run_numbers[number] = store.begin_run(RunRecord(**(run | moments | {"workers": workers})))
+            run_numbers[number] = store.begin_run(RunRecord(**(run | moments)))
         store.restore_attempts(_read_attempts(file, run_numbers))
         store.record_results(_results(file, status))
         return store.use_campaign(name)

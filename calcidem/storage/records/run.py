@@ -80,6 +80,11 @@ class RunRecord:
     """What its processes were, one record for all that are alike; empty if that was not recorded."""
 
     def __post_init__(self) -> None:
+        """Take mappings, as JSON has them, for workers."""
+        known = (
+            worker if isinstance(worker, WorkerRecord) else WorkerRecord(**worker) for worker in self.workers or ()
+        )
+        object.__setattr__(self, "workers", tuple(known))
         object.__setattr__(self, "launch_line", hide_passwords(self.launch_line))
         object.__setattr__(self, "started", as_utc(self.started))
         if self.ended is not None:

@@ -1,9 +1,10 @@
 """Reading a campaign: from a `Selection` to records and columns, in which damaged rows are damaged cells."""
 
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from datetime import UTC, datetime
+from functools import partial
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -22,7 +23,6 @@ from calcidem.storage.records import (
     CellStatus,
     PackingRecord,
     RunRecord,
-    WorkerRecord,
     canonical_content,
     checked_seed,
 )
@@ -167,10 +167,8 @@ class StoreReader(OpenDatabase):
 
     def history(self, selection: Selection = ALL_CELLS) -> Iterator[AttemptRecord]:
         """All attempts at the selected cells that are as they were stored, by seed, content and number."""
-        for chunk in self._chunks(selection):
-            with self._reading() as connection:
-                found = [attempt for _, attempt in self._attempts_or_damage(connection, chunk) if attempt is not None]
-            yield from found
+        found = self._piecewise(self._chosen(selection), self._attempts_or_damage)
+        return (attempt for _, attempt in found if attempt is not None)
 
     # Outcomes
 
@@ -192,15 +190,8 @@ class StoreReader(OpenDatabase):
         `ARRAY_RECORDS`. The others are None, and are neither read nor compared with their checksums.
         """
         wanted = (ARRAY_RECORDS if with_arrays else ()) if isinstance(with_arrays, bool) else with_arrays
-        cells = self._chunks(selection)
-
-        def fetch() -> Iterator[CellResult]:
-            for chunk in cells:
-                with self._reading() as connection:
-                    found = list(_results_of(connection, chunk, wanted))
-                yield from (result for result in found if _is_selected(result.status, selection))
-
-        return fetch()
+        found = self._piecewise(self._chosen(selection), partial(_results_of, wanted=wanted))
+        return (result for result in found if _is_selected(result.status, selection))
 
     def arrays(self, selection: Selection = ALL_CELLS) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
         """Array records (`ARRAY_RECORDS`) by name of the selected cells that have some, by seed, then content.
@@ -208,26 +199,26 @@ class StoreReader(OpenDatabase):
         Unlike in `results`, the cells' numbers are neither read nor checked. Of damaged arrays there is a clause on the
         damage.
         """
-        statement = join_results(sa.select(CELL.c.id, *_BY_KEY, RESULT.c.arrays)).where(RESULT.c.arrays != "")
-        for chunk in self._chunks(selection):
-            with self._reading() as connection:
-                arrays = _arrays_of(connection, chunk, ARRAY_RECORDS)
-                rows = [row for _, row in _readable_rows(connection, statement.order_by(*_BY_KEY), CELL.c.id, chunk)]
-            for row in _with_possible_keys(filter(None, rows)):
-                try:
-                    yield CellKey(row[1], row[2]), _array_records(row[3], arrays.get(row[0], {}), ARRAY_RECORDS)
-                except UNREADABLE as error:
-                    yield CellKey(row[1], row[2]), _problem_of(error)
+        return self._piecewise(self._chosen(selection), _all_arrays_of)
 
-    def _chunks(self, selection: Selection) -> Iterator[Sequence[int]]:
-        """Choose the cells at once, by seed, then content; the caller fetches them piece by piece.
-
-        No transaction stays open between the pieces: an open one would keep a writer from emptying its log.
-        """
+    def _chosen(self, selection: Selection) -> Sequence[int]:
+        """Numbers of the cells that are selected, by seed, then content."""
         statement = join_results(sa.select(CELL.c.id)).where(*_conditions(self._campaign, selection)).order_by(*_BY_KEY)
         with self._reading() as connection:
             _refuse_unknown_contents(connection, self.record.name, self._campaign, selection)
-            return chunks(connection.scalars(statement).all())
+            return connection.scalars(statement).all()
+
+    def _piecewise(
+        self, cells: Sequence[int], fetch: Callable[[sa.Connection, Sequence[int]], Iterable[T]]
+    ) -> Iterator[T]:
+        """Fetch what there is of some cells piece by piece.
+
+        No transaction stays open between the pieces: an open one would keep a writer from emptying its log.
+        """
+        for chunk in chunks(cells):
+            with self._reading() as connection:
+                found = list(fetch(connection, chunk))
+            yield from found
 
     def table(
         self,
@@ -288,14 +279,11 @@ class StoreReader(OpenDatabase):
                 self.packing(index)
             except DamagedStoreError as error:
                 others.append(f"Packing {index}: {error.problem}")
+        for row, attempt in self._piecewise(self._chosen(ALL_CELLS), self._attempts_or_damage):
+            if attempt is None:
+                cell = "a cell" if row is None else f"seed {row[1]}, {row[2]} %"
+                others.append(f"An attempt at {cell} is not what was stored.")
         with self._reading() as connection:
-            cells = connection.scalars(sa.select(CELL.c.id).where(CELL.c.campaign_id == self._campaign)).all()
-            for row, attempt in (
-                found for chunk in chunks(cells) for found in self._attempts_or_damage(connection, chunk)
-            ):
-                if attempt is None:
-                    cell = "a cell" if row is None else f"seed {row[1]}, {row[2]} %"
-                    others.append(f"An attempt at {cell} is not what was stored.")
             if connection.dialect.name == "sqlite":
                 lines = connection.exec_driver_sql("PRAGMA integrity_check(20)").scalars().all()
                 others += [f"The file: {line}." for line in lines if line != "ok"]
@@ -580,6 +568,18 @@ def _results_of(connection: sa.Connection, cells: Sequence[int], wanted: Collect
             yield CellResult(key, CellStatus.DAMAGED, _problem_of(error))
 
 
+def _all_arrays_of(connection: sa.Connection, cells: Sequence[int]) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
+    """Arrays of the cells that have some, see `StoreReader.arrays`."""
+    statement = join_results(sa.select(CELL.c.id, *_BY_KEY, RESULT.c.arrays)).where(RESULT.c.arrays != "")
+    arrays = _arrays_of(connection, cells, ARRAY_RECORDS)
+    rows = [row for _, row in _readable_rows(connection, statement.order_by(*_BY_KEY), CELL.c.id, cells)]
+    for row in _with_possible_keys(filter(None, rows)):
+        try:
+            yield CellKey(row[1], row[2]), _array_records(row[3], arrays.get(row[0], {}), ARRAY_RECORDS)
+        except UNREADABLE as error:
+            yield CellKey(row[1], row[2]), _problem_of(error)
+
+
 def _arrays_of(connection: sa.Connection, cells: Sequence[int], wanted: Collection[str]) -> dict[int, dict[str, bytes]]:
     """Arrays of some cells, by cell and name; those of a cell that can't be read are missing, which is noticed."""
     number: sa.SQLColumnExpression[Any] = ARRAYS.c.cell_id
@@ -611,5 +611,4 @@ def _array_records(text: str | None, arrays: Mapping[str, bytes], wanted: Collec
 def _run_of(row: Mapping[str, Any]) -> RunRecord:
     if not is_intact(RUN, row):
         return RunRecord({}, "", "", 1, "", datetime.fromtimestamp(0, UTC), exit_state=_DAMAGED_RUN)
-    workers = tuple(WorkerRecord(**worker) for worker in row["workers"] or ())
-    return RunRecord(**({field.name: row[field.name] for field in fields(RunRecord)} | {"workers": workers}))
+    return RunRecord(**{field.name: row[field.name] for field in fields(RunRecord)})

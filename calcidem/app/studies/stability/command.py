@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from calcidem.analysis.figures.style import BLUE, GREY, ORANGE, VERMILION, apply_style, letter_panels, new_figure, save
 from calcidem.app.studies.accuracy.reference import signal_distance
-from calcidem.app.studies.stability.limits import Detection, Endurance, Limits, detections, endurance, limits
+from calcidem.app.studies.stability.limits import Detection, Endurance, Limits, detections, endurance
 from calcidem.app.studies.stability.own_scenes import OWN_TOLERANCE, OwnScene
 from calcidem.app.studies.stability.scenes import (
     BOXES,
@@ -301,7 +301,7 @@ def stability(
         walks=_walks(progress),
         packings=_packing_map(progress=progress),
         limits={
-            contrast: tuple(limits(Extreme(contrast=contrast, content=content)) for content in _FILLINGS)
+            contrast: tuple(Limits.of_scene(Extreme(contrast=contrast, content=content)) for content in _FILLINGS)
             for contrast in _CONTRASTS
         },
         endurance=endurance(),

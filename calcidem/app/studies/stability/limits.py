@@ -6,6 +6,7 @@ The true limit follows from the eigenvalues of the kernel's actual step.
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -32,6 +33,18 @@ class Limits:
         """Predicted over true: at most 1 if the prediction is safe."""
         return self.predicted / self.true
 
+    @classmethod
+    def of_scene(cls, scene: Extreme) -> Self:
+        """Critical steps of a scene in the linear regime, both reduced by ``sqrt(1 + alpha)`` for local damping.
+
+        All disks have the scene's damping, so the true limit is ``2 / (omega_max sqrt(1 + alpha))``.
+        """
+        damped, _ = replace(scene, regime="linear", step_fraction=0.8).at_rest(scene.damping)
+        predicted = float(start(damped, features=choose_features(damped, "linear")).critical_time_step[0])
+        undamped = replace(damped, damping=0.0)
+        fastest = fastest_mode(start(undamped, features=choose_features(undamped, "linear")))
+        return cls(predicted, 2.0 / (fastest * np.sqrt(1.0 + scene.damping)))
+
 
 @dataclass(frozen=True, slots=True)
 class Detection:
@@ -47,18 +60,6 @@ class Detection:
     """Message of the guard."""
     looks: int
     """Steps between two checks by the guards."""
-
-
-def limits(scene: Extreme) -> Limits:
-    """Critical steps of a scene in the linear regime, both reduced by ``sqrt(1 + alpha)`` for local damping.
-
-    All disks have the scene's damping, so the true limit is ``2 / (omega_max sqrt(1 + alpha))``.
-    """
-    damped, _ = replace(scene, regime="linear", step_fraction=0.8).at_rest(scene.damping)
-    predicted = float(start(damped, features=choose_features(damped, "linear")).critical_time_step[0])
-    undamped = replace(damped, damping=0.0)
-    fastest = fastest_mode(start(undamped, features=choose_features(undamped, "linear")))
-    return Limits(predicted, 2.0 / (fastest * np.sqrt(1.0 + scene.damping)))
 
 
 def fastest_mode(state: State) -> float:
@@ -103,7 +104,7 @@ def _force_step(factor: float, regime: Regime) -> Detection:
     experiment = replace(experiment, wave=replace(experiment.wave, boundary_damping=0.0))
     bonded = experiment.ordering(scene.seed).at(content).bonded
     recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), 1, check=lambda: None)
-    step = recorder.state.time_step * 0.0 + factor * limits(scene).true
+    step = recorder.state.time_step * 0.0 + factor * Limits.of_scene(scene).true
     recorder.state = replace(recorder.state, time_step=step)
     record = recorder.run(lambda _: False, lambda: None)[0]
     return Detection(factor, regime, record.steps if record.problem else None, record.problem, recorder.steps_per_look)
