@@ -10,11 +10,8 @@ from numpy.typing import NDArray
 from calcidem.analysis.intervals import (
     UNDEFINED,
     Interval,
-    difference_interval,
     mean,
-    mean_interval,
     standard_deviation,
-    standard_deviation_interval,
 )
 from calcidem.analysis.sensitivity import paired_changes
 
@@ -74,24 +71,24 @@ def _compare_content(
     numbers: dict[str, float] = dict.fromkeys(_COMPARED, math.nan) | {"n": len(values)}
     intervals = dict.fromkeys(_INTERVALS, UNDEFINED)
     if len(values):
-        numbers["mean"], intervals["mean"] = float(mean(values)), mean_interval(values, level)
+        numbers["mean"], intervals["mean"] = float(mean(values)), Interval.of_mean(values, level)
     if len(values) > 1:
         numbers["standard_deviation"] = float(standard_deviation(values))
-        intervals["standard_deviation"] = standard_deviation_interval(values, level)
+        intervals["standard_deviation"] = Interval.of_standard_deviation(values, level)
     if first is None:
         return numbers, intervals
     there = _values_of(first, content)
     references = np.array(list(there.values()))
     if len(values) and len(references):
         numbers["difference"] = float(mean(values) - mean(references))
-        intervals["difference"] = difference_interval(values, references, level)
+        intervals["difference"] = Interval.of_difference(values, references, level)
     shared = [seed for seed in here if seed in there]
     numbers["pairs"] = len(shared)
     if len(shared) > 1:
         pairs = np.array([(here[seed], there[seed]) for seed in shared])
         differences = pairs[:, 0] - pairs[:, 1]
         numbers["paired_difference"] = float(mean(differences))
-        intervals["paired_difference"] = mean_interval(differences, level)
+        intervals["paired_difference"] = Interval.of_mean(differences, level)
         numbers["pair_correlation"] = _correlation(pairs)
         (change,) = paired_changes(vs.sel(content=[content]), first.sel(content=[content]), level)
         numbers["deviation_ratio"] = change.deviation_ratio if math.isfinite(change.deviation_ratio) else math.nan

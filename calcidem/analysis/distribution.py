@@ -14,11 +14,7 @@ from calcidem.analysis.error_budget import BUDGET_QUANTITIES, error_budget
 from calcidem.analysis.intervals import (
     Interval,
     mean,
-    mean_interval,
-    ordered_prediction_interval,
-    prediction_interval,
     standard_deviation,
-    standard_deviation_interval,
 )
 from calcidem.analysis.outcomes import arrange_matrix, count_outcomes
 
@@ -136,12 +132,42 @@ class Distribution:
     mean_interval: Interval
     """Confidence interval of the mean by Student's t."""
     standard_deviation_interval: Interval
-    """Confidence interval of the standard deviation, see `intervals.standard_deviation_interval`."""
+    """Confidence interval of the standard deviation, see `Interval.of_standard_deviation`."""
     prediction_interval: Interval
     prediction_interval_ordered: Interval
     """Interval for one new sample, for normal values and without this assumption from the ordered values."""
     normal_fit: _NormalFit
     """The fitted normal distribution."""
+
+    @classmethod
+    def of_sample(cls, values: ArrayLike, level: float = 0.95) -> Self:
+        """Describe one sample of finite values (n,), with intervals at a level; `ValueError` for other shapes or NaN.
+
+        Results that are undefined for few or equal values are NaN.
+        """
+        sample = np.asarray(values, dtype=np.float64)
+        if sample.ndim != 1 or not np.isfinite(sample).all():
+            raise ValueError(
+                f"values must be finite numbers along one dimension, got shape {sample.shape}; drop NaN first"
+            )
+        centre = float(mean(sample)) if sample.size else math.nan
+        deviation = float(standard_deviation(sample)) if sample.size > 1 else math.nan
+        distance = (
+            float(stats.kstest(sample, stats.norm(centre, deviation).cdf).statistic) if deviation > 0 else math.nan
+        )
+        return cls(
+            n=sample.size,
+            mean=centre,
+            standard_deviation=deviation,
+            skewness=_skewness(sample),
+            kurtosis=_kurtosis(sample),
+            normality=_jarque_bera(sample),
+            mean_interval=Interval.of_mean(sample, level),
+            standard_deviation_interval=Interval.of_standard_deviation(sample, level),
+            prediction_interval=Interval.of_next(sample, level),
+            prediction_interval_ordered=Interval.of_next_by_order(sample, level),
+            normal_fit=_NormalFit(centre, deviation, distance),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,32 +184,6 @@ class ContentDistribution:
     """Distribution of the measured velocities, in m/s."""
 
 
-def describe(values: ArrayLike, level: float = 0.95) -> Distribution:
-    """Describe one sample of finite values (n,), with intervals at a level; `ValueError` for other shapes or NaN.
-
-    Results that are undefined for few or equal values are NaN.
-    """
-    sample = np.asarray(values, dtype=np.float64)
-    if sample.ndim != 1 or not np.isfinite(sample).all():
-        raise ValueError(f"values must be finite numbers along one dimension, got shape {sample.shape}; drop NaN first")
-    centre = float(mean(sample)) if sample.size else math.nan
-    deviation = float(standard_deviation(sample)) if sample.size > 1 else math.nan
-    distance = float(stats.kstest(sample, stats.norm(centre, deviation).cdf).statistic) if deviation > 0 else math.nan
-    return Distribution(
-        n=sample.size,
-        mean=centre,
-        standard_deviation=deviation,
-        skewness=_skewness(sample),
-        kurtosis=_kurtosis(sample),
-        normality=_jarque_bera(sample),
-        mean_interval=mean_interval(sample, level),
-        standard_deviation_interval=standard_deviation_interval(sample, level),
-        prediction_interval=prediction_interval(sample, level),
-        prediction_interval_ordered=ordered_prediction_interval(sample, level),
-        normal_fit=_NormalFit(centre, deviation, distance),
-    )
-
-
 def describe_contents(
     vs: xr.DataArray, status: xr.DataArray | None = None, level: float = 0.95
 ) -> tuple[ContentDistribution, ...]:
@@ -195,7 +195,7 @@ def describe_contents(
             content=float(content),
             missing=int(missing),
             failed=int(failed),
-            vs=describe(column[np.isfinite(column)], level),
+            vs=Distribution.of_sample(column[np.isfinite(column)], level),
         )
         for content, missing, failed, column in zip(
             vs["content"].to_numpy(),

@@ -1,14 +1,15 @@
 """Intervals of a mean, a standard deviation or one further sample.
 
-Every function takes finite and independent values of one sample, shape (n,), in any unit, and returns an `Interval`
-in the same unit. Its docstring names its assumption. If an interval is undefined (too few values) both ends are NaN.
-Equal values (the uncemented sample is the same for every seed) give an interval of zero width.
+Every one takes finite and independent values of one sample, shape (n,), in any unit, and is in the same unit. Its
+docstring names its assumption. If an interval is undefined (too few values) both ends are NaN. Equal values (the
+uncemented sample is the same for every seed) give an interval of zero width.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
+from typing import Self
 
 import numpy as np
 import scipy  # loads its submodules on use: quick commands and ranks need none of them
@@ -20,7 +21,7 @@ BOOTSTRAP_SEED = 20_240_501
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A closed interval."""
+    """A closed interval, and the intervals of a sample at a level of confidence."""
 
     low: float
     high: float
@@ -35,6 +36,87 @@ class Interval:
         """Return whether `value` lies in the interval, ends included."""
         return self.low <= value <= self.high
 
+    @classmethod
+    def of_mean(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
+        """Return the confidence interval of the mean by Student's t, exact for normal values."""
+        return cls._around_mean(values, level, lambda n: 1 / n)
+
+    @classmethod
+    def of_standard_deviation(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
+        """Return the confidence interval of the standard deviation: chi-square below 8 values, Bonett from 8 on.
+
+        Chi-square is exact for normal values; for any n its coverage falls as the kurtosis exceeds 3. Bonett's interval
+        is corrected for the sample's kurtosis (Bonett 2006, doi:10.1016/j.csda.2004.10.003). A percentile or BCa
+        bootstrap of few values has far too little coverage: 57 % instead of 95 % for four normal values.
+        """
+        n = values.size
+        if n <= 1:
+            return cls(math.nan, math.nan)
+        deviation = float(standard_deviation(values))
+        if deviation == 0:
+            return cls(0.0, 0.0)
+        if n < _FEWEST_FOR_KURTOSIS:
+            tail = (1 - level) / 2
+            low, high = np.sqrt((n - 1) / scipy.stats.chi2.ppf([1 - tail, tail], n - 1))
+            return cls(deviation * float(low), deviation * float(high))
+        quantile = float(scipy.stats.norm.ppf((1 + level) / 2))
+        trimmed = scipy.stats.trim_mean(values, 1 / (2 * math.sqrt(n - 4)))
+        kurtosis = n * np.sum((values - trimmed) ** 4) / ((n - 1) * deviation**2) ** 2
+        correction = n / (n - quantile)
+        error = correction * math.sqrt(max(kurtosis - (n - 3) / n, 0.0) / (n - 1))
+        low, high = np.sqrt(correction * np.exp([-quantile * error, quantile * error]))
+        return cls(deviation * float(low), deviation * float(high))
+
+    @classmethod
+    def of_next(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
+        """Return the interval that contains one new value with probability `level`, for normal values.
+
+        It is mean -/+ t s sqrt(1 + 1/n) with the quantile t of Student's distribution with n - 1 degrees of freedom.
+        """
+        return cls._around_mean(values, level, lambda n: 1 + 1 / n)
+
+    @classmethod
+    def of_difference(cls, values: NDArray[np.float64], references: NDArray[np.float64], level: float = 0.95) -> Self:
+        """Return the confidence interval of the difference of two means, values minus references; variances may differ.
+
+        Welch (1947), doi:10.1093/biomet/34.1-2.28.
+        """
+        if min(values.size, references.size) <= 1:
+            return cls(math.nan, math.nan)
+        centre = float(mean(values) - mean(references))
+        parts = [float(standard_deviation(sample)) ** 2 / sample.size for sample in (values, references)]
+        variance = sum(parts)
+        if variance == 0:
+            return cls(centre, centre)
+        freedom = variance**2 / (parts[0] ** 2 / (values.size - 1) + parts[1] ** 2 / (references.size - 1))
+        half = float(scipy.special.stdtrit(freedom, (1 + level) / 2)) * math.sqrt(variance)
+        return cls(centre - half, centre + half)
+
+    @classmethod
+    def of_next_by_order(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
+        """Return a distribution-free prediction interval for one new value, with a probability of at least `level`.
+
+        A new value falls between the j-th smallest and the j-th largest of n with probability (n + 1 - 2 j) / (n + 1).
+        The largest j that reaches `level` is used (Wilks 1941, doi:10.1214/aoms/1177731788). Undefined below n = 2 / (1
+        - level) - 1 (39 values for 95 %).
+        """
+        n = values.size
+        rank = math.floor((1 - level) * (n + 1) / 2 + 1e-9)  # 0.05 * 40 / 2 must give 1 despite round-off
+        if rank < 1:
+            return cls(math.nan, math.nan)
+        ordered = np.sort(values)
+        return cls(float(ordered[rank - 1]), float(ordered[n - rank]))
+
+    @classmethod
+    def _around_mean(cls, values: NDArray[np.float64], level: float, variance: Callable[[int], float]) -> Self:
+        """Student's t interval around the mean, with a variance relative to that of the values."""
+        n = values.size
+        if n <= 1:
+            return cls(math.nan, math.nan)
+        half = _student_quantile(n - 1, (1 + level) / 2) * float(standard_deviation(values)) * math.sqrt(variance(n))
+        centre = float(mean(values))
+        return cls(centre - half, centre + half)
+
 
 _LAST_STEP = 1e-14
 """Relative step at which Newton's method ends, at the level of rounding."""
@@ -43,72 +125,6 @@ _FEWEST_FOR_KURTOSIS = 8
 """Fewest values for an interval corrected by kurtosis; below, the kurtosis is too uncertain."""
 
 UNDEFINED = Interval(math.nan, math.nan)
-
-
-def mean_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Return the confidence interval of the mean by Student's t, exact for normal values."""
-    return _around_mean(values, level, lambda n: 1 / n)
-
-
-def standard_deviation_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Return the confidence interval of the standard deviation: chi-square below 8 values, Bonett from 8 on.
-
-    Chi-square is exact for normal values; for any n its coverage falls as the kurtosis exceeds 3. Bonett's interval is
-    corrected for the sample's kurtosis (Bonett 2006, doi:10.1016/j.csda.2004.10.003). A percentile or BCa bootstrap of
-    few values has far too little coverage: 57 % instead of 95 % for four normal values.
-    """
-    n = values.size
-    if n <= 1:
-        return UNDEFINED
-    deviation = float(standard_deviation(values))
-    if deviation == 0:
-        return Interval(0.0, 0.0)
-    if n < _FEWEST_FOR_KURTOSIS:
-        tail = (1 - level) / 2
-        low, high = np.sqrt((n - 1) / scipy.stats.chi2.ppf([1 - tail, tail], n - 1))
-        return Interval(deviation * float(low), deviation * float(high))
-    quantile = float(scipy.stats.norm.ppf((1 + level) / 2))
-    trimmed = scipy.stats.trim_mean(values, 1 / (2 * math.sqrt(n - 4)))
-    kurtosis = n * np.sum((values - trimmed) ** 4) / ((n - 1) * deviation**2) ** 2
-    correction = n / (n - quantile)
-    error = correction * math.sqrt(max(kurtosis - (n - 3) / n, 0.0) / (n - 1))
-    low, high = np.sqrt(correction * np.exp([-quantile * error, quantile * error]))
-    return Interval(deviation * float(low), deviation * float(high))
-
-
-def prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Return the interval that contains one new value with probability `level`, for normal values.
-
-    It is mean -/+ t s sqrt(1 + 1/n) with the quantile t of Student's distribution with n - 1 degrees of freedom.
-    """
-    return _around_mean(values, level, lambda n: 1 + 1 / n)
-
-
-def difference_interval(values: NDArray[np.float64], references: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Return the confidence interval of the difference of two means, values minus references; variances may differ.
-
-    Welch (1947), doi:10.1093/biomet/34.1-2.28.
-    """
-    if min(values.size, references.size) <= 1:
-        return UNDEFINED
-    centre = float(mean(values) - mean(references))
-    parts = [float(standard_deviation(sample)) ** 2 / sample.size for sample in (values, references)]
-    variance = sum(parts)
-    if variance == 0:
-        return Interval(centre, centre)
-    freedom = variance**2 / (parts[0] ** 2 / (values.size - 1) + parts[1] ** 2 / (references.size - 1))
-    half = float(scipy.special.stdtrit(freedom, (1 + level) / 2)) * math.sqrt(variance)
-    return Interval(centre - half, centre + half)
-
-
-def _around_mean(values: NDArray[np.float64], level: float, variance: Callable[[int], float]) -> Interval:
-    """Student's t interval around the mean, with a variance relative to that of the values."""
-    n = values.size
-    if n <= 1:
-        return UNDEFINED
-    half = _student_quantile(n - 1, (1 + level) / 2) * float(standard_deviation(values)) * math.sqrt(variance(n))
-    centre = float(mean(values))
-    return Interval(centre - half, centre + half)
 
 
 def _student_quantile(freedom: int, probability: float) -> float:
@@ -142,21 +158,6 @@ def _student_quantile(freedom: int, probability: float) -> float:
         step = (2 * probability - 1 - central) / (2 * density)
         quantile += step
     return quantile
-
-
-def ordered_prediction_interval(values: NDArray[np.float64], level: float = 0.95) -> Interval:
-    """Return a distribution-free prediction interval for one new value, with a probability of at least `level`.
-
-    A new value falls between the j-th smallest and the j-th largest of n with probability (n + 1 - 2 j) / (n + 1). The
-    largest j that reaches `level` is used (Wilks 1941, doi:10.1214/aoms/1177731788). Undefined below
-    n = 2 / (1 - level) - 1 (39 values for 95 %).
-    """
-    n = values.size
-    rank = math.floor((1 - level) * (n + 1) / 2 + 1e-9)  # 0.05 * 40 / 2 must give 1 despite round-off
-    if rank < 1:
-        return UNDEFINED
-    ordered = np.sort(values)
-    return Interval(float(ordered[rank - 1]), float(ordered[n - rank]))
 
 
 def mean(values: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:

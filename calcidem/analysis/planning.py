@@ -12,9 +12,8 @@ from scipy import stats
 
 from calcidem.analysis.intervals import (
     BOOTSTRAP_SEED,
-    mean_interval,
+    Interval,
     standard_deviation,
-    standard_deviation_interval,
 )
 from calcidem.analysis.intervals import mean as mean_of
 
@@ -53,7 +52,7 @@ class SeedPlan:
         """
         sample = _finite_values(values)
         deviation = float(standard_deviation(sample))
-        spread = standard_deviation_interval(sample, level)
+        spread = Interval.of_standard_deviation(sample, level)
         return cls(
             half_width=half_width,
             present=sample.size,
@@ -103,7 +102,7 @@ def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, 
     if known.size < max(2, FEWEST_READ * count):
         return count
     centre, deviation = abs(float(mean_of(known))), float(standard_deviation(known))
-    pairs = ((mean, mean_interval(known), centre), (sd, standard_deviation_interval(known), deviation))
+    pairs = ((mean, Interval.of_mean(known), centre), (sd, Interval.of_standard_deviation(known), deviation))
     excess = [
         found.half_width / (wanted * size) if found.half_width else 0.0
         for wanted, found, size in pairs

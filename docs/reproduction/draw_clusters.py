@@ -12,7 +12,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from calcidem.analysis.figures.style import BLUE, FIGURE_WIDTH, GREEN, VERMILION, apply_style, render
-from calcidem.analysis.intervals import standard_deviation_interval
+from calcidem.analysis.intervals import Interval
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.studies.sensitivity.plan import VariantPlan
 from calcidem.storage.errors import UnknownCampaignError
@@ -80,7 +80,7 @@ def draw(designs: Designs) -> Figure:
                 vs = column["vs"].to_numpy()
                 vs = vs[np.isfinite(vs)]
                 if own == diameter:
-                    interval = standard_deviation_interval(vs)
+                    interval = Interval.of_standard_deviation(vs)
                     rows.append(
                         (float(column["clusters"].mean()), vs.std(ddof=1), interval.low, interval.high, vs.mean())
                     )

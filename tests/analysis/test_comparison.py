@@ -8,7 +8,7 @@ import xarray as xr
 from scipy import stats
 
 from calcidem.analysis.comparison import compare_velocities
-from calcidem.analysis.intervals import Interval, difference_interval
+from calcidem.analysis.intervals import Interval
 
 
 def velocities(values: object, contents: tuple[float, ...] = (2.0,), first_seed: int = 1) -> xr.DataArray:
@@ -22,10 +22,10 @@ def test_difference_of_means_is_scipys_welch() -> None:
     """The interval of two samples of unequal variance is that of SciPy's Welch test; equal values have no width."""
     one, other = np.random.default_rng(3).normal((500.0,), 30.0, 9), np.array([420.0, 470.0, 610.0, 380.0])
     expected = stats.ttest_ind(one, other, equal_var=False).confidence_interval(0.9)
-    found = difference_interval(one, other, 0.9)
+    found = Interval.of_difference(one, other, 0.9)
     assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
-    assert difference_interval(np.full(3, 200.0), np.full(2, 190.0)) == Interval(10.0, 10.0)
-    assert math.isnan(difference_interval(one, other[:1]).low)
+    assert Interval.of_difference(np.full(3, 200.0), np.full(2, 190.0)) == Interval(10.0, 10.0)
+    assert math.isnan(Interval.of_difference(one, other[:1]).low)
 
 
 def test_pairs_are_the_seeds_that_both_have() -> None:

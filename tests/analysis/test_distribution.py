@@ -3,7 +3,7 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from calcidem.analysis.distribution import describe, describe_contents, tabulate
+from calcidem.analysis.distribution import Distribution, describe_contents, tabulate
 from calcidem.analysis.outcomes import count_outcomes
 
 
@@ -17,7 +17,7 @@ def matrix(values: list[list[float]], contents: list[float]) -> xr.DataArray:
 def test_description_is_made_of_scipys_statistics() -> None:
     """Every number of a description of 116 values is the one SciPy or NumPy gives."""
     values = np.random.default_rng(1).normal(1211, 261, 116)
-    found = describe(values)
+    found = Distribution.of_sample(values)
     assert found.n == 116
     assert found.mean == pytest.approx(values.mean())
     assert found.standard_deviation == pytest.approx(stats.tstd(values))
@@ -31,7 +31,7 @@ def test_description_is_made_of_scipys_statistics() -> None:
 
 def test_all_intervals_hold_the_middle_of_a_normal_sample() -> None:
     """Intervals of mean and deviation hold them, and prediction intervals are wider than the mean's."""
-    found = describe(np.random.default_rng(2).normal(500, 50, 116))
+    found = Distribution.of_sample(np.random.default_rng(2).normal(500, 50, 116))
     assert found.mean_interval.contains(found.mean)
     assert found.standard_deviation_interval.contains(found.standard_deviation)
     for interval in (found.prediction_interval, found.prediction_interval_ordered):
@@ -81,7 +81,7 @@ def test_malformed_matrices_are_refused() -> None:
     with pytest.raises(ValueError, match="shape"):
         count_outcomes(vs, xr.DataArray([["done"]], dims=("seed", "content")))
     with pytest.raises(ValueError, match="finite"):
-        describe([1.0, float("nan")])
+        Distribution.of_sample([1.0, float("nan")])
 
 
 def test_dimension_order_does_not_matter() -> None:
@@ -100,7 +100,7 @@ def test_a_content_without_any_velocity_is_described_by_nan() -> None:
 
 def test_the_uncemented_sample_has_no_scatter() -> None:
     """At 0 % all seeds are the same sample, with zero deviation and no skewness."""
-    found = describe(np.full(116, 169.73))
+    found = Distribution.of_sample(np.full(116, 169.73))
     assert (found.mean, found.standard_deviation) == (169.73, 0.0)
     assert np.isnan([found.skewness, found.normality.statistic, found.normal_fit.largest_distance]).all()
     assert found.standard_deviation_interval.high == 0.0

@@ -8,11 +8,7 @@ from scipy import stats
 from calcidem.analysis.intervals import (
     Interval,
     mean,
-    mean_interval,
-    ordered_prediction_interval,
-    prediction_interval,
     standard_deviation,
-    standard_deviation_interval,
 )
 
 SAMPLE = np.array([2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0])
@@ -29,15 +25,15 @@ def test_equal_values_have_exactly_no_deviation() -> None:
     copies = np.full(116, 169.73)
     assert mean(copies) == 169.73
     assert standard_deviation(copies) == 0.0
-    for interval in (mean_interval(copies), prediction_interval(copies)):
+    for interval in (Interval.of_mean(copies), Interval.of_next(copies)):
         assert interval == Interval(169.73, 169.73)
-    assert standard_deviation_interval(copies) == Interval(0.0, 0.0)
+    assert Interval.of_standard_deviation(copies) == Interval(0.0, 0.0)
 
 
 def test_mean_interval_is_scipys() -> None:
     """The interval of the mean is the one of SciPy's one-sample t-test."""
     expected = stats.ttest_1samp(SAMPLE, 0).confidence_interval(0.9)
-    interval = mean_interval(SAMPLE, 0.9)
+    interval = Interval.of_mean(SAMPLE, 0.9)
     assert (interval.low, interval.high) == pytest.approx((expected.low, expected.high))
 
 
@@ -48,12 +44,12 @@ def test_half_widths_are_quantiles_of_scipy(level: float) -> None:
         values = np.resize([-1.0, 1.0], n)
         error = standard_deviation(values) / np.sqrt(n)
         expected = stats.t.ppf((1 + level) / 2, n - 1)
-        assert mean_interval(values, level).half_width / error == pytest.approx(expected, rel=1e-12)
+        assert Interval.of_mean(values, level).half_width / error == pytest.approx(expected, rel=1e-12)
 
 
 def test_deviation_interval_of_few_values_is_from_printed_quantiles() -> None:
     """With 3 degrees of freedom, tables give 0.216 and 9.348 for chi-square at 2.5 % and 97.5 %."""
-    interval = standard_deviation_interval(np.array([2.0, 4.0, 5.0, 9.0]))
+    interval = Interval.of_standard_deviation(np.array([2.0, 4.0, 5.0, 9.0]))
     assert interval.low == pytest.approx(np.sqrt(26 / 9.348), rel=1e-3)
     assert interval.high == pytest.approx(np.sqrt(26 / 0.216), rel=2e-3)
 
@@ -61,7 +57,7 @@ def test_deviation_interval_of_few_values_is_from_printed_quantiles() -> None:
 def test_deviation_interval_approaches_that_of_chi_square_for_many_normal_values() -> None:
     """Of 4000 normal values both ends are within 0.3 % of sqrt(chi-square): the kurtosis corrects nothing there."""
     values = np.random.default_rng(1).normal(1000, 100, 4000)
-    interval, deviation = standard_deviation_interval(values), float(standard_deviation(values))
+    interval, deviation = Interval.of_standard_deviation(values), float(standard_deviation(values))
     low, high = np.sqrt(3999 / stats.chi2.ppf([0.975, 0.025], 3999))
     assert (interval.low / deviation, interval.high / deviation) == pytest.approx((low, high), rel=3e-3)
 
@@ -69,26 +65,26 @@ def test_deviation_interval_approaches_that_of_chi_square_for_many_normal_values
 def test_prediction_interval_from_a_printed_quantile() -> None:
     """With 7 degrees of freedom the 97.5 % point of Student's t is 2.365 in printed tables."""
     half = 2.365 * np.sqrt(32 / 7) * np.sqrt(1 + 1 / 8)
-    assert prediction_interval(SAMPLE).half_width == pytest.approx(half, rel=1e-3)
+    assert Interval.of_next(SAMPLE).half_width == pytest.approx(half, rel=1e-3)
 
 
 def test_ordered_prediction_interval_takes_the_right_ranks() -> None:
     """Of 39 values the extremes hold a new one with 95 %, of 79 the second from each end, of 38 none do."""
-    assert ordered_prediction_interval(np.arange(39.0)) == Interval(0.0, 38.0)
-    assert ordered_prediction_interval(np.arange(79.0)) == Interval(1.0, 77.0)
-    assert np.isnan(ordered_prediction_interval(np.arange(38.0)).low)
+    assert Interval.of_next_by_order(np.arange(39.0)) == Interval(0.0, 38.0)
+    assert Interval.of_next_by_order(np.arange(79.0)) == Interval(1.0, 77.0)
+    assert np.isnan(Interval.of_next_by_order(np.arange(38.0)).low)
 
 
 @pytest.mark.parametrize("n", [1, 2])
 def test_too_few_values_leave_intervals_undefined(n: int) -> None:
     """One value has no interval, two have."""
     values = np.arange(float(n))
-    assert np.isnan(mean_interval(values).low) == (n == 1)
-    assert np.isnan(standard_deviation_interval(values).high) == (n == 1)
-    assert np.isnan(prediction_interval(values).high) == (n == 1)
+    assert np.isnan(Interval.of_mean(values).low) == (n == 1)
+    assert np.isnan(Interval.of_standard_deviation(values).high) == (n == 1)
+    assert np.isnan(Interval.of_next(values).high) == (n == 1)
 
 
-@pytest.mark.parametrize(("interval", "truth"), [(mean_interval, 1000.0), (standard_deviation_interval, 100.0)])
+@pytest.mark.parametrize(("interval", "truth"), [(Interval.of_mean, 1000.0), (Interval.of_standard_deviation, 100.0)])
 def test_intervals_of_normal_values_cover_as_promised(
     interval: Callable[[NDArray[np.float64]], Interval],
     truth: float,
@@ -103,7 +99,7 @@ def test_intervals_of_normal_values_cover_as_promised(
 def test_prediction_interval_covers_as_promised(within_binomial: Callable[[int, int, float], bool]) -> None:
     """Of 1000 intervals from 12 normal values each, 95 % hold a thirteenth."""
     samples = np.random.default_rng(3).normal(1000, 100, (1000, 13))
-    hits = sum(prediction_interval(sample[:-1]).contains(sample[-1]) for sample in samples)
+    hits = sum(Interval.of_next(sample[:-1]).contains(sample[-1]) for sample in samples)
     assert within_binomial(hits, 1000, 0.95)
 
 
@@ -112,7 +108,7 @@ def test_ordered_prediction_interval_covers_whatever_the_distribution(
 ) -> None:
     """Of 1000 intervals from 39 values of a very skewed distribution each, 95 % hold a fortieth."""
     samples = np.random.default_rng(4).exponential(1.0, (1000, 40))
-    hits = sum(ordered_prediction_interval(sample[:-1]).contains(sample[-1]) for sample in samples)
+    hits = sum(Interval.of_next_by_order(sample[:-1]).contains(sample[-1]) for sample in samples)
     assert within_binomial(hits, 1000, 0.95)
 
 
@@ -127,5 +123,5 @@ def test_deviation_interval_covers_normal_and_skewed_values(n: int, skewed: bool
     """
     generator = np.random.default_rng(6)
     samples = generator.gamma(5.0, 1 / np.sqrt(5.0), (1000, n)) if skewed else generator.normal(0, 1, (1000, n))
-    hits = sum(standard_deviation_interval(sample).contains(1.0) for sample in samples)
+    hits = sum(Interval.of_standard_deviation(sample).contains(1.0) for sample in samples)
     assert hits / 1000 >= (0.9 if skewed else 0.92)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from calcidem.analysis.intervals import mean_interval, standard_deviation_interval
+from calcidem.analysis.intervals import Interval
 from calcidem.analysis.planning import SeedPlan, _seeds_needed, mean_half_width, narrowing, next_seed_count
 
 
@@ -30,7 +30,7 @@ def test_plan_counts_what_is_there() -> None:
     values = np.append(np.random.default_rng(1).normal(1200, 260, 40), np.nan)
     plan = SeedPlan.of_values(values, 40.0)
     assert plan.present == 40
-    assert plan.present_half_width == pytest.approx(mean_interval(values[:40]).half_width)
+    assert plan.present_half_width == pytest.approx(Interval.of_mean(values[:40]).half_width)
     assert plan.more == plan.needed - 40 > 0
     assert plan.needed_low < plan.needed < plan.needed_high
 
@@ -109,8 +109,8 @@ def test_seeds_are_added_until_the_intervals_are_narrow() -> None:
     values = np.random.default_rng(1).normal(1000, 100, 2000)
     count = seeds_until(values, 8, mean=0.02, sd=0.1)
     used = values[:count]
-    assert mean_interval(used).half_width <= 0.02 * used.mean()
-    assert standard_deviation_interval(used).half_width <= 0.1 * used.std(ddof=1)
+    assert Interval.of_mean(used).half_width <= 0.02 * used.mean()
+    assert Interval.of_standard_deviation(used).half_width <= 0.1 * used.std(ddof=1)
     assert 150 < count < 280  # 0.1 needs 196 of a normal distribution
     assert seeds_until(values[:64], 8, mean=0.001) == 64
     assert next_seed_count(values[:100], 50, mean=0.001) == 100
@@ -140,5 +140,5 @@ def test_what_ends_when_it_is_narrow_still_holds_the_truth(scatter: float, begin
     for _ in range(1500):
         normal = draws.standard_normal(1000)
         values = 1.0 + scatter * normal if is_normal else np.exp(spread * normal - spread**2 / 2)
-        hits += mean_interval(values[: seeds_until(values, begin, mean=0.02)]).contains(1.0)
+        hits += Interval.of_mean(values[: seeds_until(values, begin, mean=0.02)]).contains(1.0)
     assert 0.92 < hits / 1500 < 0.97

@@ -10,8 +10,8 @@ from calcidem.app.studies.accuracy.command import parse_target
 from calcidem.app.studies.accuracy.questions import (
     Findings,
     MeasuredErrors,
-    amplitude_rows,
-    equilibrium_rows,
+    _amplitude_rows,
+    _equilibrium_rows,
 )
 from calcidem.app.studies.accuracy.reference import _FINEST, HALVING, Convergence
 from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
@@ -165,7 +165,7 @@ def test_the_signal_converges_to_second_order_without_damping(experiment: Experi
 def test_regimes_agree_for_a_small_pulse_and_part_for_a_strong_one(experiment: Experiment) -> None:
     """Constant stiffness is good to 1 % at 1 mm/s; at 10 cm/s it gives no velocity, and the sample itself another."""
     short = replace(experiment, frequencies=((0.0, 10.0), (1.7e4, 1.7e4)))  # waves, on so short a way
-    rows = amplitude_rows(short, [0.66], SEEDS, [1e-3, 1e-1], regimes=["linear"])
+    rows = _amplitude_rows(short, [0.66], SEEDS, [1e-3, 1e-1], regimes=["linear"])
     found = {(row.amplitude, row.regime): row for row in rows}
     assert (found[1e-3, "linear"].median or 1.0) < 0.01
     assert found[1e-3, "finite"].worst == 0.0
@@ -182,7 +182,7 @@ def test_a_packing_closer_to_equilibrium_gives_the_same_velocity(experiment: Exp
         return make_packing(rule, Sand(), np.random.default_rng(1))
 
     best = replace(experiment, packing=packing_of(1e-6), frequencies=HIGH)
-    rows = equilibrium_rows(best, [0.66], SEEDS, packing_of, (1e-4, 1e-5, 1e-6))
+    rows = _equilibrium_rows(best, [0.66], SEEDS, packing_of, (1e-4, 1e-5, 1e-6))
     assert rows[0].worst > rows[1].worst
     assert rows[1].median < 1e-3
     assert rows[1].worst < 3e-3

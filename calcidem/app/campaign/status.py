@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, error_budget
-from calcidem.analysis.intervals import Interval, mean_interval
+from calcidem.analysis.intervals import Interval
 from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
@@ -201,7 +201,7 @@ def _content_status(
         vs=vs,
         mean=_mean_or_nan(vs),
         deviation=float(np.std(vs, ddof=1)) if vs.size > 1 else np.nan,
-        interval=mean_interval(vs),
+        interval=Interval.of_mean(vs),
         budget=error_budget(columns),
         seconds_per_cell=measured,
         seconds_left=pending * expected if pending else 0.0,

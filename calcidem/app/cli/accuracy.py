@@ -38,7 +38,7 @@ def accuracy_command(
     """Measure error against run time of every numerical setting, on cells of the campaign."""
     from calcidem.app.config.reader import change_configuration, load_configuration
     from calcidem.app.studies.accuracy.command import AccuracyTask, parse_target
-    from calcidem.app.studies.accuracy.report import accuracy_tables, name_of
+    from calcidem.app.studies.accuracy.report import accuracy_tables
 
     loaded = load_configuration(configuration)
     planned = {"campaign.contents": sorted(set(content or loaded.campaign.contents))}
@@ -52,8 +52,8 @@ def accuracy_command(
     if layout is Format.TABLE:
         typer.echo("\n\n".join(accuracy_tables(findings).values()))
         if target is not None:
-            chosen = findings.study.cheapest(parse_target(target))
-            typer.echo(f"Cheapest setting with an error of at most {target}: {name_of(chosen)}")
+            chosen = findings.study.cheapest_in_words(parse_target(target))
+            typer.echo(f"Cheapest setting with an error of at most {target}: {chosen}")
     else:
         whole = json.loads(findings.as_json())
         tell_rows(whole["study"]["cells"], layout, whole=whole)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import calcidem.dem
-from calcidem.analysis.distribution import describe
+from calcidem.analysis.distribution import Distribution
 from calcidem.app.campaign import opened as opened_campaign
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.patterns import with_patterns
@@ -82,7 +82,7 @@ def test_an_export_without_cement_is_analysed_like_the_database(campaign: Campai
 def test_summary_is_the_distribution(campaign: Campaign) -> None:
     """The summary of a content describes the velocities that `vs` gives."""
     row = campaign.summary().sel(content=5.0)
-    expected = describe(campaign.vs().sel(content=5.0).dropna("seed"))
+    expected = Distribution.of_sample(campaign.vs().sel(content=5.0).dropna("seed"))
     assert float(row["mean"]) == expected.mean
     assert float(row["skewness"]) == expected.skewness
     assert row["prediction_interval"].values.tolist() == [

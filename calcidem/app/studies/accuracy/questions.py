@@ -13,7 +13,9 @@ from typing import Self
 
 import numpy as np
 
-from calcidem.analysis.distribution import describe
+from calcidem.analysis.distribution import Distribution
+from calcidem.app.campaign.packing import new_packing
+from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.accuracy.reference import CellError, Convergence, measure_cells, relative_deviation
 from calcidem.app.studies.accuracy.settings import DEFAULT, with_wave
 from calcidem.app.studies.accuracy.study import Study
@@ -23,10 +25,12 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement
 
-SCATTER_SEEDS = 16  # seeds for the scatter without a stored campaign
+_SCATTER_SEEDS = 16  # seeds for the scatter without a stored campaign
 _AMPLITUDES = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1)  # m/s
 _DENSE_SAMPLES = 400  # samples per period of the pulse
 _RATIOS = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the smallest is the reference
+
+_CONVERGENCE_CASES: tuple[tuple[bool, Regime], ...] = ((True, "linear"), (False, "linear"), (False, "finite"))
 
 _CellsFound = dict[tuple[int, float], Measurement]
 
@@ -96,7 +100,7 @@ def _errors(found: _CellsFound, exact: _CellsFound) -> list[float]:
     return [abs(error) for error in deviations if error is not None]
 
 
-def amplitude_rows(
+def _amplitude_rows(
     experiment: Experiment,
     contents: Sequence[float],
     seeds: Sequence[int],
@@ -136,7 +140,7 @@ def amplitude_rows(
     return tuple(rows)
 
 
-def equilibrium_rows(
+def _equilibrium_rows(
     experiment: Experiment,
     contents: Sequence[float],
     seeds: Sequence[int],
@@ -187,7 +191,7 @@ def _keys_of(packing: Packing) -> list[int]:
     return keys
 
 
-def scatter_rows(
+def _scatter_rows(
     cells: Iterable[CellError], velocities: Mapping[float, Sequence[float]], seeds: int
 ) -> tuple[_Scatter, ...]:
     """Compare the errors of a study's default setting with the scatter of the samples.
@@ -203,7 +207,7 @@ def scatter_rows(
         samples = velocities.get(content, ())
         if len(samples) < 2:  # noqa: PLR2004 - a scatter needs two
             continue
-        spread = describe(list(samples))
+        spread = Distribution.of_sample(list(samples))
         deviation = spread.standard_deviation / spread.mean
         sizes = np.abs(found)
         rows.append(
@@ -256,6 +260,60 @@ class Findings:
             return value
 
         return json.dumps(rounded(asdict(self)), separators=(",", ":"))
+
+
+def answer_questions(
+    findings: Findings,
+    configuration: Configuration,
+    experiment: Experiment,
+    contents: Sequence[float],
+    seeds: Sequence[int],
+    velocities: Mapping[float, Sequence[float]] | None,
+    progress: Callable[[str], None],
+) -> Findings:
+    """Add the results that have their own reference to those of a study at contents (%) for some seeds.
+
+    Velocities of a stored campaign at each content, m/s, give the scatter; with None a few samples are measured.
+    """
+    lanes, all_seeds = configuration.run.lanes, configuration.campaign.seed_numbers
+
+    def packing_of(ratio: float) -> Packing:
+        # A stored packing may come from another version and then be another sample, not the same at another ratio.
+        rule = replace(configuration.packing, unbalanced_force_ratio=ratio)
+        return new_packing(replace(configuration, packing=rule), progress)
+
+    orders = _orders(experiment, findings.study, seeds, lanes, progress)
+    if velocities is None:
+        progress("scatter of the samples")
+        found: dict[float, list[float]] = {}
+        for content in contents:
+            few = measure_cells(experiment, content, all_seeds[:_SCATTER_SEEDS], lanes).values()
+            found[content] = [cell.vs for cell in few if cell.vs is not None]
+        velocities = found
+    return replace(
+        findings,
+        convergence=orders,
+        amplitudes=_amplitude_rows(experiment, contents, seeds, lanes=lanes, progress=progress),
+        equilibrium=_equilibrium_rows(experiment, contents, seeds, packing_of, lanes=lanes, progress=progress),
+        scatter=_scatter_rows(findings.study.cells, velocities, len(all_seeds)),
+    )
+
+
+def _orders(
+    experiment: Experiment, study: Study, seeds: Sequence[int], lanes: int, progress: Callable[[str], None]
+) -> tuple[Convergence, ...]:
+    """Order of convergence at each content with a velocity of the reference."""
+    orders, own = [], experiment.wave.regime
+    for content in dict.fromkeys(cell.content for cell in study.references if cell.vs is not None):
+        slowest = min(cell.vs for cell in study.references if cell.content == content and cell.vs is not None)
+        # The linear regime refuses a strong pulse, so the configuration's regime replaces it.
+        cases = ((damped, own if regime == "linear" else regime) for damped, regime in _CONVERGENCE_CASES)
+        for damped, regime in dict.fromkeys(cases):
+            progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}, {regime}")
+            orders.append(
+                Convergence.measure(experiment, content, seeds, slowest, damped=damped, regime=regime, lanes=lanes)
+            )
+    return tuple(orders)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from calcidem.analysis.figures.style import BLACK, BLUE, GREY, VERMILION, apply_
 from calcidem.app.studies.accuracy.questions import Findings
 from calcidem.app.studies.accuracy.reference import CONVERGENCE_STEPS, HALVING, CellError
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED
-from calcidem.app.studies.accuracy.study import Study, Summary, covered_share
+from calcidem.app.studies.accuracy.study import Study, covered_share
 from calcidem.app.studies.tables import markdown_table, number
 
 _TARGETS = (0.005, 0.002, 0.001)
@@ -22,7 +22,7 @@ _STAIRS = 4  # levels of staggered labels
 def accuracy_tables(findings: Findings, targets: Sequence[float] = _TARGETS) -> dict[str, str]:
     """Return all measured tables as Markdown, by name."""
     study = findings.study
-    wanted = [f"- {100 * target:g} %: {name_of(study.cheapest(target))}" for target in targets]
+    wanted = [f"- {100 * target:g} %: {study.cheapest_in_words(target)}" for target in targets]
     parts = {
         "opening": _opening(study),
         "settings": _settings_table(study),
@@ -207,11 +207,6 @@ def _other_tables(findings: Findings) -> dict[str, str]:
             ],
         ),
     }
-
-
-def name_of(row: Summary | None) -> str:
-    """Name and cost of a setting."""
-    return "none of those measured" if row is None else f"{row.setting}, {row.seconds:.2f} s a cell"
 
 
 @apply_style

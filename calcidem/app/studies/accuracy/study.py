@@ -68,6 +68,11 @@ class Study:
         ]
         return min(meeting, key=lambda row: row.seconds, default=None)
 
+    def cheapest_in_words(self, target: float) -> str:
+        """Name and cost of the `cheapest`."""
+        row = self.cheapest(target)
+        return "none of those measured" if row is None else f"{row.setting}, {row.seconds:.2f} s a cell"
+
     @property
     def pareto(self) -> tuple[Summary, ...]:
         """Settings that no other beats in both median error and run time (Pareto front), fastest first."""
