@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 ROOT = Path(__file__).parents[1]
 _WIDTH = "110"  # columns of a terminal: what the site shows without scrolling
@@ -124,7 +124,7 @@ def run_notebook(file: Path, folder: Path) -> Any:  # noqa: ANN401 - nbformat's 
     import nbclient  # noqa: PLC0415 - only notebooks need it
     import nbformat  # noqa: PLC0415 - as above
 
-    open_store(shutil.copy(file.with_name("quick.db"), folder)).close()  # in the present schema
+    Store(shutil.copy(file.with_name("quick.db"), folder)).close()  # in the present schema
     os.environ["PYTHONPATH"] = str(ROOT)  # the kernel is to import the calcidem of this copy
     notebook = nbformat.read(file, as_version=4)
     nbclient.NotebookClient(

@@ -18,7 +18,7 @@ from calcidem.app.cli.init import Preset
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 PRESETS = Path(presets.__file__).parent
 PACKINGS = PRESETS / "packings"
@@ -33,7 +33,7 @@ def main() -> None:
         file.unlink()
     with tempfile.TemporaryDirectory() as folder:
         os.environ[CACHE_VARIABLE] = folder  # nothing that other code made
-        with open_store(Path(folder) / "paper.db") as store:
+        with Store(Path(folder) / "paper.db") as store:
             import_netcdf(PRESETS / PAPER_CAMPAIGN, store, identify_packing)
             shipped = store.packing()
         for file, configuration in files.items():

@@ -31,7 +31,7 @@ from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, RunRecord
 from calcidem.storage.records.canonical import canonical_json
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 sys.path.append(str(Path(__file__).parent))  # marked_processes.py and others, which tests use
 from places import SMALL_PACKING, MakeOnce
@@ -138,7 +138,7 @@ def small_database(make_once: MakeOnce, small_configuration: Configuration, smal
 def _fill_database(path: Path, small_configuration: Configuration, small_packing: Packing) -> None:
     experiment = small_configuration.experiment(small_packing)
     now = datetime.now(UTC)
-    with open_store(path) as store:
+    with Store(path) as store:
         store.begin_campaign(
             CampaignRecord(
                 small_configuration.hash,

@@ -5,14 +5,14 @@ import sqlite3
 from dataclasses import replace
 from pathlib import Path
 
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 NEWEST = ("broken_bonds", "retry", "path_connectivity")
 
 
 def leave_out(path: Path) -> Path:
     """Take quantities out of a database, as if they had been added after it was made, and give its path."""
-    with open_store(path) as store:
+    with Store(path) as store:
         store.use_campaign()
         cells = [
             replace(

@@ -20,7 +20,7 @@ from calcidem.app.cli.main import main
 from calcidem.app.config.presets import preset_text
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.records import CellKey, CellResult, CellStatus
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 PLAN = b'configuration = "good.toml"\ncontents = [5.0]\nseeds = 2\n[[variant]]\nchoice="a"\nvalue="b"'
 ERRORS = b'{"campaign_hash": "a", "packing_hash": "b", "study": {"cells": []}}'
@@ -134,8 +134,8 @@ class Workbench:
 
 def make_databases(folder: Path) -> None:
     """Make a good database, its exported file, and a database whose texts try to control a terminal."""
-    open_store(shutil.copy(TUTORIAL, folder / "quick.db")).close()
-    with open_campaign(folder / "quick.db") as good, open_store(folder / "evil.db") as store:
+    Store(shutil.copy(TUTORIAL, folder / "quick.db")).close()
+    with open_campaign(folder / "quick.db") as good, Store(folder / "evil.db") as store:
         export_netcdf(good.store, folder / "quick.nc")
         store.begin_campaign(replace(good.record, name=f"evil{EVIL_STORED}"))
         store.begin_run(replace(good.runs()[0][1], host=EVIL_STORED, exit_state=EVIL_STORED))

@@ -16,7 +16,7 @@ from typing import Any
 
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.storage.records import CellKey, PackedResult
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store
 from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.run import run_sweep
@@ -80,7 +80,7 @@ def durations(batches: int, mean: float) -> list[float]:
 
 def real_outcomes(database: str) -> tuple[PackedResult, ...]:
     """As many outcomes as a batch has, with cement and sections; the sections are kept of one seed, so others share them."""
-    with open_store(database, read_only=True) as store:
+    with Store(database, read_only=True) as store:
         store.use_campaign()
         stored = [result for result in store.results(with_arrays=True) if result.key.content > 0.0]
     sections = {result.key.content: result.section for result in stored if result.section is not None}
@@ -95,7 +95,7 @@ def moved(payload: Sequence[PackedResult], batch: Batch[Cell]) -> tuple[PackedRe
 
 def open_sink(database: str, batches: Sequence[Batch[Cell]]) -> tuple[Store, StoreSink]:
     """Plan the cells of the batches, and become the one that writes them."""
-    store = open_store(database)
+    store = Store(database)
     store.use_campaign()
     store.acquire_lease()
     keys = [CellKey(*cell) for batch in batches for cell in batch.cells]

@@ -27,7 +27,7 @@ from live_page import serve
 
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store
 
 CONTENTS = tuple(place / 10 for place in range(100))
 NUMERICS = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 1.2e-7, "steps": 3000}
@@ -52,7 +52,7 @@ def begin(store: Store, name: str, seeds: int) -> Iterator[CellResult]:
 def time_commits(database: str, name: str, commits: int, browser: Chromium | None) -> list[float]:
     """Seconds of each commit of a new campaign, with the page in a browser if there is one."""
     with ExitStack() as stack:
-        store = stack.enter_context(open_store(database))
+        store = stack.enter_context(Store(database))
         outcomes = begin(store, name, -(-commits * CELLS_AT_ONCE // len(CONTENTS)))
         outcome = next(outcomes)  # now it is planned
         store.acquire_lease()
@@ -90,7 +90,7 @@ def compare_commits(database: str, commits: int, rounds: int, browser: Chromium)
 def time_opening(folder: Path, cells: int, browser: Chromium) -> None:
     """Print how long a campaign of so many cells takes to open."""
     database = folder / "large.db"
-    with open_store(database) as store:
+    with Store(database) as store:
         outcomes = list(begin(store, "large", cells // len(CONTENTS)))
         for at in range(0, len(outcomes), 1000):
             store.record_results(outcomes[at : at + 1000])

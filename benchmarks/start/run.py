@@ -137,11 +137,11 @@ def campaign_phases(configuration: Path, seeds: int) -> dict[str, float]:
     phases = Phases()
     run = importlib.import_module("calcidem.app.campaign.run")
     export = importlib.import_module("calcidem.storage.netcdf.export")
-    open_store = importlib.import_module("calcidem.storage.sql.store").open_store
+    store_module = importlib.import_module("calcidem.storage.sql.store")
     with scratch() as folder:
         values = {"campaign.seeds": seeds, "run.database": str(folder / "c.db"), "run.output": str(folder)}
         run.run(configuration, set=values, progress=False).close()
-        with open_store(folder / "c.db", read_only=True) as store:
+        with store_module.Store(folder / "c.db", read_only=True) as store:
             store.use_campaign()
             export.export_netcdf(store, folder / "c.nc")
     return dict(phases.seconds)

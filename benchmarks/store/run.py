@@ -35,7 +35,7 @@ from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, GraphSummary, PathFeatures
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 CONTENTS = tuple(0.5 * i for i in range(17))
@@ -98,7 +98,7 @@ def make_database(path: Path, count: int) -> None:
         created=datetime.now(UTC),
     )
     packing = provide_packing(Configuration(), None, print)
-    with open_store(path) as store:
+    with Store(path) as store:
         store.begin_campaign(record)
         store.save_packing(packing_record(packing, index=0, packing_hash=Configuration().packing_hash))
         stored = cells(seeds)
@@ -121,7 +121,7 @@ def ask_export(campaign: Campaign) -> None:
 def ask_import(campaign: Campaign) -> None:
     """Import the exported file into a new database."""
     path = campaign.store.address.path  # type: ignore[attr-defined]  # a SQLite store
-    with open_store(path.with_suffix(".copy.db")) as store:
+    with Store(path.with_suffix(".copy.db")) as store:
         import_netcdf(path.with_suffix(".nc"), store)
 
 

@@ -45,7 +45,7 @@ from calcidem.dem.wave.reading import (
 from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.storage.records import CampaignRecord, CellStatus
 from calcidem.storage.records.canonical import canonical_json
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 SEEDS, CONTENT, SMOOTHING = (1, 2, 3, 4), 0.66, PickRule().smoothing
@@ -54,7 +54,7 @@ SEEDS, CONTENT, SMOOTHING = (1, 2, 3, 4), 0.66, PickRule().smoothing
 def store_campaign(path: Path, configuration: Configuration, packing: Packing, *, store_sections: bool = True) -> Path:
     """Compute a campaign and store it."""
     plan, experiment = configuration.campaign, configuration.experiment(packing)
-    with open_store(path) as store:
+    with Store(path) as store:
         physics = canonical_json(configuration.physics)
         store.begin_campaign(
             CampaignRecord(configuration.hash, plan.name, physics, plan.contents, plan.seed_numbers, datetime.now(UTC))

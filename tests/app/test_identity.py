@@ -24,7 +24,7 @@ from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 pytestmark = pytest.mark.slow
 
@@ -48,7 +48,7 @@ def other_database(
 ) -> Path:
     """Give a database of the small campaign on that packing, with a seed that the first lacks."""
     path = tmp_path_factory.mktemp("other") / "other.db"
-    with open_campaign(small_database) as campaign, open_store(path) as store:
+    with open_campaign(small_database) as campaign, Store(path) as store:
         cell = campaign.cell(seed=1, content=5.0)
         store.begin_campaign(replace(campaign.record, seeds=(7,), contents=(5.0,)))
         store.save_packing(packing_record(other_packing, index=0, packing_hash=small_configuration.packing_hash))
@@ -77,7 +77,7 @@ def test_import_refuses_another_packing(small_database: Path, other_database: Pa
     with open_campaign(small_database) as campaign:
         file = export_netcdf(campaign.store, tmp_path / "small.nc")
     copy = Path(shutil.copy(other_database, tmp_path / "copy.db"))
-    with open_store(copy) as store:
+    with Store(copy) as store:
         store.use_campaign()
         with pytest.raises(CampaignMismatchError, match=both):
             import_netcdf(file, store, identify_packing)
@@ -101,7 +101,7 @@ def test_import_refuses_a_packing_that_was_changed(
     with netCDF4.Dataset(file, "a") as opened:
         values = opened[f"packings/{name}"]
         values[-1] = change if isinstance(change, str) else np.asarray(values[-1] + change, dtype=values.dtype)
-    with open_store(tmp_path / "new.db") as store:
+    with Store(tmp_path / "new.db") as store:
         with pytest.raises(DamagedStoreError, match="stored state of packing 0 can't be used"):
             import_netcdf(file, store, identify_packing)
         assert store.campaigns() == ()
@@ -111,7 +111,7 @@ def test_a_content_hash_that_is_missing_is_computed(
     small_database: Path, small_packing: Packing, tmp_path: Path
 ) -> None:
     """A database of an earlier calcidem has no content hash: readers compute it, an import and a merge store it."""
-    with open_campaign(small_database) as campaign, open_store(tmp_path / "old.db") as old:
+    with open_campaign(small_database) as campaign, Store(tmp_path / "old.db") as old:
         old.begin_campaign(campaign.record)
         old.save_packing(replace(campaign.packing(), content_hash=None))
         file = export_netcdf(old, tmp_path / "old.nc")
@@ -121,7 +121,7 @@ def test_a_content_hash_that_is_missing_is_computed(
         assert old_campaign.content_hash() == known
     assert CampaignStatus.read(tmp_path / "old.db").content_hashes == {0: known}
     merge_databases([str(tmp_path / "old.db")], tmp_path / "merged.db")
-    with open_store(tmp_path / "new.db") as new, open_campaign(tmp_path / "merged.db") as merged:
+    with Store(tmp_path / "new.db") as new, open_campaign(tmp_path / "merged.db") as merged:
         import_netcdf(file, new, identify_packing)
         assert new.content_hashes() == merged.store.content_hashes() == {0: known}
 
@@ -150,7 +150,7 @@ def test_an_earlier_physics_version_is_still_read(small_database: Path, tmp_path
         assert campaign.sample(seed=1, content=5.0).packing.radius.size == 280
         file = export_netcdf(campaign.store, tmp_path / "small.nc")
         expected = list(campaign.select(with_arrays=True))
-    with open_store(tmp_path / "again.db") as store:
+    with Store(tmp_path / "again.db") as store:
         import_netcdf(file, store, identify_packing)
     merge_databases([str(small_database), str(tmp_path / "again.db")], tmp_path / "merged.db")
     with open_campaign(tmp_path / "merged.db") as merged:
@@ -170,7 +170,7 @@ def test_the_database_of_an_earlier_calcidem_is_read_but_not_continued(tmp_path:
     assert [cell.key.content for cell in expected] == [0.66, 5.0]
     assert write_report(former, tmp_path / "report.html").stat().st_size > 0
     assert former.read_bytes() == before
-    with open_store(tmp_path / "again.db") as store:
+    with Store(tmp_path / "again.db") as store:
         import_netcdf(file, store, identify_packing)
         assert list(store.results(with_arrays=True)) == expected
     configuration = Configuration(campaign=CampaignPlan(name="quick", seeds=2, contents=(0.66, 5.0)))

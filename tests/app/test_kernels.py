@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.app.campaign.task import CellComputation, EnoughSeenError, kernel_compilations
+from calcidem.app.campaign.task import CellComputation, _EnoughSeen, kernel_compilations
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Installation, Regime
 from calcidem.dem.kernels.features import Features
@@ -52,9 +52,9 @@ def test_the_kernels_of_the_cells_are_compiled_and_no_others(
 
         def check(looks: "count[int]" = looks) -> None:
             if next(looks) == 5:
-                raise EnoughSeenError
+                raise _EnoughSeen
 
-        with contextlib.suppress(EnoughSeenError):
+        with contextlib.suppress(_EnoughSeen):
             experiment = configuration.experiment(small_packing)
             measure(experiment, content, [1], lanes=configuration.run.lanes, check=check)
     assert compiled == set(used)

@@ -35,7 +35,7 @@ from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord
 from calcidem.storage.records.canonical import canonical_json
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store
 
 TINY = Configuration(packing=PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3))
 """Some 60 disks, made in less than a second."""
@@ -133,7 +133,7 @@ def test_the_packing_of_a_preset_comes_with_calcidem(
 
 def test_the_shipped_campaign_is_on_the_packing_of_its_preset(tmp_path: Path) -> None:
     """Whoever computes the preset gets the shipped numbers: its packing is the one that they were computed on."""
-    with open_store(tmp_path / "paper.db") as store, as_file(files(presets) / PAPER_CAMPAIGN) as path:
+    with Store(tmp_path / "paper.db") as store, as_file(files(presets) / PAPER_CAMPAIGN) as path:
         import_netcdf(path, store, identify_packing)
         record = store.packing()
     (tmp_path / "c.toml").write_text(preset_text("paper"), encoding="utf-8")
@@ -145,7 +145,7 @@ def test_the_shipped_campaign_is_on_the_packing_of_its_preset(tmp_path: Path) ->
 @pytest.fixture
 def store(packing: Packing, tmp_path: Path) -> Iterator[Store]:
     """Give a store that has the tiny packing."""
-    with open_store(tmp_path / "tiny.db") as opened:
+    with Store(tmp_path / "tiny.db") as opened:
         config = canonical_json(TINY.physics)
         opened.begin_campaign(CampaignRecord(TINY.hash, "tiny", config, (), (), datetime.now(UTC)))
         opened.save_packing(packing_record(packing, index=0, packing_hash=TINY.packing_hash))

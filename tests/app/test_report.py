@@ -33,7 +33,7 @@ from calcidem.app.report.wording import decimal, probability, significant, time_
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
-from calcidem.storage.sql.store import open_store, read_campaign
+from calcidem.storage.sql.store import Store, read_campaign
 
 pytestmark = pytest.mark.slow
 
@@ -285,7 +285,7 @@ def test_no_table_of_the_folder_holds_a_formula(
     monkeypatch.setattr("calcidem.app.report.folder.CAMPAIGN_FIGURES", ())  # pictures take seconds
     formulas = "=cmd|' /C calc'!A0", "@SUM(1)"
     database = Path(shutil.copy(small_database, tmp_path / "small.db"))
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         store.begin_run(replace(store.runs()[0][1], host=formulas[1]))
         store.record_results([CellResult(CellKey(6, 0.34), CellStatus.FAILED, formulas[0])])

@@ -16,7 +16,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.page import write_report
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 pytestmark = pytest.mark.full
 
@@ -247,7 +247,7 @@ def test_a_hundred_thousand_cells_make_a_page(browser: Chromium, tmp_path: Path)
     seeds, contents = tuple(range(LARGE_SEEDS)), tuple(place / 10 for place in range(LARGE_CONTENTS))
     numerics = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 1.2e-7, "steps": 3000}
     draw = np.random.default_rng(1).uniform  # numbers that cannot be compressed
-    with open_store(database) as store:
+    with Store(database) as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), "large", "{}", contents, seeds, datetime.now(UTC)))
         for seed in seeds:
             store.record_results(

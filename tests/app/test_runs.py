@@ -14,7 +14,7 @@ import pytest
 
 from calcidem.app.campaign.launch import find_mpirun
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 if TYPE_CHECKING:
     from conftest import Cells, Workshop
@@ -169,7 +169,7 @@ def test_a_second_master_is_refused(workshop: "Workshop") -> None:
     """While a process is master of a campaign, a second run ends with exit code 1 and says who is."""
     workshop.configure(seeds=1, contents=(0.0,))
     assert workshop.run("run", "c.toml").code == 0
-    with open_store(workshop.database) as store:
+    with Store(workshop.database) as store:
         store.use_campaign()
         store.acquire_lease()
         refused = workshop.run("run", "c.toml", "--ranks", "2")

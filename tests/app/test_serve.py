@@ -22,7 +22,7 @@ from calcidem.app.serve.feed import CampaignFeed
 from calcidem.app.serve.movies import MovieMaker
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 from calcidem.sweep.environment import available_cores
 
 pytestmark = pytest.mark.slow
@@ -34,14 +34,14 @@ NUMERICS = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 1.2e-7, "ste
 
 def begin(database: Path | str, name: str = HOSTILE) -> None:
     """Make a database of a campaign none of whose cells is computed."""
-    with open_store(database) as store:
+    with Store(database) as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), name, "{}", CONTENTS, SEEDS, datetime.now(UTC)))
 
 
 def record(database: Path | str, seed: int, content: float, vs: float | None, reason: str = "") -> None:
     """Store an outcome as another process does."""
     status = CellStatus.FAILED if vs is None else CellStatus.DONE
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         store.record_results(
             [CellResult(CellKey(seed, content), status, reason, vs=vs, **({} if vs is None else NUMERICS))]
@@ -199,12 +199,12 @@ def test_a_feed_notices_whatever_happens_to_its_database(tmp_path: Path) -> None
     feed.refresh()
     assert feed.status()["problem"] == ""
     assert feed.status()["cells"] == CampaignStatus.read(database).counts == {"done": 1, "failed": 1, "pending": 4}
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         store.retry([CellStatus.FAILED])
     feed.refresh()
     assert feed.status()["cells"] == {"done": 1, "pending": 5}
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         store.extend((4, 5), (9.0,))
     feed.refresh()
@@ -247,7 +247,7 @@ def test_columns_are_those_of_the_store(tmp_path: Path) -> None:
     for seed in SEEDS:
         record(database, seed, 5.0, 1000.0 + seed)
     names = ("seed", "content", "status", "vs", "reason", "steps")
-    with open_store(database, read_only=True) as store:
+    with Store(database, read_only=True) as store:
         store.use_campaign()
         rows = store.table(names)
         columns = CellColumns.empty(store.table(("seed", "content")), names[2:])

@@ -14,7 +14,7 @@ from places import TUTORIAL
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.records import CellResult, CellStatus
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 if TYPE_CHECKING:
     from conftest import Workshop
@@ -32,7 +32,7 @@ def live(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> Iter
     small, quick = folder / "small.db", folder / "quick.db"
     shutil.copy(small_database, small)
     shutil.copy(TUTORIAL, quick)
-    with open_store(small) as store:
+    with Store(small) as store:
         store.use_campaign()
         store.record_results([CellResult(store.pending()[0], CellStatus.FAILED, HOSTILE)])
     with serve(small, quick) as running:

@@ -16,7 +16,7 @@ from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.engine import Address
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store
 from calcidem.sweep.batch import Batch
 from calcidem.sweep.outcome import BatchOutcome, Place
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE
@@ -62,7 +62,7 @@ def test_workers_of_an_executor_are_noted_once_they_answer(tmp_path: Path) -> No
     numbers = {"frequency": 15e3, "time_step": 8e-8, "stability_limit": 1e-7, "steps": 9}
     result = CellResult(CellKey(1, 5.0), CellStatus.DONE, vs=900.0, **numbers).packed()
     told: list[str] = []
-    with open_store(tmp_path / "one.db") as store:
+    with Store(tmp_path / "one.db") as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1,), datetime.now(UTC)))
         store.begin_run(replace(describe_run(1), workers=(own,)))
         sink = StoreSink(store, [CellKey(1, 5.0)], told.append, (own,))

@@ -25,7 +25,7 @@ from calcidem.app.cli.exit_codes import _EXIT_BAD_INPUT, EXIT_ROUNDING
 from calcidem.app.cli.main import PANELS, _build_application
 from calcidem.app.config.reference import key_references
 from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE
 
 FILE = Path(__file__).with_name("promise.json")
@@ -96,7 +96,7 @@ def _columns_and_variables() -> Names:
     """Columns of the view of whole cells, and variables of an exported file."""
     with tempfile.TemporaryDirectory() as folder:
         database, exported = open_kept("db", Path(folder)), Path(folder) / "now.nc"
-        with open_store(database) as store:
+        with Store(database) as store:
             store.use_campaign()
             export_netcdf(store, exported)
         with closing(sqlite3.connect(database)) as connection:

@@ -12,7 +12,7 @@ from unchanged import digests
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.main import _build_application
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 sys.path.insert(0, str(Path(__file__).parent))
 from kept import ASSETS, contents_of, expected, open_kept
@@ -48,7 +48,7 @@ def test_a_database_of_version_1_is_read_and_written_on(tmp_path: Path) -> None:
     shown = CliRunner().invoke(_build_application(), ["query", str(database), "--status", "done"])
     assert shown.exit_code == 0, shown.output
     assert digests([tmp_path]) == before
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         assert not store.integrity()[0]
 
@@ -60,7 +60,7 @@ def test_a_netcdf_file_of_version_1_is_read(tmp_path: Path) -> None:
         found = float(dataset.vs.sel(seed=1, content=5.0))
     assert found == pytest.approx(next(cell[3] for cell in expected()["cells"] if cell[0] == 1), abs=0.0)
     database = tmp_path / "imported.db"
-    with open_store(database) as store:
+    with Store(database) as store:
         import_netcdf(file, store)
     with open_campaign(database) as campaign:
         assert contents_of(campaign) == expected()

@@ -26,7 +26,7 @@ from calcidem.storage.records import (
     WorkerRecord,
 )
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store
 
 MOMENT = datetime(2024, 5, 17, 12, 30, 15, 123456, tzinfo=UTC)
 SEEDS = range(4)
@@ -181,7 +181,7 @@ def postgresql_template(postgresql_socket: Path) -> str:
     server = f"postgresql+psycopg://postgres@/postgres?host={postgresql_socket}"
     with create_engine(server, isolation_level="AUTOCOMMIT").connect() as connection:
         connection.execute(text("CREATE DATABASE migrated"))
-    open_store(f"postgresql://postgres@/migrated?host={postgresql_socket}").close()
+    Store(f"postgresql://postgres@/migrated?host={postgresql_socket}").close()
     return "migrated"
 
 
@@ -209,7 +209,7 @@ def open_here(address: str) -> Iterator[Callable[..., Store]]:
     opened: list[Store] = []
 
     def open_another(*, read_only: bool = False) -> Store:
-        opened.append(open_store(address, read_only=read_only))
+        opened.append(Store(address, read_only=read_only))
         return opened[-1]
 
     yield open_another

@@ -39,7 +39,7 @@ from calcidem.storage.netcdf import import_netcdf as importing
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store
 
 if TYPE_CHECKING:
     from conftest import Records
@@ -86,7 +86,7 @@ def exported(filled: Store, tmp_path: Path) -> Path:
 def test_round_trip_gives_an_equal_database(filled: Store, exported: Path, tmp_path: Path) -> None:
     """Database to NetCDF to database keeps plan, runs, packings, attempts and outcomes, bit for bit."""
     original, campaign = filled, filled.record
-    with open_store(tmp_path / "copy.db") as copy:
+    with Store(tmp_path / "copy.db") as copy:
         assert import_netcdf(exported, copy) == campaign
         assert copy.runs() == original.runs()
         assert [copy.packing(i) for i in copy.packing_indices()] == [original.packing(i) for i in (0, 1)]
@@ -101,14 +101,14 @@ def test_a_file_that_is_older_than_a_quantity_is_imported(
     """Whether its database lacked the quantity, or the program that exported it: the cells lack it, and are intact."""
     assert filled.address.path is not None
     leave_out(filled.address.path)
-    with open_store(filled.address.path, read_only=True) as older:
+    with Store(filled.address.path, read_only=True) as older:
         older.use_campaign()
         files = [export_netcdf(older, tmp_path / "of_older_database.nc")]
         known = {name: quantity for name, quantity in export.QUANTITY_BY_NAME.items() if name not in NEWEST}
         monkeypatch.setattr(export, "QUANTITY_BY_NAME", known)
         files.append(export_netcdf(older, tmp_path / "of_older_program.nc"))
         for file in files:
-            with open_store(file.with_suffix(".db")) as copy:
+            with Store(file.with_suffix(".db")) as copy:
                 import_netcdf(file, copy)
                 assert not copy.integrity()[0]
                 assert list(copy.results(with_arrays=True)) == list(older.results(with_arrays=True))
@@ -116,7 +116,7 @@ def test_a_file_that_is_older_than_a_quantity_is_imported(
 
 def test_import_again_adds_nothing_but_runs(exported: Path, tmp_path: Path) -> None:
     """Importing twice leaves cells and attempts as they are."""
-    with open_store(tmp_path / "copy.db") as copy:
+    with Store(tmp_path / "copy.db") as copy:
         import_netcdf(exported, copy)
         before = list(copy.results(with_arrays=True)), list(copy.history())
         import_netcdf(exported, copy)
@@ -125,7 +125,7 @@ def test_import_again_adds_nothing_but_runs(exported: Path, tmp_path: Path) -> N
 
 def test_import_into_another_campaign_is_refused(exported: Path, tmp_path: Path, records: "Records") -> None:
     """A store whose campaign of that name has another configuration refuses the file."""
-    with open_store(tmp_path / "copy.db") as copy:
+    with Store(tmp_path / "copy.db") as copy:
         copy.begin_campaign(records.campaign({"packing": {"friction": 0.5}}))
         with pytest.raises(CampaignMismatchError, match="friction"):
             import_netcdf(exported, copy)
@@ -133,7 +133,7 @@ def test_import_into_another_campaign_is_refused(exported: Path, tmp_path: Path,
 
 def test_import_into_the_campaign_by_another_name(exported: Path, tmp_path: Path, records: "Records") -> None:
     """A store that has the campaign by another name takes the cells, and keeps its name."""
-    with open_store(tmp_path / "copy.db") as copy:
+    with Store(tmp_path / "copy.db") as copy:
         copy.begin_campaign(records.campaign(name="mine"))
         assert import_netcdf(exported, copy).name == "mine"
         assert copy.packing_indices() == (0, 1)
@@ -144,7 +144,7 @@ def test_an_edited_configuration_is_refused(exported: Path, tmp_path: Path) -> N
     with netCDF4.Dataset(exported, "a") as file:
         file.calcidem_config = file.calcidem_config.replace("0.2", "0.3")
         named = f"its configuration, or the hash {file.calcidem_campaign_hash} of its cells, is not what was exported"
-    with open_store(tmp_path / "copy.db") as copy:
+    with Store(tmp_path / "copy.db") as copy:
         with pytest.raises(DamagedStoreError, match=named):
             import_netcdf(exported, copy)
         assert copy.campaigns() == ()
@@ -154,7 +154,7 @@ def test_cells_without_their_packing_are_refused(exported: Path, tmp_path: Path)
     """A file without the packing that its cells were computed on is refused."""
     with netCDF4.Dataset(exported, "a") as file:
         file["packings/index"][0] = 2
-    with open_store(tmp_path / "copy.db") as copy:
+    with Store(tmp_path / "copy.db") as copy:
         with pytest.raises(DamagedStoreError, match="packing 0, on which cells were computed, is missing"):
             import_netcdf(exported, copy)
         assert copy.campaigns() == ()
@@ -163,7 +163,7 @@ def test_cells_without_their_packing_are_refused(exported: Path, tmp_path: Path)
 def test_another_packing_is_refused(filled: Store, exported: Path, tmp_path: Path, records: "Records") -> None:
     """A store that has the campaign on another packing refuses the file, names both hashes and stays as it is."""
     campaign = filled.record
-    with open_store(tmp_path / "copy.db") as copy:
+    with Store(tmp_path / "copy.db") as copy:
         copy.begin_campaign(dataclasses.replace(campaign, seeds=(1,), contents=(5.0,)))
         copy.save_packing(records.packing(0, y=records.packing(1).y, content_hash="yours"))
         with pytest.raises(CampaignMismatchError, match=r"yours in the database and unknown in .*campaign\.nc"):
@@ -179,7 +179,7 @@ def test_a_failed_import_leaves_the_store_as_it_was(
     def fail(*_: object) -> None:
         raise RuntimeError("half-way")
 
-    with open_store(tmp_path / "copy.db") as copy, open_store(tmp_path / "copy.db") as master:
+    with Store(tmp_path / "copy.db") as copy, Store(tmp_path / "copy.db") as master:
         monkeypatch.setattr(importing, "_results", fail)
         with pytest.raises(RuntimeError, match="half-way"):
             import_netcdf(exported, copy)
@@ -207,7 +207,7 @@ def test_sections_keep_their_own_numbers_of_stations(store: Store, records: "Rec
     cells = [records.with_arrays(0), wide, records.with_arrays(2)]
     store.record_results(cells)
     file = export_netcdf(store, tmp_path / "campaign.nc")
-    with open_store(tmp_path / "copy.db") as copy:
+    with Store(tmp_path / "copy.db") as copy:
         import_netcdf(file, copy)
         assert list(copy.results(with_arrays=True)) == cells
 
@@ -219,7 +219,7 @@ def test_content_hashes_are_exported(store: Store, records: "Records", tmp_path:
     file = export_netcdf(store, tmp_path / "campaign.nc")
     with xr.open_dataset(file) as found:
         assert found.attrs["calcidem_packing_content_hash"] == "mine unknown"
-    with open_store(tmp_path / "copy.db") as copy:
+    with Store(tmp_path / "copy.db") as copy:
         import_netcdf(file, copy)
         assert copy.content_hashes() == {0: "mine", 1: None}
 
@@ -307,7 +307,7 @@ def test_a_file_without_arrays_is_smaller_and_has_every_number(filled: Store, ex
         xr.testing.assert_equal(whole, numbers)
     with netCDF4.Dataset(small) as file:
         assert not {"section", "cement", "path"} & set(file.groups)
-    with open_store(tmp_path / "imported.db") as other:
+    with Store(tmp_path / "imported.db") as other:
         import_netcdf(small, other)
         assert {r.key: r.vs for r in other.results()} == {r.key: r.vs for r in filled.results()}
         assert all(r.section is None for r in other.results(with_arrays=True))
@@ -322,7 +322,7 @@ def test_foreign_files_are_refused(exported: Path, tmp_path: Path) -> None:
     shutil.copy(ASSETS / "calcidem_0.1.0.nc", tmp_path)
     with netCDF4.Dataset(exported, "a") as file:
         file.calcidem_layout = 99
-    with open_store(tmp_path / "copy.db") as copy:
+    with Store(tmp_path / "copy.db") as copy:
         for name, error in (
             ("text.nc", StoreUnavailableError),
             ("other.nc", ForeignDatabaseError),
@@ -352,7 +352,7 @@ def test_a_file_that_the_library_never_finishes_is_refused(
     """Such a file is named with exit code 2, for reading and for being replaced, instead of being read for ever."""
     monkeypatch.setattr(trial, "_TIME_FOR_A_BLOCK", 1.0)
     path = endless_file(tmp_path, blocks)
-    with open_store(tmp_path / "new.db") as store, pytest.raises(DamagedStoreError, match=r"endless\.nc") as caught:
+    with Store(tmp_path / "new.db") as store, pytest.raises(DamagedStoreError, match=r"endless\.nc") as caught:
         import_netcdf(path, store)
     assert _exit_code_of(caught.value) == 2
     assert export.belongs_to_another(path, "the hash of any campaign")
@@ -384,12 +384,12 @@ def test_swapped_blocks_are_refused_or_read(tmp_path: Path, monkeypatch: pytest.
     random = np.random.default_rng(7)
     for number in range(100):
         path = endless_file(tmp_path, tuple(random.integers(last, size=2).tolist()))
-        with open_store(tmp_path / f"{number}.db") as store, contextlib.suppress(StoreError, *_RAISED_BY_DAMAGE):
+        with Store(tmp_path / f"{number}.db") as store, contextlib.suppress(StoreError, *_RAISED_BY_DAMAGE):
             import_netcdf(path, store)
 
 
 def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     """Only a file is opened: a pipe that nobody writes would never be."""
     os.mkfifo(tmp_path / "pipe.nc")
-    with open_store(tmp_path / "new.db") as store, pytest.raises(StoreUnavailableError, match="is not a file"):
+    with Store(tmp_path / "new.db") as store, pytest.raises(StoreUnavailableError, match="is not a file"):
         import_netcdf(tmp_path / "pipe.nc", store)

@@ -26,7 +26,7 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
 )
 from calcidem.storage.sql import engine
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 from calcidem.storage.sql.tables import _CREATION_LOCK
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
@@ -40,7 +40,7 @@ NOBODY = 65534  # the user without rights on Linux
 def database(tmp_path: Path, records: "Records") -> Path:
     """Create a closed database with two done cells."""
     path = tmp_path / "one.db"
-    with open_store(path) as store:
+    with Store(path) as store:
         store.begin_campaign(records.campaign())
         store.record_results([records.done(0), records.done(1)])
     return path
@@ -70,7 +70,7 @@ def test_foreign_files_are_refused_untouched(
     make(path)
     before = path.read_bytes() if path.is_file() else b""
     with pytest.raises(error, match=r"recipes\.db"):
-        open_store(path, read_only=read_only)
+        Store(path, read_only=read_only)
     assert (path.read_bytes() if path.is_file() else b"") == before
 
 
@@ -80,7 +80,7 @@ def test_missing_files(tmp_path: Path) -> None:
         open_campaign(tmp_path / "none.db")
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(StoreUnavailableError, match="folder"):
-        open_store(tmp_path / "nowhere" / "one.db")
+        Store(tmp_path / "nowhere" / "one.db")
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_missing_files(tmp_path: Path) -> None:
 def test_unusable_urls(url: str) -> None:
     """An URL that leads nowhere is refused with a message of the store."""
     with pytest.raises(StoreUnavailableError):
-        open_store(url)
+        Store(url)
 
 
 def test_newer_schema_is_refused(database: Path) -> None:
@@ -97,7 +97,7 @@ def test_newer_schema_is_refused(database: Path) -> None:
     execute(database, "UPDATE calcidem_schema SET version = 9999")
     for read_only in (True, False):
         with pytest.raises(OtherSchemaError, match="upgrade"):
-            open_store(database, read_only=read_only)
+            Store(database, read_only=read_only)
 
 
 @pytest.mark.parametrize("read_only", [True, False])
@@ -106,7 +106,7 @@ def test_the_former_tables_are_refused(tmp_path: Path, read_only: bool) -> None:
     asset = Path(__file__).parent / "assets" / "calcidem_0.1.0.db"
     path = Path(shutil.copy(asset, tmp_path))
     with pytest.raises(OtherSchemaError, match=r"written by calcidem 0\.1\.0 or earlier"):
-        open_store(path, read_only=read_only)
+        Store(path, read_only=read_only)
     assert path.read_bytes() == asset.read_bytes()
     assert [found.name for found in tmp_path.iterdir()] == [path.name]
 
@@ -122,7 +122,7 @@ def test_damage_is_recognised(database: Path) -> None:
 
 def test_full_disk_keeps_what_was_there(database: Path, records: "Records") -> None:
     """A transaction that does not fit is refused as a whole, and the store goes on once there is room."""
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         with store._connections._engine.connect() as connection:
             pages = connection.exec_driver_sql("PRAGMA page_count").scalar_one()
@@ -140,7 +140,7 @@ def test_full_disk_keeps_what_was_there(database: Path, records: "Records") -> N
 def test_lock_of_another_process(database: Path, records: "Records", monkeypatch: pytest.MonkeyPatch) -> None:
     """A database locked by somebody else gives an error after the waiting time, and nothing is stored."""
     monkeypatch.setattr(engine, "_BUSY_TIMEOUT_SECONDS", 0.1)
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         other = sqlite3.connect(database, isolation_level=None)
         other.execute("BEGIN IMMEDIATE")
@@ -157,7 +157,7 @@ def test_a_database_that_is_gone_is_not_written_any_more(tmp_path: Path, records
     """Whoever writes a file that has no name any more, or not that one, is told before anything is stored."""
     path = tmp_path / "results" / "one.db"
     path.parent.mkdir()
-    with open_store(path) as store:
+    with Store(path) as store:
         store.begin_campaign(records.campaign())
         store.acquire_lease()
         if what == "without its folder":
@@ -165,7 +165,7 @@ def test_a_database_that_is_gone_is_not_written_any_more(tmp_path: Path, records
         else:
             path.unlink()
         if what == "replaced":
-            open_store(path).close()
+            Store(path).close()
         word = "replaced" if what == "replaced" else "removed"
         for write in (store.renew_lease, lambda: store.record_results([records.done(0)])):
             with pytest.raises(ReplacedStoreError, match=rf"one\.db was {word}"):
@@ -176,7 +176,7 @@ def test_a_database_that_is_gone_is_not_written_any_more(tmp_path: Path, records
 def test_pragmas(database: Path, on_network: bool, journal: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Writers use a write-ahead log locally and a rollback journal on a network, always fully synchronous."""
     monkeypatch.setattr(engine, "is_network_filesystem", lambda _path: on_network)
-    with open_store(database) as store, store._reading() as session:
+    with Store(database) as store, store._reading() as session:
         pragmas = {
             name: session.execute(text(f"PRAGMA {name}")).scalar_one()
             for name in ("journal_mode", "synchronous", "foreign_keys", "journal_size_limit")
@@ -192,7 +192,7 @@ def test_pragmas(database: Path, on_network: bool, journal: str, monkeypatch: py
 @pytest.mark.parametrize("name", ["with space.db", "100%.db", "what?.db", "a#b.db", "größe.db"])
 def test_awkward_names(tmp_path: Path, name: str, records: "Records") -> None:
     """Characters that mean something in URLs are only characters in file names."""
-    with open_store(tmp_path / name) as store:
+    with Store(tmp_path / name) as store:
         store.begin_campaign(records.campaign())
     assert (tmp_path / name).exists()
     with open_campaign(tmp_path / name) as campaign:
@@ -226,7 +226,7 @@ def test_a_server_that_hangs_up_while_the_database_is_opened_is_no_bad_input(
     wait = "SELECT pid FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"
     with create_engine(url).connect() as holder, ThreadPoolExecutor(1) as thread:
         holder.execute(text(f"SELECT pg_advisory_lock({_CREATION_LOCK})"))
-        opening = thread.submit(open_store, url)
+        opening = thread.submit(Store, url)
         while not (waiting := holder.scalar(text(wait))):
             holder.rollback()
         holder.execute(text(f"SELECT pg_terminate_backend({waiting})"))

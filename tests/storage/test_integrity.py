@@ -13,7 +13,7 @@ from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import STATUS_CODES, CellKey, CellStatus
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 if TYPE_CHECKING:
     from conftest import Records
@@ -26,7 +26,7 @@ CELL_ID = "(SELECT id FROM cell WHERE seed = 1 AND content = 5.0)"
 def database(tmp_path: Path, records: "Records") -> Path:
     """Create a closed database with a packing, and two cells that have everything."""
     path = tmp_path / "one.db"
-    with open_store(path) as store:
+    with Store(path) as store:
         store.begin_campaign(records.campaign())
         store.save_packing(records.packing(content_hash="it"))
         store.begin_run(records.run())
@@ -108,7 +108,7 @@ def test_a_changed_cell_is_damaged_and_others_are_not(database: Path, records: "
         if is_seen_at_once:
             assert campaign.status_counts()[5.0, CellStatus.DAMAGED] == 1
             assert campaign.vs().sel(seed=1, content=5.0).isnull()
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         store.retry_damaged([BAD])
         assert BAD in store.pending()
@@ -125,7 +125,7 @@ def test_a_damaged_cell_is_exported_as_missing(
     execute(database, statement)
     with open_campaign(database) as campaign:
         exported = export_netcdf(campaign.store, tmp_path / "out.nc")
-    with open_store(tmp_path / "again.db") as again:
+    with Store(tmp_path / "again.db") as again:
         import_netcdf(exported, again)
         assert BAD in again.pending()
         assert list(again.results(with_arrays=True)) == [records.with_arrays(2)]
@@ -154,7 +154,7 @@ def test_provenance_and_configuration_are_checked(database: Path) -> None:
 def test_a_damaged_packing_gives_way_to_the_same_one(database: Path, records: "Records", column: str) -> None:
     """It is refused; one of its content hash takes its place, and no other."""
     execute(database, f"UPDATE packing SET {column} = '0.2'")  # noqa: S608 - a test's own
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         with pytest.raises(DamagedStoreError):
             store.packing()
@@ -168,7 +168,7 @@ def test_a_damaged_packing_gives_way_to_the_same_one(database: Path, records: "R
 def test_arrays_that_are_not_asked_for_are_not_judged(database: Path, records: "Records") -> None:
     """A cell whose section is damaged gives its path; whoever asks for the section learns that it is damaged."""
     execute(database, f"UPDATE arrays SET content = x'' WHERE cell_id = {SECTION}")  # noqa: S608 - a test's own
-    with open_store(database, read_only=True) as store:
+    with Store(database, read_only=True) as store:
         store.use_campaign()
         found = {result.key: result for result in store.results(with_arrays=("path",))}
         assert found[BAD].path == records.with_arrays(1).path

@@ -16,7 +16,7 @@ from calcidem.storage.errors import QueryError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import LARGEST_SEED, CellKey, CellStatus
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def check_seeds(path: Path, records: "Records") -> None:
 def test_seeds_are_exact_on_every_path(tmp_path: Path, records: "Records") -> None:
     """Seeds next to 2^53 and 2^63 survive store, tables, NetCDF, import, merge and the text of a query."""
     database = tmp_path / "large.db"
-    with open_store(database) as store:
+    with Store(database) as store:
         store.begin_campaign(records.campaign(seeds=SEEDS, contents=(5.0,)))
         store.save_packing(records.packing())
         store.record_results([records.done(seed) for seed in SEEDS[:-1]])
@@ -53,7 +53,7 @@ def test_seeds_are_exact_on_every_path(tmp_path: Path, records: "Records") -> No
     check_seeds(database, records)
     with xr.open_dataset(tmp_path / "large.nc") as dataset:
         assert dataset["seed"].values.tolist() == list(SEEDS)
-    with open_store(tmp_path / "imported.db") as store:
+    with Store(tmp_path / "imported.db") as store:
         import_netcdf(tmp_path / "large.nc", store)
     check_seeds(tmp_path / "imported.db", records)
     merge_databases([str(database), str(tmp_path / "imported.db")], tmp_path / "merged.db")

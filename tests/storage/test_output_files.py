@@ -13,7 +13,7 @@ import xarray as xr
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_atomically, write_text_atomically
 from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf, write_netcdf
-from calcidem.storage.sql.store import open_store, read_campaign
+from calcidem.storage.sql.store import Store, read_campaign
 
 if TYPE_CHECKING:
     from conftest import Records
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def database(tmp_path: Path, records: "Records") -> Path:
     """Create a closed database with a done cell."""
     path = tmp_path / "one.db"
-    with open_store(path) as store:
+    with Store(path) as store:
         store.begin_campaign(records.campaign())
         store.record_results([records.done(0)])
     return path
@@ -50,7 +50,7 @@ def test_no_output_takes_the_place_of_a_database(database: Path, ending: str) ->
 def test_no_export_takes_the_place_of_another_campaigns(database: Path, tmp_path: Path, records: "Records") -> None:
     """Its own file is replaced, that of another campaign, a foreign and a broken one are not, nor by other outputs."""
     other = tmp_path / "other.nc"
-    with open_store(database) as store:
+    with Store(database) as store:
         second = store.begin_campaign(records.campaign({"other": 1}, name="other"))
         export_netcdf(store, other)
         export_netcdf(store, other)
@@ -82,9 +82,9 @@ FULL_DISK = """
 import resource, sys
 from calcidem.storage.errors import DiskError
 from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
-with open_store(sys.argv[1], read_only=True) as store:
+with Store(sys.argv[1], read_only=True) as store:
     store.use_campaign()
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
     try:

@@ -19,7 +19,7 @@ import calcidem.storage
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.errors import LeaseHeldError
 from calcidem.storage.records import CellKey
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 if TYPE_CHECKING:
     from conftest import Records
@@ -144,7 +144,7 @@ def test_the_file_alone_has_what_a_living_writer_stored(database: Path, tmp_path
         with open_campaign(copy) as campaign:
             return int(campaign.vs().count())
 
-    with open_store(database) as store:
+    with Store(database) as store:
         store.begin_campaign(records.campaign())
         assert copied() == 0
         with open_campaign(database) as reader:
@@ -169,10 +169,10 @@ def test_acknowledged_transactions_that_a_damaged_log_loses_are_told(killed: Pat
     with open_campaign(killed) as campaign:
         assert int(campaign.vs().count()) < ACKNOWLEDGED
         assert any("write-ahead log was damaged" in text for text in campaign.store.integrity()[1])
-    with open_store(killed) as store:
+    with Store(killed) as store:
         store.use_campaign()
         assert any("no longer in the database" in sentence for sentence in store.acquire_lease())
-    with open_store(killed) as store:
+    with Store(killed) as store:
         store.use_campaign()
         assert store.integrity()[1] == []
         assert not any("no longer in the database" in sentence for sentence in store.acquire_lease())
@@ -180,7 +180,7 @@ def test_acknowledged_transactions_that_a_damaged_log_loses_are_told(killed: Pat
 
 def test_an_undamaged_log_loses_nothing(killed: Path) -> None:
     """After a kill alone nothing is missing, and nothing is told."""
-    with open_store(killed) as store:
+    with Store(killed) as store:
         store.use_campaign()
         assert store.integrity()[1] == []
         assert not any("no longer in the database" in sentence for sentence in store.acquire_lease())
@@ -192,7 +192,7 @@ def test_second_master_is_refused_while_the_first_lives(database: Path, start_wr
     assert first.stdout is not None
     first.stdout.readline()
     first.send_signal(signal.SIGSTOP)
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         with pytest.raises(LeaseHeldError, match=f"process {first.pid}"):
             store.acquire_lease()
@@ -210,7 +210,7 @@ def test_lease_of_another_machine_ends_with_its_heartbeat(database: Path, start_
         "INSERT INTO lease (campaign_id, token, host, pid, acquired, heartbeat) "
         "VALUES (1, 'x', 'elsewhere', 1, datetime('now'), datetime('now', :age))"
     )
-    with open_store(database) as store:
+    with Store(database) as store:
         store.use_campaign()
         for age, is_held in (("-4 minutes", True), ("-6 minutes", False)):
             with store._writing() as session:

@@ -13,7 +13,7 @@ from sqlalchemy import CheckConstraint, inspect, text
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.errors import OtherSchemaError
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store
 from calcidem.storage.sql.tables import _METADATA
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def test_a_view_has_whole_cells(store: Store, records: "Records") -> None:
 def test_a_quantity_that_is_added_is_missing_in_older_cells(tmp_path: Path, records: "Records") -> None:
     """A reader finds None for it and changes nothing; a writer adds the column with its check; old rows stay intact."""
     path = tmp_path / "older.db"
-    with open_store(path) as store:
+    with Store(path) as store:
         store.begin_campaign(records.campaign())
         store.record_results([records.with_arrays(1, 5.0)])
     leave_out(path)
@@ -65,7 +65,7 @@ def test_a_quantity_that_is_added_is_missing_in_older_cells(tmp_path: Path, reco
         assert not campaign.store.integrity()[0]
         assert list(campaign.select(where="broken_bonds > 0")) == []
     assert path.read_bytes() == before
-    with open_store(path) as store:
+    with Store(path) as store:
         store.use_campaign()
         store.record_results([records.with_arrays(2, 5.0)])
         assert not store.integrity()[0]

@@ -12,7 +12,7 @@ from sqlalchemy.dialects import sqlite
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.reading import StoreReader, _conditions
-from calcidem.storage.sql.store import _attempt_in, open_store
+from calcidem.storage.sql.store import Store, _attempt_in
 from calcidem.storage.sql.tables import ATTEMPT, CELL, EXPRESSIONS, join_results
 from calcidem.storage.store import Selection
 
@@ -46,7 +46,7 @@ def large(tmp_path_factory: pytest.TempPathFactory, records: "Records", request:
     """Make a database of so many done cells, for every commit of a tenth of them."""
     path, timed = tmp_path_factory.mktemp("large") / "large.db", Stopwatch()
     seeds = range(request.param // len(CONTENTS))
-    with open_store(path) as store:
+    with Store(path) as store:
         timed("plan", lambda: store.begin_campaign(records.campaign(seeds=tuple(seeds), contents=CONTENTS)))
         cells = (records.done(seed, content) for seed in seeds for content in CONTENTS)
         assert timed("store", lambda: store.record_results(cells)) == len(seeds) * len(CONTENTS)
@@ -85,7 +85,7 @@ def test_seconds_of_a_large_campaign(large: Large, capsys: pytest.CaptureFixture
 def test_queries_use_indices(large: Large, selection: Selection, index: str) -> None:
     """Among many cells every selection searches an index and scans no table, whatever columns it joins."""
     path, *_ = large
-    with open_store(path) as store, store._reading() as session:
+    with Store(path) as store, store._reading() as session:
         columns = list(EXPRESSIONS.values())
         statement = (
             join_results(select(*columns)).where(*_conditions(1, selection)).order_by(CELL.c.seed, CELL.c.content)
@@ -100,7 +100,7 @@ def test_queries_use_indices(large: Large, selection: Selection, index: str) -> 
 def test_listed_cells_are_searched_by_their_keys(large: Large, keys: list[CellKey]) -> None:
     """Storing a batch looks its cells and attempts up by index, however many cells the campaign has."""
     path, *_ = large
-    with open_store(path) as store, store._reading() as session:
+    with Store(path) as store, store._reading() as session:
         for statement, columns in (
             (
                 select(CELL.c.id).where(CELL.c.campaign_id == 1, StoreReader._cell_in(keys)),

@@ -14,7 +14,7 @@ from calcidem.storage.errors import CampaignMismatchError, StoreError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
 from calcidem.storage.sql.reading import chunks
-from calcidem.storage.sql.store import Store, open_store, read_campaign
+from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 
 _OUTCOMES_AT_ONCE = 200
@@ -108,7 +108,7 @@ def merge_databases(
     with ExitStack() as stack:
         campaigns = [stack.enter_context(read_campaign(source, campaign_name)) for source in sources]
         temporary = stack.enter_context(write_atomically(out))
-        with open_store(temporary) as store:
+        with Store(temporary) as store:
             merged = _merge_campaigns(campaigns, store, None if prefer is None else sources.index(prefer))
         if merged.conflicts and prefer is None:
             raise MergeConflictError(

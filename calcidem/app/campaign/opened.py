@@ -60,7 +60,7 @@ from calcidem.storage.records import (
     RecordedSection,
     RunRecord,
 )
-from calcidem.storage.sql.store import Store, open_store, read_campaign
+from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Closable, Selection
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLik
     `CampaignMismatchError`, with the hashes of both, if it is of another configuration; `StoreError` as
     `open_campaign`.
     """
-    store = open_store(path_or_url, read_only=True)
+    store = Store(path_or_url, read_only=True)
     try:
         several = len(store.campaigns()) > 1
         record = store.use_campaign(configuration.campaign.name if several else None)

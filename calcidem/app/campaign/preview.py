@@ -27,7 +27,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.first_look import WAVELENGTHS, expected_speed
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import Address
-from calcidem.storage.sql.store import Store, open_store
+from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.environment import available_cores
@@ -92,7 +92,7 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     part = "" if configuration.run.part is None else f", {len(own)} of them in part {configuration.run.part}"
     part += "" if plan.until is None else f" to begin with (up to {plan.most_seeds} seeds each)"
     packing, settled, widths = None, set[CellKey](), dict[float, float]()
-    with nullcontext() if is_new else open_store(configuration.database, read_only=True) as store:
+    with nullcontext() if is_new else Store(configuration.database, read_only=True) as store:
         if store is not None and choose_campaign(store, configuration):
             statuses = store.statuses(Selection(plan.seed_numbers))  # a content may be new
             settled = {key for key in own if statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING}

@@ -7,7 +7,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import StoreUnavailableError
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import Address
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 _RETRIABLE = (CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.QUARANTINED, CellStatus.DAMAGED)
@@ -24,7 +24,7 @@ def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) 
     path = Address.parse(configuration.database).path
     if path is not None and not path.exists():
         raise StoreUnavailableError(f"{path} does not exist.", "There is nothing to retry; leave --retry out.")
-    with open_store(configuration.database) as store:
+    with Store(configuration.database) as store:
         if not choose_campaign(store, configuration):
             raise StoreUnavailableError(
                 f"{configuration.database} has no campaign '{configuration.campaign.name}'.",

@@ -199,9 +199,8 @@ class CampaignRun:
         path = Address.parse(configuration.database).path
         if path is not None:
             path.parent.mkdir(parents=True, exist_ok=True)
-        from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - SQLAlchemy, which workers do not need
 
-        store = open_store(configuration.database)
+        store = Store(configuration.database)
         try:
             store.begin_campaign(configuration.record())
             for sentence in _acquire_lease(store, tell, check):
@@ -289,10 +288,9 @@ def _refuse_before_writing(configuration: Configuration) -> None:
     """
     if not _exists(configuration.database):
         return
-    from calcidem.storage.sql.store import open_store  # noqa: PLC0415 - alembic, which workers do not need
 
     # An empty database is foreign to who reads, and new to who writes.
-    with suppress(ForeignDatabaseError), open_store(configuration.database, read_only=True) as store:
+    with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as store:
         if choose_campaign(store, configuration) and store.packing_indices():
             check_against_packing(configuration, readable_packing(store, 0))
 

@@ -262,7 +262,7 @@ def _fewest_uncemented_contacts(
     return contacts
 
 
-class EnoughSeenError(Exception):
+class _EnoughSeen(Exception):  # noqa: N818 - an expected end of a measurement, not an error of the program
     """Ends a measurement that was only made to have the kernel compiled."""
 
 
@@ -298,7 +298,7 @@ def _run_first_chunk(
         nonlocal calls
         calls += 1
         if calls == _AFTER_FIRST_CHUNK + settles:
-            raise EnoughSeenError
+            raise _EnoughSeen
 
-    with contextlib.suppress(EnoughSeenError), watch_compiling(tell):
+    with contextlib.suppress(_EnoughSeen), watch_compiling(tell):
         measure(experiment, content, [seed], lanes=lanes, check=check)

@@ -69,16 +69,16 @@ def _import_campaign(file: Path, database: str) -> None:
     from calcidem.storage.files import write_atomically
     from calcidem.storage.netcdf.import_netcdf import import_netcdf
     from calcidem.storage.sql.engine import Address
-    from calcidem.storage.sql.store import open_store
+    from calcidem.storage.sql.store import Store
 
     path = Address.parse(database).path
     with told_as_damage(file):
         if path is None:  # a server's database would keep the tables that opening it makes, whatever is refused then
-            with TemporaryDirectory() as folder, open_store(Path(folder) / "trial.db") as trial:
+            with TemporaryDirectory() as folder, Store(Path(folder) / "trial.db") as trial:
                 import_netcdf(file, trial, identify_packing)
         is_new = path is not None and (not path.exists() or (path.is_file() and path.stat().st_size == 0))
         place = write_atomically(path) if path and is_new else nullcontext(database)
-        with place as target, open_store(target) as store:
+        with place as target, Store(target) as store:
             campaign = import_netcdf(file, store, identify_packing)
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
     typer.echo(printable(f"Wrote {database}: campaign '{campaign.name}', {cells}"))

@@ -29,7 +29,7 @@ from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, RunRecord
 from calcidem.storage.records.canonical import canonical_hash
-from calcidem.storage.sql.store import Store, open_store, read_campaign
+from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.version import __version__
 
 _DESCRIPTOR = "ro-crate-metadata.json"
@@ -195,7 +195,7 @@ def open_crate(path: str | os.PathLike[str]) -> Iterator[Campaign]:
     with TemporaryDirectory() as name:
         folder = Path(name)
         _copy_files(crate, folder)
-        with open_store(folder / "campaign.db") as store:
+        with Store(folder / "campaign.db") as store:
             record = import_netcdf(folder / _NETCDF, store, identify_packing)
             store.use_campaign(record.name)
             _check_configuration(crate, folder, store)

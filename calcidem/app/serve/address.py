@@ -12,10 +12,6 @@ _USUAL_HOST = "127.0.0.1"
 _NEEDED = ("starlette", "uvicorn")
 
 
-class PageAddressError(OSError):
-    """A live page that can't be opened; the message names field, value and remedy."""
-
-
 @dataclass(frozen=True, slots=True)
 class PageAddress:
     """A socket that listens, and the secret of the page behind it."""
@@ -42,14 +38,12 @@ class PageAddress:
     def take(cls, host: str = _USUAL_HOST, port: int = 0) -> Self:
         """Listen on a port, 0 for any that is free.
 
-        `PageAddressError` if the port is in use or not to be had, the host is none of this machine, or a library is not
-        installed.
+        `OSError`, naming field, value and remedy, if the port is in use or not to be had, the host is none of this
+        machine, or a library is not installed.
         """
         missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
         if missing:
-            raise PageAddressError(
-                f"the live page needs {' and '.join(missing)}; install it: pip install 'calcidem[serve]'"
-            )
+            raise OSError(f"the live page needs {' and '.join(missing)}; install it: pip install 'calcidem[serve]'")
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         listener = socket.socket(family, socket.SOCK_STREAM)
         try:
@@ -58,7 +52,7 @@ class PageAddress:
             listener.listen()
         except OSError as error:
             listener.close()
-            raise PageAddressError(_explained(error, host, port)) from error
+            raise OSError(_explained(error, host, port)) from error
         return cls(listener, host, secrets.token_urlsafe(32))
 
 

@@ -17,7 +17,7 @@ _TIME_TO_TELL = 3.0
 def page_beside_run(database: str | os.PathLike[str], campaign: str, say: Callable[[str], None]) -> Iterator[None]:
     """Show a campaign, which may not have begun, in the browser while the block runs; say the address.
 
-    `PageAddressError` if the page can't be opened.
+    `OSError` if the page can't be opened.
     """
     address = PageAddress.take()
     descriptor = address.listener.fileno()

@@ -46,22 +46,12 @@ _CHECKPOINT_INTERVAL = 10.0
 _NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE, CellStatus.DAMAGED}
 
 
-def open_store(path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> "Store":
-    """Open the file of a SQLite database, or an URL such as ``postgresql://user@host/database``; create it if need be.
-
-    With `read_only` every write is refused, and nothing created. Errors are `ForeignDatabaseError`, `OtherSchemaError`,
-    `StoreUnavailableError`, `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a
-    database that is refused is left as it was.
-    """
-    return Store(Address.parse(path_or_url), read_only=read_only)
-
-
 def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Store":
     """Open a store for reading, with a campaign of that name chosen, or the only one; a run may write it meanwhile.
 
-    `StoreError` as `open_store`, and if the database has no such campaign.
+    `StoreError` as `Store`, and if the database has no such campaign.
     """
-    store = open_store(path_or_url, read_only=True)
+    store = Store(path_or_url, read_only=True)
     try:
         store.use_campaign(name)
     except BaseException:
@@ -81,7 +71,7 @@ class _Known(NamedTuple):
 class Store(StoreReader):
     """Campaigns, their cells and their outcomes, kept for good.
 
-    On SQLAlchemy; see `open_store`. Its rules:
+    On SQLAlchemy. Its rules:
 
     1. A store holds any number of campaigns with different names. `begin_campaign` or `use_campaign`
        chooses the one that all other methods are about.
@@ -112,11 +102,17 @@ class Store(StoreReader):
     A store is a context manager that closes itself. It may be used by one thread at a time.
     """
 
-    def __init__(self, address: Address, *, read_only: bool = False) -> None:
+    def __init__(self, path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> None:
+        """Open a SQLite file, or an URL such as ``postgresql://user@host/database``; create it if need be.
+
+        With `read_only` every write is refused, and nothing created. Errors are `ForeignDatabaseError`,
+        `OtherSchemaError`, `StoreUnavailableError`, `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a
+        database that is refused is left as it was.
+        """
         self._run_id: int | None = None
         self._next_checkpoint = 0.0
-        super().__init__(address, read_only=read_only)
-        self._lease = Lease(None if read_only else address.path)
+        super().__init__(Address.parse(path_or_url), read_only=read_only)
+        self._lease = Lease(None if read_only else self.address.path)
 
     # Transactions
 

@@ -8,14 +8,14 @@ import pytest
 from places import TUTORIAL
 
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 
 @pytest.fixture(scope="session")
 def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy the tutorial's database, in the present schema; tests only read it."""
     path = Path(shutil.copy(TUTORIAL, tmp_path_factory.mktemp("tutorial")))
-    open_store(path).close()
+    Store(path).close()
     return path
 
 

@@ -19,7 +19,7 @@ from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records.canonical import canonical_json
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 pytestmark = pytest.mark.slow
@@ -71,7 +71,7 @@ def test_cement_that_is_not_stored_is_drawn_as_it_was(campaign: Campaign, monkey
 def test_an_export_without_cement_is_analysed_like_the_database(campaign: Campaign, tmp_path: Path) -> None:
     """Of what `calcidem import` makes of it the samples have the same contacts, paths and features."""
     export_netcdf(campaign.store, tmp_path / "short.nc", without=("section", "cement", "path"))
-    with open_store(tmp_path / "short.db") as store:
+    with Store(tmp_path / "short.db") as store:
         import_netcdf(tmp_path / "short.nc", store)
     with open_campaign(tmp_path / "short.db") as short:
         pairs = list(zip(short.analyse().samples, campaign.analyse().samples, strict=True))

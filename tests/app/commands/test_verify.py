@@ -29,7 +29,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 pytestmark = pytest.mark.slow
@@ -87,7 +87,7 @@ def change(small: Path, stored: CellResult, tmp_path: Path) -> Change:
 
     def changed(**fields: object) -> Path:
         path = Path(shutil.copy(small, tmp_path / "changed.db"))
-        with open_store(path) as store:
+        with Store(path) as store:
             store.use_campaign()
             store.record_results([replace(stored, **fields)], replace_done=True)  # type: ignore[arg-type]  # a test's own
         return path
@@ -157,7 +157,7 @@ def test_a_quantity_that_is_newer_than_the_database_is_not_compared(
         output = invoke("verify", older, "--cells", 1, "--choice", 1)
         assert "1 cell: 1 same bits, 0 same to rounding, 0 different." in output
         assert "Quantities that stored cells lack were not compared: broken_bonds." in output
-        open_store(older).close()
+        Store(older).close()
     lacking = replace(stored, broken_bonds=None)
     assert _compare_outcomes(lacking, stored).lacking == ("broken_bonds",)
     assert _compare_outcomes(stored, lacking).agreement is Agreement.DIFFERENT

@@ -13,7 +13,7 @@ from calcidem.app.config.presets import preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import CellKey, CellResult, CellStatus
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 TROUBLES = {
     CellKey(9, 0.0): CellStatus.FAILED,
@@ -28,7 +28,7 @@ TROUBLES = {
 def complete(tmp_path: Path) -> Path:
     """Give a copy of the tutorial's database in the present schema."""
     path = Path(shutil.copy(TUTORIAL, tmp_path / "complete.db"))
-    open_store(path).close()
+    Store(path).close()
     return path
 
 
@@ -48,7 +48,7 @@ def as_configured(tmp_path: Path) -> Callable[[Path], Configuration]:
 def troubled(complete: Path, tmp_path: Path) -> Path:
     """Give a database with 8 complete seeds and two more in which cells went wrong."""
     path = Path(shutil.copy(complete, tmp_path / "troubled.db"))
-    with open_store(path) as store:
+    with Store(path) as store:
         record = store.use_campaign()
         store.extend((9, 10), record.contents)
         store.record_lost([CellKey(9, 2.55)], "its process ended")
@@ -65,7 +65,7 @@ def part(complete: Path, tmp_path: Path) -> Callable[..., Path]:
 
     def make(name: str, seeds: set[int], **changes: float | None) -> Path:
         path = tmp_path / name
-        with open_store(complete, read_only=True) as whole, open_store(path) as store:
+        with Store(complete, read_only=True) as whole, Store(path) as store:
             record = whole.use_campaign()
             store.begin_campaign(replace(record, seeds=tuple(seeds)))
             _, run = whole.runs()[0]

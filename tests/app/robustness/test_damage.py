@@ -12,7 +12,7 @@ import xarray as xr
 from calcidem.app.campaign.retry import retry_cells
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import STATUS_CODES, CellKey, CellStatus
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 sys.path.append(str(Path(__file__).parent / "programs"))
 
@@ -41,7 +41,7 @@ def test_one_damaged_cell_is_named_exported_as_missing_and_made_anew(
 ) -> None:
     """Verify --integrity names it, export flags it and has all others, run --retry damaged makes it pending."""
     assert "40 cells: 0 damaged, 0 other damages." in invoke("verify", complete, "--integrity")
-    with open_store(complete, read_only=True) as store:
+    with Store(complete, read_only=True) as store:
         store.use_campaign()
         read = sum(result.vs is not None for result in store.results())
     change(complete, statement)
@@ -55,7 +55,7 @@ def test_one_damaged_cell_is_named_exported_as_missing_and_made_anew(
         assert int(dataset["vs"].count()) == read - 1 > 0
     assert retry_cells(as_configured(complete), [CellStatus.DAMAGED]) == (CellKey(1, 5.0),)
     assert retry_cells(as_configured(complete), [CellStatus.DAMAGED]) == ()
-    with open_store(complete, read_only=True) as store:
+    with Store(complete, read_only=True) as store:
         store.use_campaign()
         assert [(key.seed, key.content) for key in store.pending()] == [(1, 5.0)]
 
@@ -85,7 +85,7 @@ def test_a_damaged_number_of_an_attempt_is_not_counted_on(troubled: Path, invoke
         connection.execute(f"UPDATE attempt SET number = {number} WHERE number = 1")  # noqa: S608 - a test's own
     connection.close()
     assert "computes cells that are quarantined again" in invoke("status", troubled)
-    with open_store(troubled, read_only=True) as store:
+    with Store(troubled, read_only=True) as store:
         store.use_campaign()
         assert {count.attempts for count in store.attempt_counts().values()} <= {0, 1, 2, 3}
     assert "An attempt at seed" in invoke("verify", troubled, "--integrity", exit_code=1)

@@ -16,7 +16,7 @@ from calcidem.app.campaign.stored_packing import packing_record, stored_packing
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 
 def results(database: Path) -> dict[CellKey, CellResult]:
@@ -42,7 +42,7 @@ def test_seed_ranges_join_to_the_whole(
 def test_what_no_part_has_is_named(part: Callable[..., Path], invoke: Callable[..., str], tmp_path: Path) -> None:
     """Planned cells without an outcome are listed by content, with their seeds as ranges."""
     first, second = part("a.db", {1, 2}), part("b.db", {6})
-    with open_store(first) as store:
+    with Store(first) as store:
         contents = store.use_campaign().contents
         store.extend(range(1, 9), contents)
     output = invoke("merge", first, second, "--out", tmp_path / "out.db")
@@ -68,7 +68,7 @@ def test_merging_a_copy_changes_nothing(troubled: Path, tmp_path: Path) -> None:
 def test_done_wins(troubled: Path, part: Callable[..., Path], tmp_path: Path, order: tuple[int, int]) -> None:
     """A cell that failed in one database and is done in the other is done, in whichever order they are given."""
     other = part("other.db", {1})
-    with open_store(other) as store:
+    with Store(other) as store:
         store.use_campaign()
         done = next(store.results())
         store.extend((9,), (0.0,))
@@ -120,9 +120,9 @@ def test_a_quantity_that_is_newer_than_a_database_is_no_conflict(
 def test_another_configuration_is_refused(part: Callable[..., Path], tmp_path: Path) -> None:
     """Campaigns of different physics are refused with the difference, and nothing is written."""
     first, other = part("a.db", {1}), tmp_path / "other.db"
-    with open_store(first, read_only=True) as store:
+    with Store(first, read_only=True) as store:
         record = store.use_campaign()
-    with open_store(other) as store:
+    with Store(other) as store:
         changed = record.config.replace('"damping":0.3', '"damping":0.2')
         assert changed != record.config
         store.begin_campaign(replace(record, hash=canonical_hash(json.loads(changed)), config=changed))
@@ -133,7 +133,7 @@ def test_another_configuration_is_refused(part: Callable[..., Path], tmp_path: P
 def test_another_packing_is_refused(part: Callable[..., Path], complete: Path, tmp_path: Path) -> None:
     """Campaigns whose disks lie elsewhere are refused although their configurations are equal; both are named."""
     first, other = part("a.db", {1}), tmp_path / "other.db"
-    with open_store(complete, read_only=True) as whole, open_store(other) as store:
+    with Store(complete, read_only=True) as whole, Store(other) as store:
         store.begin_campaign(whole.use_campaign())
         record = whole.packing()
         assert record is not None
@@ -151,7 +151,7 @@ def test_a_record_that_was_edited_is_another_packing(part: Callable[..., Path], 
     first, other = part("a.db", {1}), part("b.db", {2})
     with open_campaign(other) as campaign:
         record, packing = campaign.record, campaign.packing()
-    with open_store(tmp_path / "edited.db") as store:
+    with Store(tmp_path / "edited.db") as store:
         store.begin_campaign(record)
         store.save_packing(replace(packing, x=packing.x * (1 + 1e-15)))
     with pytest.raises(CampaignMismatchError, match="CALCIDEM_CACHE"):
@@ -171,12 +171,12 @@ def test_cells_on_an_unknown_packing_are_refused(part: Callable[..., Path], tmp_
 def test_another_physics_version_is_refused(part: Callable[..., Path], tmp_path: Path) -> None:
     """Campaigns of two physics versions are refused in a sentence that names both."""
     first, other = part("a.db", {1}), tmp_path / "other.db"
-    with open_store(first, read_only=True) as store:
+    with Store(first, read_only=True) as store:
         record = store.use_campaign()
     config = json.loads(record.config)
     stored = config["physics_version"]
     config["physics_version"] = stored + 1
-    with open_store(other) as store:
+    with Store(other) as store:
         store.begin_campaign(replace(record, hash=canonical_hash(config), config=canonical_json(config)))
     with pytest.raises(CampaignMismatchError, match=f"version {stored} in database 1 and {stored + 1} in database 2"):
         merge_databases([str(first), str(other)], tmp_path / "out.db")

@@ -26,7 +26,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import spreadsheet_value
 from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 Change = Callable[[Configuration], Configuration]
 
@@ -36,7 +36,7 @@ def begun(tmp_path: Path, small_configuration: Configuration, small_packing: Pac
     """Give the configuration of a campaign whose database has its packing and its plan, and no cell yet."""
     path = tmp_path / "begun.db"
     plan = small_configuration.campaign
-    with open_store(path) as store:
+    with Store(path) as store:
         store.begin_campaign(small_configuration.record())
         store.extend(plan.seed_numbers, plan.contents)
         store.save_packing(packing_record(small_packing, index=0, packing_hash=small_configuration.packing_hash))

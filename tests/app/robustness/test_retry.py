@@ -10,7 +10,7 @@ from calcidem.app.campaign.retry import _RETRIABLE, retry_cells
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import LeaseHeldError, StoreUnavailableError
 from calcidem.storage.records import CellKey, CellStatus
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 PENDING_BEFORE = 6
 
@@ -19,7 +19,7 @@ AsConfigured = Callable[[Path], Configuration]
 
 def pending(database: Path) -> set[CellKey]:
     """Pending cells of a database."""
-    with open_store(database, read_only=True) as store:
+    with Store(database, read_only=True) as store:
         store.use_campaign()
         return set(store.pending())
 
@@ -52,7 +52,7 @@ def test_ranks_are_not_told_to_retry(
 def test_a_lost_worker_is_forgiven(troubled: Path, as_configured: AsConfigured) -> None:
     """A quarantined cell becomes pending with its history, and without the workers that were lost to it."""
     assert retry_cells(as_configured(troubled), [CellStatus.QUARANTINED]) == (CellKey(9, 2.55),)
-    with open_store(troubled, read_only=True) as store:
+    with Store(troubled, read_only=True) as store:
         store.use_campaign()
         count = store.attempt_counts([CellKey(9, 2.55)])[CellKey(9, 2.55)]
     assert (count.attempts, count.losses) == (2, 0)
@@ -86,7 +86,7 @@ def test_a_missing_database_is_not_made(tmp_path: Path, as_configured: AsConfigu
 def test_a_running_campaign_is_left_alone(troubled: Path, as_configured: AsConfigured) -> None:
     """While a run writes the campaign a retry is refused, since the run would not notice."""
     before = pending(troubled)
-    with open_store(troubled) as master:
+    with Store(troubled) as master:
         master.use_campaign()
         master.acquire_lease()
         with pytest.raises(LeaseHeldError):

@@ -15,7 +15,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.status import CampaignStatus, _is_being_written
 from calcidem.app.cli.status_view import status_view
 from calcidem.storage.records import CellKey
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 
 def test_every_state_has_its_character(troubled: Path, invoke: Callable[..., str]) -> None:
@@ -36,7 +36,7 @@ def test_troubles_are_named_with_their_history(troubled: Path, invoke: Callable[
 def test_a_sample_that_was_sent_again_is_named(complete: Path, invoke: Callable[..., str]) -> None:
     """A done cell that needed half the step is shown with the reason, which is found by a query, too."""
     why = "the energy grew"
-    with open_store(complete) as store:
+    with Store(complete) as store:
         store.use_campaign()
         cell = next(result for result in store.results() if result.key == CellKey(3, 5.0))
         store.record_results([replace(cell, retry=why)], replace_done=True)
@@ -80,7 +80,7 @@ def test_seeds_for_a_half_width_are_told(complete: Path, invoke: Callable[..., s
 
 def test_a_content_not_yet_measured_is_forecast_from_its_neighbours(complete: Path) -> None:
     """The time left counts a new content with a cost between those on either side."""
-    with open_store(complete) as store:
+    with Store(complete) as store:
         store.use_campaign()
         store.extend((1,), (7.0,))
     found = CampaignStatus.read(str(complete))
@@ -92,7 +92,7 @@ def test_a_content_not_yet_measured_is_forecast_from_its_neighbours(complete: Pa
 def test_a_campaign_without_outcomes_can_be_shown(part: Callable[..., Path]) -> None:
     """With nothing measured there are dashes, no invented numbers, and no error."""
     empty = part("empty.db", set())
-    with open_store(empty) as store:
+    with Store(empty) as store:
         store.use_campaign()
         store.extend((1, 2), (0.0, 5.0))
     console = Console(width=100, record=True)
@@ -104,7 +104,7 @@ def test_a_campaign_without_outcomes_can_be_shown(part: Callable[..., Path]) -> 
 
 def test_a_matrix_wider_than_the_terminal_is_condensed(complete: Path) -> None:
     """With 400 seeds a character stands for several, partly done ones are marked, and no line is too wide."""
-    with open_store(complete) as store:
+    with Store(complete) as store:
         contents = store.use_campaign().contents
         store.extend(range(1, 401), contents)
     console = Console(width=100, record=True)
@@ -122,7 +122,7 @@ def test_watching_ends_when_all_is_settled(complete: Path, invoke: Callable[...,
 
 def test_a_living_master_is_seen(complete: Path) -> None:
     """The campaign runs while a process holds its lease, and no longer."""
-    with open_store(complete) as store:
+    with Store(complete) as store:
         store.use_campaign()
         store.acquire_lease()
         with open_campaign(complete) as campaign:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calcidem.storage.records import CampaignRecord, CellResult, CellStatus, RecordedSection
 from calcidem.storage.records.canonical import canonical_hash
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 SAMPLES = 1000  # about 24 kB of noise, so that a write takes many pages
 
@@ -18,7 +18,7 @@ SAMPLES = 1000  # about 24 kB of noise, so that a write takes many pages
 def main(database: str, seeds: int) -> None:
     """Continue the campaign as its master until no cell is pending."""
     campaign = CampaignRecord(canonical_hash({}), "endurance", "{}", (0.0, 5.0), tuple(range(seeds)), datetime.now(UTC))
-    with open_store(database) as store:
+    with Store(database) as store:
         store.begin_campaign(campaign)
         sys.stdout.write(f"lease {' '.join(store.acquire_lease()) or 'free'}\n")
         sys.stdout.flush()

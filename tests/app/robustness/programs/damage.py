@@ -20,7 +20,7 @@ from calcidem.app.campaign.stored_packing import packing_record, packing_to_byte
 from calcidem.app.cli.main import _build_application
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import ARRAY_RECORDS, CellKey, CellResult, CellStatus
-from calcidem.storage.sql.store import open_store
+from calcidem.storage.sql.store import Store
 
 SOURCE = Path(__file__).parents[4] / "docs" / "tutorial" / "quick.db"
 SEEDS = (1, 2)
@@ -31,7 +31,7 @@ Damage = Callable[[Path, Generator], str]
 
 def make_database(path: Path) -> None:
     """Copy some seeds of the tutorial's campaign."""
-    with open_store(SOURCE, read_only=True) as whole, open_store(path) as store:
+    with Store(SOURCE, read_only=True) as whole, Store(path) as store:
         record = whole.use_campaign()
         store.begin_campaign(replace(record, seeds=(*SEEDS, 99)))
         store.begin_run(whole.runs()[0][1])
