@@ -164,8 +164,8 @@ class Distribution:
             normality=_jarque_bera(sample),
             mean_interval=Interval.of_mean(sample, level),
             standard_deviation_interval=Interval.of_standard_deviation(sample, level),
-            prediction_interval=Interval.of_next(sample, level),
-            prediction_interval_ordered=Interval.of_next_by_order(sample, level),
+            prediction_interval=Interval.of_prediction(sample, level),
+            prediction_interval_ordered=Interval.of_ordered_prediction(sample, level),
             normal_fit=_NormalFit(centre, deviation, distance),
         )
 

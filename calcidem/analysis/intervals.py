@@ -68,7 +68,7 @@ class Interval:
         return cls(deviation * float(low), deviation * float(high))
 
     @classmethod
-    def of_next(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
+    def of_prediction(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
         """Return the interval that contains one new value with probability `level`, for normal values.
 
         It is mean -/+ t s sqrt(1 + 1/n) with the quantile t of Student's distribution with n - 1 degrees of freedom.
@@ -93,7 +93,7 @@ class Interval:
         return cls(centre - half, centre + half)
 
     @classmethod
-    def of_next_by_order(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
+    def of_ordered_prediction(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
         """Return a distribution-free prediction interval for one new value, with a probability of at least `level`.
 
         A new value falls between the j-th smallest and the j-th largest of n with probability (n + 1 - 2 j) / (n + 1).

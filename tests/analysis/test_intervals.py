@@ -25,7 +25,7 @@ def test_equal_values_have_exactly_no_deviation() -> None:
     copies = np.full(116, 169.73)
     assert mean(copies) == 169.73
     assert standard_deviation(copies) == 0.0
-    for interval in (Interval.of_mean(copies), Interval.of_next(copies)):
+    for interval in (Interval.of_mean(copies), Interval.of_prediction(copies)):
         assert interval == Interval(169.73, 169.73)
     assert Interval.of_standard_deviation(copies) == Interval(0.0, 0.0)
 
@@ -65,14 +65,14 @@ def test_deviation_interval_approaches_that_of_chi_square_for_many_normal_values
 def test_prediction_interval_from_a_printed_quantile() -> None:
     """With 7 degrees of freedom the 97.5 % point of Student's t is 2.365 in printed tables."""
     half = 2.365 * np.sqrt(32 / 7) * np.sqrt(1 + 1 / 8)
-    assert Interval.of_next(SAMPLE).half_width == pytest.approx(half, rel=1e-3)
+    assert Interval.of_prediction(SAMPLE).half_width == pytest.approx(half, rel=1e-3)
 
 
 def test_ordered_prediction_interval_takes_the_right_ranks() -> None:
     """Of 39 values the extremes hold a new one with 95 %, of 79 the second from each end, of 38 none do."""
-    assert Interval.of_next_by_order(np.arange(39.0)) == Interval(0.0, 38.0)
-    assert Interval.of_next_by_order(np.arange(79.0)) == Interval(1.0, 77.0)
-    assert np.isnan(Interval.of_next_by_order(np.arange(38.0)).low)
+    assert Interval.of_ordered_prediction(np.arange(39.0)) == Interval(0.0, 38.0)
+    assert Interval.of_ordered_prediction(np.arange(79.0)) == Interval(1.0, 77.0)
+    assert np.isnan(Interval.of_ordered_prediction(np.arange(38.0)).low)
 
 
 @pytest.mark.parametrize("n", [1, 2])
@@ -81,7 +81,7 @@ def test_too_few_values_leave_intervals_undefined(n: int) -> None:
     values = np.arange(float(n))
     assert np.isnan(Interval.of_mean(values).low) == (n == 1)
     assert np.isnan(Interval.of_standard_deviation(values).high) == (n == 1)
-    assert np.isnan(Interval.of_next(values).high) == (n == 1)
+    assert np.isnan(Interval.of_prediction(values).high) == (n == 1)
 
 
 @pytest.mark.parametrize(("interval", "truth"), [(Interval.of_mean, 1000.0), (Interval.of_standard_deviation, 100.0)])
@@ -99,7 +99,7 @@ def test_intervals_of_normal_values_cover_as_promised(
 def test_prediction_interval_covers_as_promised(within_binomial: Callable[[int, int, float], bool]) -> None:
     """Of 1000 intervals from 12 normal values each, 95 % hold a thirteenth."""
     samples = np.random.default_rng(3).normal(1000, 100, (1000, 13))
-    hits = sum(Interval.of_next(sample[:-1]).contains(sample[-1]) for sample in samples)
+    hits = sum(Interval.of_prediction(sample[:-1]).contains(sample[-1]) for sample in samples)
     assert within_binomial(hits, 1000, 0.95)
 
 
@@ -108,7 +108,7 @@ def test_ordered_prediction_interval_covers_whatever_the_distribution(
 ) -> None:
     """Of 1000 intervals from 39 values of a very skewed distribution each, 95 % hold a fortieth."""
     samples = np.random.default_rng(4).exponential(1.0, (1000, 40))
-    hits = sum(Interval.of_next_by_order(sample[:-1]).contains(sample[-1]) for sample in samples)
+    hits = sum(Interval.of_ordered_prediction(sample[:-1]).contains(sample[-1]) for sample in samples)
     assert within_binomial(hits, 1000, 0.95)
 
 
