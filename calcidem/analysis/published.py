@@ -174,6 +174,16 @@ class PublishedStudy:
         """The rows of Table 3, each as (content in percent, row)."""
         return tuple((row.content, row.vs) for row in self.contents if row.vs is not None)
 
+    def has_sand_of(self, config: Mapping[str, Any]) -> bool:
+        """Return whether a configuration has the published sand and box, at any stress and cement."""
+        grading = [self.parameters["grain_diameter_smallest"], self.parameters["grain_diameter_largest"]]
+        sections = {name: config.get(name, {}) for name in ("packing", "sand")}
+        return sections["packing"].get("diameter") == grading and all(
+            sections[section].get(key) == self.parameters[name]
+            for section, key, name in ((*path.split("."), name) for path, name in PUBLISHED_KEYS.items())
+            if section in sections and key != "stress"
+        )
+
 
 @cache
 def published_study() -> PublishedStudy:
@@ -213,18 +223,6 @@ PUBLISHED_KEYS = {
     "wave.band_friction": "wall_friction",
 }
 """Published parameter of each configuration key."""
-
-
-def is_published_sand(config: Mapping[str, Any]) -> bool:
-    """Return whether a configuration has the published sand and box, at any stress and cement."""
-    published = published_study().parameters
-    grading = [published["grain_diameter_smallest"], published["grain_diameter_largest"]]
-    sections = {name: config.get(name, {}) for name in ("packing", "sand")}
-    return sections["packing"].get("diameter") == grading and all(
-        sections[section].get(key) == published[name]
-        for section, key, name in ((*path.split("."), name) for path, name in PUBLISHED_KEYS.items())
-        if section in sections and key != "stress"
-    )
 
 
 def _with_intervals(row: dict[str, Any]) -> dict[str, Any]:

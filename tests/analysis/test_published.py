@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.analysis.published import is_published_sand, published_study
+from calcidem.analysis.published import published_study
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import read_configuration
 
@@ -43,8 +43,10 @@ def test_entries_are_the_printed_ones() -> None:
 def test_the_presets_are_of_the_published_sand(preset: str) -> None:
     """They stand beside the paper whatever their stress; the same with another modulus of the grains does not."""
     configuration = read_configuration(tomllib.loads(preset_text(preset)))
-    assert is_published_sand(configuration.physics)
-    assert not is_published_sand(replace(configuration, sand=replace(configuration.sand, shear_modulus=29e9)).physics)
+    assert published_study().has_sand_of(configuration.physics)
+    assert not published_study().has_sand_of(
+        replace(configuration, sand=replace(configuration.sand, shear_modulus=29e9)).physics
+    )
 
 
 def test_six_verdicts_disagree_with_their_moments() -> None:

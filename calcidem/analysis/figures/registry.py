@@ -14,7 +14,7 @@ from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measur
 from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signals
 from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_narrowing, draw_range
 from calcidem.analysis.planning import narrowing
-from calcidem.analysis.published import PublishedVelocity, is_published_sand, published_study
+from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import CellResult
 
@@ -48,7 +48,7 @@ class CampaignFigure:
 
 def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
     """Give the published rows at the contents of a campaign on the published sand, empty unless two or more match."""
-    if not is_published_sand(analysis.config):
+    if not published_study().has_sand_of(analysis.config):
         return []
     contents = analysis.vs["content"].to_numpy()
     rows = [row for row in published_study().velocities if np.isclose(contents, row[0], atol=1e-6).any()]

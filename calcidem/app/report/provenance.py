@@ -5,7 +5,7 @@ from typing import Any
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.analysis.published import PUBLISHED_KEYS, is_published_sand, published_study
+from calcidem.analysis.published import PUBLISHED_KEYS, published_study
 from calcidem.analysis.shear_wave import median_diameter_by_mass
 from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span
@@ -36,7 +36,7 @@ _CHOSEN = {
 
 def _parameter_table(config: Mapping[str, Any]) -> Table | None:
     """Calibrated and chosen parameters, and those unlike the published ones (marked); None for other sands."""
-    if not is_published_sand(config):
+    if not published_study().has_sand_of(config):
         return None
     flat, published = flat_parameters(config), published_study().parameters
     rows: list[tuple[str, ...]] = []
@@ -115,7 +115,7 @@ def _source(run: RunRecord) -> str:
 def _packing_table(analysis: CampaignAnalysis) -> Table:
     """Quality of the packings, one column each."""
     graphs, notes = analysis.graphs, ("in two dimensions", "")
-    if is_published_sand(analysis.config):
+    if published_study().has_sand_of(analysis.config):
         notes = (f"published {_value_text(published_study().parameters['porosity'])}", "published weights: 3.05")
     rows: list[tuple[str, ...]] = [
         (name, *(text(graph) for graph in graphs), note)

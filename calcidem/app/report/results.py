@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.error_budget import median_known
 from calcidem.analysis.packing_graph import FEATURES
-from calcidem.analysis.published import is_published_sand, published_study
+from calcidem.analysis.published import published_study
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, damping_ratio, small_strain_modulus
 from calcidem.app.report.wording import (
     ABSENT,
@@ -158,7 +158,7 @@ def count_reasons(
 
 def _growth_table(analysis: CampaignAnalysis) -> Table | None:
     """Growth of the mean in the published four stages; None for other sands, or if no stage has two contents."""
-    if not is_published_sand(analysis.config):
+    if not published_study().has_sand_of(analysis.config):
         return None
     published = {stage.name: stage.rate for stage in published_study().stages}
     rows = tuple(
@@ -217,7 +217,7 @@ def _feature_table(analysis: CampaignAnalysis) -> Table:
 def _law_table(analysis: CampaignAnalysis) -> Table:
     """The laws between C_d,n and Vs with their intervals and errors."""
     published = {law.name: law for law in published_study().laws}
-    compared = is_published_sand(analysis.config)
+    compared = published_study().has_sand_of(analysis.config)
     rows = []
     for law in (analysis.physical_law, analysis.scanned_law):
         fit, check, other = law.fit, law.check, published[law.name]
