@@ -6,13 +6,12 @@ from base64 import b64encode
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import groupby
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
 from calcidem.analysis.figures.registry import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.patterns import section_of
@@ -20,7 +19,7 @@ from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
 from calcidem.dem.wave.reading import LEAST_COHERENCE, PickRule, find_candidates
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult, RecordedSection
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95
-from calcidem.storage.store import ALL_CELLS, Selection
+from calcidem.storage.store import Selection
 
 MOST_FULL_RECORDS = 10_000
 SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")
@@ -75,9 +74,12 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
         blocks[f"packing-{graph.packing.index}"] = _compress(packing_block(analysis, graph))
     room -= sum(map(len, blocks.values()))
     shown: list[int] = []
-    for seed, grouped in groupby(analysis.outcomes_of(ALL_CELLS), lambda cell: cell.key.seed):
-        cells = list(grouped)
-        text = _compress(list(describe_cells(analysis, cells, graphs)))
+    known = _known_samples(analysis)
+    for seed in analysis.vs["seed"].to_numpy().tolist():
+        cells = _cells_of_seed(analysis, seed, known)
+        if not cells:
+            continue
+        text = _compress(list(describe_cells(analysis, cells, graphs, known)))
         if len(text) > room:
             break
         room -= len(text)
@@ -98,11 +100,29 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
     return _CellData(blocks, tuple(remarks))
 
 
+def _known_samples(analysis: CampaignAnalysis) -> dict[tuple[int, float], MeasuredSample]:
+    """Give the samples whose paths were analysed, by seed and content: their cement is not drawn again."""
+    try:
+        return {(sample.seed, sample.content): sample for sample in analysis.samples}
+    except UnavailableError:
+        return {}
+
+
+def _cells_of_seed(
+    analysis: CampaignAnalysis, seed: int, known: Mapping[tuple[int, float], MeasuredSample]
+) -> list[CellResult]:
+    """Give the outcomes of a seed by content, with the cement of those that are not known."""
+    stored = list(analysis.store.results(Selection(seed), with_arrays=True))
+    strange = [cell for cell in stored if (cell.key.seed, cell.key.content) not in known]
+    with_cement = {cell.key: cell for cell in analysis.with_cement(analysis.store, strange)}
+    return [with_cement.get(cell.key, cell) for cell in stored]
+
+
 def _gather_sections(analysis: CampaignAnalysis, seeds: Sequence[int], room: int) -> tuple[int, dict[str, str]]:
     """Gather the sections of as many of the seeds as fit: how many seeds, and the blocks of those that have some."""
     blocks: dict[str, str] = {}
     for drawn, seed in enumerate(seeds):
-        sections = describe_sections(analysis, analysis.outcomes_of(Selection(seed), ("section",)))
+        sections = describe_sections(analysis, analysis.store.results(Selection(seed), with_arrays=("section",)))
         if sections:
             text = _compress(sections)
             room -= len(text)
@@ -161,24 +181,31 @@ def packing_block(analysis: CampaignAnalysis, graph: PackingGraph) -> dict[str, 
 
 
 def describe_cells(
-    analysis: CampaignAnalysis, cells: Iterable[CellResult], graphs: tuple[PackingGraph, ...]
+    analysis: CampaignAnalysis,
+    cells: Iterable[CellResult],
+    graphs: tuple[PackingGraph, ...],
+    known: Mapping[tuple[int, float], MeasuredSample],
 ) -> Iterator[dict[str, Any]]:
-    """Give signals, paths, and what each cell has cemented otherwise than the one before: far fewer contacts."""
+    """Give signals, paths, and what each cell has cemented otherwise than the one before: far fewer contacts.
+
+    Of samples that are ``known`` by seed and content neither cement nor path is looked for again.
+    """
     before: dict[int, NDArray[np.uint8]] = {}
     for cell in cells:
         described: dict[str, Any] = {"content": cell.key.content, "packing": cell.packing_index}
         if cell.section is not None:
             described["signal"] = _describe_signal(analysis, cell)
-        if cell.cement is not None and cell.packing_index < len(graphs):
-            graph = graphs[cell.packing_index]
-            kinds = graph.kinds(cell.cement)
+        sample = known.get((cell.key.seed, cell.key.content))
+        graph = graphs[cell.packing_index] if cell.packing_index < len(graphs) else None
+        kinds = sample.kinds if sample else graph.kinds(cell.cement) if graph and cell.cement else None
+        if graph and kinds is not None:
             changed = kinds != before.get(cell.packing_index, np.zeros_like(kinds))
             before[cell.packing_index] = kinds
             described["cement"] = [_steps(np.flatnonzero(changed & (kinds == kind))) for kind in (0, 1, 2)]
             with suppress(ValueError):  # of samples through which no path leads
-                described["path"] = _steps(
-                    graph.path(kinds > 0, tuple(cell.path.grains.tolist()) if cell.path else ()).grains
-                )
+                stored = tuple(cell.path.grains.tolist()) if cell.path else ()
+                path = sample.path if sample else graph.path(kinds > 0, stored)
+                described["path"] = _steps(path.grains)
         yield described
 
 

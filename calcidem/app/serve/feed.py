@@ -153,7 +153,7 @@ class CampaignFeed:
             found = analysis.cell(seed, content)
             found.refuse_damage()
             return {
-                "cells": list(describe_cells(analysis, [found], self._graphs(analysis))),
+                "cells": list(describe_cells(analysis, [found], self._graphs(analysis), {})),
                 "sections": describe_sections(analysis, [found]),
             }
 
