@@ -559,7 +559,10 @@ def test_a_record_that_is_cut_has_the_same_bits_or_none(seeds: range, cuts: int)
             else:
                 assert first is None, (seed, samples)
                 assert found.verdict in {Verdict.SILENT, Verdict.TOO_SHORT, Verdict.NO_LINE}
-            if is_settled(given.until(samples), ANY_ERROR, float(remaining[samples])):
+            settled = is_settled(given.until(samples), ANY_ERROR, float(remaining[samples]))
+            assert settled or found.arrival is None, (seed, samples)
+            assert not settled or found.verdict is not Verdict.TOO_SHORT, (seed, samples)
+            if settled:
                 ended += found.arrival is None
                 assert (found.arrival is None) == (whole.arrival is None), (seed, samples)
         if whole.arrival is not None:

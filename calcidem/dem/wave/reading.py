@@ -321,17 +321,23 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
     Either the S wave is found, or the stack of any later peak would be too small. On its line each station is later
     than on the present line, so its known motion and ``remaining_speed`` bound the stack.
     """
+    # At most looks the receiver alone, a tenth of the section, shows that the record is too short.
+    alone = replace(section, places=section.places[-1:], across=section.across[:, -1:], along=section.along[:, -1:])
+    receiver = prepare(alone, rule.smoothing)
+    loudest = float(np.sqrt(1.0 + _STEEPEST * _STEEPEST)) * remaining_speed / section.amplitude
+    tail = np.abs(section.across[len(receiver.across) :]).max(axis=0, initial=0) * RESOLUTION
+    is_quiet = max(loudest, float(tail[-1])) < SILENCE
+    peaks = _receiver_peaks(receiver)
+    if not peaks and (is_quiet or receiver.p_peak[0] < 0):
+        return is_quiet
+    if peaks and _horizon(receiver, _line_to(receiver, peaks[0])[1] - receiver.peak) > len(receiver.across):
+        return False
     prepared = prepare(section, rule.smoothing)
     found = _find_arrival(prepared, section)
     if isinstance(found, ShearArrival) or found is Verdict.TOO_SHORT:
         return isinstance(found, ShearArrival)
-    loudest = float(np.sqrt(1.0 + _STEEPEST * _STEEPEST)) * remaining_speed / section.amplitude
-    unsmoothed = section.across[len(prepared.across) :]
-    tail = np.abs(unsmoothed).max(axis=0, initial=0) * RESOLUTION
-    if max(loudest, float(tail[-1])) < SILENCE:
-        return True
-    if (prepared.p_peak < 0).any():
-        return False
+    if is_quiet or (prepared.p_peak < 0).any():
+        return is_quiet
     clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))
     now = (1.0 - _STRETCH) * (len(clean) - 1 - prepared.peak) * prepared.parts + prepared.peak
     later = np.arange(len(clean))[:, None] >= now
