@@ -74,7 +74,7 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
         blocks[f"packing-{graph.packing.index}"] = _compress(packing_block(analysis, graph))
     room -= sum(map(len, blocks.values()))
     shown: list[int] = []
-    known = _known_samples(analysis)
+    known = _analysed_samples(analysis)
     for seed in analysis.vs["seed"].to_numpy().tolist():
         cells = _cells_of_seed(analysis, seed, known)
         if not cells:
@@ -100,7 +100,7 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
     return _CellData(blocks, tuple(remarks))
 
 
-def _known_samples(analysis: CampaignAnalysis) -> dict[tuple[int, float], MeasuredSample]:
+def _analysed_samples(analysis: CampaignAnalysis) -> dict[tuple[int, float], MeasuredSample]:
     """Give the samples whose paths were analysed, by seed and content: their cement is not drawn again."""
     try:
         return {(sample.seed, sample.content): sample for sample in analysis.samples}
