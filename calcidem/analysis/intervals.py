@@ -36,6 +36,14 @@ class Interval:
         """Return whether `value` lies in the interval, ends included."""
         return self.low <= value <= self.high
 
+    def score(self, value: float, level: float) -> float:
+        """Width of an interval plus 2 / (1 - level) times the distance of a value outside; smaller is better.
+
+        Gneiting & Raftery (2007), doi:10.1198/016214506000001437, Eq. 43; its mean is smallest for the true quantiles.
+        """
+        outside = max(0.0, self.low - value, value - self.high)
+        return self.high - self.low + 2.0 / (1.0 - level) * outside
+
     @classmethod
     def of_mean(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
         """Return the confidence interval of the mean by Student's t, exact for normal values."""

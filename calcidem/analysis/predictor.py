@@ -93,15 +93,6 @@ class VelocityPredictor:
         return cls(float(y.mean() - x.mean(axis=0) @ slopes), slopes, errors, level)
 
 
-def interval_score(interval: Interval, value: float, level: float) -> float:
-    """Width of an interval plus 2 / (1 - level) times the distance of a value outside; smaller is better.
-
-    Gneiting & Raftery (2007), doi:10.1198/016214506000001437, Eq. 43; its mean is smallest for the true quantiles.
-    """
-    outside = max(0.0, interval.low - value, value - interval.high)
-    return interval.high - interval.low + 2.0 / (1.0 - level) * outside
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictorCheck:
     """Performance of the predictor of a content on samples left out of the fit."""
@@ -137,5 +128,5 @@ class PredictorCheck:
         pairs = list(zip(intervals, y.tolist(), strict=True))
         return cls(
             np.array([interval.contains(value) for interval, value in pairs]),
-            np.array([interval_score(interval, value, level) for interval, value in pairs]),
+            np.array([interval.score(value, level) for interval, value in pairs]),
         )

@@ -8,7 +8,7 @@ import argparse
 import numpy as np
 import xarray as xr
 
-from calcidem.analysis.predictor import VelocityPredictor, interval_score
+from calcidem.analysis.predictor import VelocityPredictor
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.prediction import CEMENT_FEATURES, cement_shares
 
@@ -84,7 +84,7 @@ def judge(cells: xr.Dataset, columns: tuple[str, ...]) -> tuple[np.ndarray, np.n
     for (content, out), predictor in fit_without_each(cells, columns).items():
         vs = float(cells["vs"].to_numpy()[out, content])
         interval = predictor.predict(features_of(cells, content, columns)[out]).interval
-        scores[out, content], hits[out, content] = interval_score(interval, vs, 0.95), interval.contains(vs)
+        scores[out, content], hits[out, content] = interval.score(vs, 0.95), interval.contains(vs)
     return scores, hits
 
 

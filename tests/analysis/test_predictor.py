@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from calcidem.analysis.intervals import Interval
-from calcidem.analysis.predictor import PredictorCheck, VelocityPredictor, interval_score
+from calcidem.analysis.predictor import PredictorCheck, VelocityPredictor
 
 SLOPES = np.array([0.10, -0.05, 0.0])
 NOISE = 0.05
@@ -107,9 +107,9 @@ def test_a_check_tells_the_gain_of_known_noise(within_binomial: Callable[[int, i
 def test_the_score_is_width_and_penalty() -> None:
     """Inside only the width counts; outside, 2 / (1 - level) times the distance is added."""
     interval = Interval(100.0, 300.0)
-    assert interval_score(interval, 200.0, 0.95) == 200.0
-    assert interval_score(interval, 90.0, 0.95) == pytest.approx(200.0 + 40.0 * 10.0)
-    assert interval_score(interval, 301.0, 0.9) == pytest.approx(200.0 + 20.0 * 1.0)
+    assert interval.score(200.0, 0.95) == 200.0
+    assert interval.score(90.0, 0.95) == pytest.approx(200.0 + 40.0 * 10.0)
+    assert interval.score(301.0, 0.9) == pytest.approx(200.0 + 20.0 * 1.0)
 
 
 def test_equal_velocities_and_constant_features_are_no_error() -> None:
