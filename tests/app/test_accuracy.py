@@ -17,6 +17,7 @@ from calcidem.app.studies.accuracy.reference import _FINEST, HALVING, Convergenc
 from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, with_wave
 from calcidem.app.studies.accuracy.study import Study, Summary, run_study
+from calcidem.app.studies.cells import Cells
 from calcidem.app.studies.explain import Explanation, _alternatives_of, _with_errors
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.sample.cement import CementRule
@@ -54,10 +55,10 @@ def study(experiment: Experiment, request: pytest.FixtureRequest) -> Study:
     """Give a study of the default and of single precision, of a pulse that suits so short a way."""
     # At 4e-4 m/s contacts of this small packing slip so much that a cell's two tops change places.
     gentle = replace(with_wave(experiment, amplitude=1e-4), frequencies=HIGH)
-    single = Setting("precision", "float32", with_wave(gentle, precision="float32"))
-    compared = [Setting(DEFAULT, "", gentle), single]
+    single = Setting("precision float32", with_wave(gentle, precision="float32"))
+    compared = [Setting(DEFAULT, gentle), single]
     contents, seeds = request.param
-    return run_study(gentle, contents, seeds, compared=compared, lanes=8, coarsest=0.1, rounds=1)
+    return run_study(Cells(gentle, contents, seeds), compared=compared, coarsest=0.1, rounds=1)
 
 
 def test_the_error_is_below_the_cells_own_bound(study: Study) -> None:
@@ -152,8 +153,8 @@ def test_early_stop_changes_no_reading(experiment: Experiment) -> None:
 @pytest.mark.full
 def test_the_signal_converges_to_second_order_without_damping(experiment: Experiment) -> None:
     """Without damping each halving of the step divides the signal's change by four; with it by two to three."""
-    undamped = Convergence.measure(experiment, 5.0, SEEDS, 1300.0, damped=False)
-    damped = Convergence.measure(experiment, 5.0, SEEDS, 1300.0, damped=True)
+    undamped = Convergence.measure(Cells(experiment, [5.0], SEEDS), 5.0, 1300.0, damped=False)
+    damped = Convergence.measure(Cells(experiment, [5.0], SEEDS), 5.0, 1300.0, damped=True)
     # Velocities are recorded in steps, of which smoothing leaves half of the last change.
     assert undamped.orders == pytest.approx([2.0, 2.0], abs=0.15)
     # The sign in local damping turns over at some instant within a step.
@@ -165,7 +166,7 @@ def test_the_signal_converges_to_second_order_without_damping(experiment: Experi
 def test_regimes_agree_for_a_small_pulse_and_part_for_a_strong_one(experiment: Experiment) -> None:
     """Constant stiffness is good to 1 % at 1 mm/s; at 10 cm/s it gives no velocity, and the sample itself another."""
     short = replace(experiment, frequencies=((0.0, 10.0), (1.7e4, 1.7e4)))  # waves, on so short a way
-    rows = _amplitude_rows(short, [0.66], SEEDS, [1e-3, 1e-1], regimes=["linear"])
+    rows = _amplitude_rows(Cells(short, [0.66], SEEDS), [1e-3, 1e-1], regimes=["linear"])
     found = {(row.amplitude, row.regime): row for row in rows}
     assert (found[1e-3, "linear"].median or 1.0) < 0.01
     assert found[1e-3, "finite"].worst == 0.0
@@ -182,7 +183,7 @@ def test_a_packing_closer_to_equilibrium_gives_the_same_velocity(experiment: Exp
         return make_packing(rule, Sand(), np.random.default_rng(1))
 
     best = replace(experiment, packing=packing_of(1e-6), frequencies=HIGH)
-    rows = _equilibrium_rows(best, [0.66], SEEDS, packing_of, (1e-4, 1e-5, 1e-6))
+    rows = _equilibrium_rows(Cells(best, [0.66], SEEDS), packing_of, (1e-4, 1e-5, 1e-6))
     assert rows[0].worst > rows[1].worst
     assert rows[1].median < 1e-3
     assert rows[1].worst < 3e-3

@@ -5,13 +5,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from calcidem.app.studies.stability.command import StabilityVerdict, _judge_own_scene, _judge_packing, _judge_scene
+from calcidem.app.studies.stability.command import _judge_scene, _StabilityVerdict
 from calcidem.app.studies.stability.limits import Limits, _energy_drift, _force_step
 from calcidem.app.studies.stability.own_scenes import _OWN_KINDS, OwnScene
 from calcidem.app.studies.stability.scenes import (
     Extreme,
     Packed,
-    small_packing,
+    _small_packing,
 )
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.state import advance, start
@@ -31,14 +31,14 @@ SCENES = 512
 def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None:
     """Of the scenes drawn over all quantities each is right, refused with a cure, or found out with a reason."""
     judgements = [_judge_scene(scene) for scene in Extreme.draw(scenes, seed=1)]
-    assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
+    assert [judgement for judgement in judgements if judgement.verdict == _StabilityVerdict.WRONG] == []
     count = Counter(judgement.verdict for judgement in judgements)
     # The draw has to reach all three, or it shows nothing.
     assert all(
         count[verdict] >= 20 * scenes // SCENES
-        for verdict in (StabilityVerdict.STABLE, StabilityVerdict.REFUSED, StabilityVerdict.DETECTED)
+        for verdict in (_StabilityVerdict.STABLE, _StabilityVerdict.REFUSED, _StabilityVerdict.DETECTED)
     ), count
-    assert all(judgement.reason for judgement in judgements if judgement.verdict != StabilityVerdict.STABLE)
+    assert all(judgement.reason for judgement in judgements if judgement.verdict != _StabilityVerdict.STABLE)
 
 
 @pytest.mark.parametrize("regimes", [{"linear"}, pytest.param({"linear", "small", "finite"}, marks=pytest.mark.full)])
@@ -46,7 +46,7 @@ def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str])
     """Where a velocity is to be expected most scenes give one, and each is right."""
     scenes = [scene for scene in Extreme.draw(40, seed=3, box="plausible") if scene.regime in regimes]
     judgements = [_judge_scene(scene) for scene in scenes]
-    assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
+    assert [judgement for judgement in judgements if judgement.verdict == _StabilityVerdict.WRONG] == []
     assert sum(judgement.error is not None for judgement in judgements) >= 15 / 40 * len(scenes) > 2
 
 
@@ -54,15 +54,15 @@ def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str])
 @pytest.mark.parametrize("scenes", [SCENES // 16, SCENES])
 def test_no_scene_of_ones_own_goes_wrong_in_silence(scenes: int) -> None:
     """Impacts, disks that just touch, gravity and bonds across gaps end right to 2 %, or with an error that says so."""
-    judgements = [_judge_own_scene(scene) for scene in OwnScene.draw(scenes, seed=1)]
-    assert [judgement for judgement in judgements if judgement.verdict == StabilityVerdict.WRONG] == []
+    judgements = [_judge_scene(scene) for scene in OwnScene.draw(scenes, seed=1)]
+    assert [judgement for judgement in judgements if judgement.verdict == _StabilityVerdict.WRONG] == []
     count = Counter(
         judgement.scene.kind  # type: ignore[union-attr]
         for judgement in judgements
-        if judgement.verdict == StabilityVerdict.STABLE
+        if judgement.verdict == _StabilityVerdict.STABLE
     )
     assert all(count[kind] >= scenes // len(_OWN_KINDS) // 2 for kind in _OWN_KINDS), count
-    assert all(judgement.reason for judgement in judgements if judgement.verdict != StabilityVerdict.STABLE)
+    assert all(judgement.reason for judgement in judgements if judgement.verdict != _StabilityVerdict.STABLE)
 
 
 @pytest.mark.full
@@ -88,7 +88,7 @@ def test_disks_that_float_in_a_pore_do_no_harm(floating: int) -> None:
     with_them, without = (
         _judge_scene(Extreme(step_fraction=0.5, content=1.0, contrast=1.0, floating=count)) for count in (floating, 0)
     )
-    assert with_them.verdict == without.verdict == StabilityVerdict.STABLE
+    assert with_them.verdict == without.verdict == _StabilityVerdict.STABLE
     # Small bonded disks need a smaller step, which moves Vs by half a percent in so small a lattice.
     assert with_them.vs == pytest.approx(without.vs, rel=1e-2)
 
@@ -105,10 +105,10 @@ def test_near_isostaticity_the_linear_regime_bounds_what_it_leaves_out(
     stress: float, friction: float, seed: int
 ) -> None:
     """A bare packing has the finite regime's velocity within the linear one's bound, and none below isostaticity."""
-    packing = small_packing(stress, friction, seed)
+    packing = _small_packing(stress, friction, seed)
     scene = Packed(stress, friction, 0.0, "linear", seed)
-    judgement = _judge_packing(scene, scene.experiment(packing))
-    assert judgement.verdict != StabilityVerdict.WRONG, judgement
+    judgement = _judge_scene(scene)
+    assert judgement.verdict != _StabilityVerdict.WRONG, judgement
     if friction > Sand().friction and seed == 1:
         assert packing.report.coordination_number_without_rattlers < 3.0
         assert judgement.vs is None
@@ -127,8 +127,8 @@ def test_near_isostaticity_the_linear_regime_bounds_what_it_leaves_out(
 )
 def test_slip_that_begins_down_the_way_is_counted(scene: Packed) -> None:
     """Contacts of cemented packings near isostaticity slip after the pulse was sent; what was stated is not given."""
-    judgement = _judge_packing(scene, scene.experiment(small_packing(scene.stress, scene.friction, scene.seed)))
-    assert judgement.verdict != StabilityVerdict.WRONG, judgement
+    judgement = _judge_scene(scene)
+    assert judgement.verdict != _StabilityVerdict.WRONG, judgement
 
 
 @pytest.mark.parametrize("contrast", [1.0, 1e3, 1e6])
@@ -144,7 +144,7 @@ def test_the_predicted_limit_is_safe_and_sharp(contrast: float, damping: float, 
 def test_a_step_above_the_limit_is_refused_with_the_cure() -> None:
     """A step fraction above 1 is refused before anything is computed."""
     judgement = _judge_scene(Extreme(step_fraction=1.01))
-    assert judgement.verdict == StabilityVerdict.REFUSED
+    assert judgement.verdict == _StabilityVerdict.REFUSED
     assert "give 0.05 to 0.95" in judgement.reason
 
 
@@ -152,7 +152,7 @@ def test_a_step_above_the_limit_is_refused_with_the_cure() -> None:
 def test_a_pulse_too_strong_for_its_regime_is_refused(regime: str) -> None:
     """10 m/s is refused where stiffness or geometry are taken for constant, with the largest amplitude that is not."""
     judgement = _judge_scene(replace(Extreme(amplitude=10.0), regime=regime))  # type: ignore[arg-type]
-    assert judgement.verdict == StabilityVerdict.REFUSED
+    assert judgement.verdict == _StabilityVerdict.REFUSED
     assert "amplitude of at most" in judgement.reason
 
 
@@ -160,7 +160,7 @@ def test_a_pulse_too_strong_for_its_regime_is_refused(regime: str) -> None:
 def test_what_is_unbalanced_is_held_while_a_tiny_pulse_passes() -> None:
     """A gap in the lattice leaves forces unbalanced: a tiny pulse has the linear regime's velocity all the same."""
     finite, linear = (_judge_scene(Extreme(amplitude=1e-9, missing=0.1, regime=each)) for each in ("finite", "linear"))
-    assert finite.verdict == linear.verdict == StabilityVerdict.STABLE
+    assert finite.verdict == linear.verdict == _StabilityVerdict.STABLE
     assert finite.vs == pytest.approx(linear.vs, rel=5e-3)
 
 

@@ -1,6 +1,5 @@
 """``calcidem accuracy``: error against run time."""
 
-import json
 from typing import Annotated
 
 import typer
@@ -13,7 +12,7 @@ from calcidem.app.cli.arguments import (
     OnlyContents,
     StudyFolder,
 )
-from calcidem.app.cli.formats import Format, FormatOption, tell_rows
+from calcidem.app.cli.formats import Format, FormatOption, tell_study
 from calcidem.app.cli.terminal import tell
 
 
@@ -37,23 +36,16 @@ def accuracy_command(
 ) -> None:
     """Measure error against run time of every numerical setting, on cells of the campaign."""
     from calcidem.app.config.reader import change_configuration, load_configuration
-    from calcidem.app.studies.accuracy.command import AccuracyTask, parse_target
-    from calcidem.app.studies.accuracy.report import accuracy_tables
+    from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target
+    from calcidem.app.studies.cells import Cells
 
     loaded = load_configuration(configuration)
-    planned = {"campaign.contents": sorted(set(content or loaded.campaign.contents))}
-    task = AccuracyTask.plan(change_configuration(loaded, planned), (), seeds, db, tell)
+    planned = change_configuration(loaded, {"campaign.contents": sorted(set(content or loaded.campaign.contents))})
+    cells, velocities = Cells.of_campaign(planned, seeds, db, tell)
     try:
-        task.choose_settings(only or ())
+        choose_settings(cells.experiment, only or ())
         parse_target(target or "1%")
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
-    findings = task.measure(only=only or (), out=out, progress=tell)
-    if layout is Format.TABLE:
-        typer.echo("\n\n".join(accuracy_tables(findings).values()))
-        if target is not None:
-            chosen = findings.study.cheapest_in_words(parse_target(target))
-            typer.echo(f"Cheapest setting with an error of at most {target}: {chosen}")
-    else:
-        whole = json.loads(findings.as_json())
-        tell_rows(whole["study"]["cells"], layout, whole=whole)
+    result = accuracy(planned, cells, velocities, only=only or (), target=target)
+    tell_study(result, layout, out and out / "accuracy.md")

@@ -33,40 +33,25 @@ def explain_command(
 
     Times and differences are measured now, errors by 'calcidem accuracy'. By default three contents are shown.
     """
-    from calcidem.app.campaign.opened import open_campaign_of
-    from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.cli.tables import make_console
     from calcidem.app.config.calibrated import calibration_note
-    from calcidem.app.config.checks import check_against_packing
     from calcidem.app.config.reader import change_configuration, load_configuration
     from calcidem.app.studies.accuracy.questions import MeasuredErrors
+    from calcidem.app.studies.cells import Cells
     from calcidem.app.studies.explain import explain
 
     loaded = load_configuration(configuration)
     contents = sorted(loaded.campaign.contents)
     chosen = sorted(set(content or (contents[0], contents[len(contents) // 2], contents[-1])))
     loaded = change_configuration(loaded, {"campaign.contents": chosen})
-    if db is None:
-        packing = provide_packing(loaded, None, tell)
-    else:
-        with open_campaign_of(loaded, db) as opened:
-            packing = opened.experiment().packing
+    cells, _ = Cells.of_campaign(loaded, min(_DEFAULT_CELLS, loaded.run.lanes), db, tell)
     try:
-        measured = MeasuredErrors.find(loaded.hash, packing.content_hash, accuracy)
+        measured = MeasuredErrors.find(loaded.hash, cells.experiment.packing.content_hash, accuracy)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
-    check_against_packing(loaded, packing)
     if note := calibration_note(loaded):
         tell(note)
-    seeds = loaded.campaign.seed_numbers[: min(_DEFAULT_CELLS, loaded.run.lanes)]
-    rows = explain(
-        loaded.experiment(packing),
-        chosen,
-        seeds,
-        loaded.run.lanes,
-        measured,
-        progress=lambda text: tell(f"Measuring {text}"),
-    )
+    rows = explain(cells, measured)
     if layout is not Format.TABLE:
         tell_rows([_explanation_row(row) for row in rows], layout)
         return

@@ -8,11 +8,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from calcidem.app.cli.terminal import printable
+
+if TYPE_CHECKING:  # loaded by the commands of studies themselves
+    from calcidem.app.studies.results import StudyResult
 
 Format = StrEnum("Format", ["TABLE", "JSON", "CSV", "PARQUET"])
 
@@ -57,6 +60,16 @@ def tell_rows(
             temporary.write_bytes(told.encode() if isinstance(told, str) else told)
     else:
         typer.echo(printable(told) if isinstance(told, str) else told, nl=False)
+
+
+def tell_study(result: "StudyResult", layout: Format, table: Path | None) -> None:
+    """Show the result of a study, and write its files: the table, and others beside it."""
+    if table is not None:
+        list(result.write(table))
+    if layout is Format.TABLE:
+        typer.echo(result.text)
+    else:
+        tell_rows(result.rows, layout, whole=json.loads(result.json))
 
 
 def _json_value(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row

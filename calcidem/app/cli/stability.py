@@ -5,8 +5,9 @@ from typing import Annotated
 import typer
 
 from calcidem.app.cli.arguments import StudyFolder
-from calcidem.app.cli.formats import Format, FormatOption, tell_rows
+from calcidem.app.cli.formats import Format, FormatOption, tell_study
 from calcidem.app.cli.terminal import tell
+from calcidem.sweep.sweep_end import EXIT_ERROR
 
 
 def stability_command(
@@ -16,17 +17,9 @@ def stability_command(
     layout: FormatOption = Format.TABLE,
 ) -> None:
     """Map which small extreme scenes are stable, refused or detected, and check the predicted step limits."""
-    from calcidem.app.studies.stability.command import StabilityVerdict, random_scenes, stability
+    from calcidem.app.studies.stability.command import random_scenes, stability
 
-    if scenes:
-        text, whole = random_scenes(scenes, draw, progress=tell)
-        rows = [{"box": box, **judgement} for box, row in whole.items() for judgement in row]
-    else:
-        text, whole = stability(out=out, progress=tell)
-        rows = [{"quantity": name, **judgement} for name, walk in whole["walks"].items() for judgement in walk]
-    if layout is Format.TABLE:
-        typer.echo(text)
-    else:
-        tell_rows(rows, layout, whole=whole)
-    if scenes and any(row["verdict"] == StabilityVerdict.WRONG for row in rows):
-        raise typer.Exit(1)
+    result = random_scenes(scenes, draw, tell) if scenes else stability(tell)
+    tell_study(result, layout, out and out / "stability.md")
+    if result.is_wrong:
+        raise typer.Exit(EXIT_ERROR)

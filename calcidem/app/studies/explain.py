@@ -4,14 +4,11 @@ Each row measures the same cells with and without a feature. It also has the err
 reference if `calcidem accuracy` has measured them.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from statistics import median
 
 from calcidem.app.studies.accuracy.questions import MeasuredErrors
-from calcidem.app.studies.accuracy.reference import measure_and_time, relative_deviation
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED, with_wave
-from calcidem.app.studies.accuracy.study import ROUNDS
+from calcidem.app.studies.cells import Cells, errors_of_vs
 from calcidem.dem.wave.domain import domain_of
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
@@ -42,7 +39,7 @@ class Explanation:
     alternative: _Alternative
     """Explained feature."""
     time_ratio: float | None
-    """Processor time of the opposite over that of the campaign, median of interleaved rounds."""
+    """Processor time of the opposite over that of the campaign, medians of rounds in turns."""
     difference: float | None
     """Largest relative difference in Vs between the two; None if no cell has both velocities."""
     error: float | None = None
@@ -52,23 +49,20 @@ class Explanation:
     """
 
 
-def explain(
-    experiment: Experiment,
-    contents: Sequence[float],
-    seeds: Sequence[int],
-    lanes: int,
-    measured: MeasuredErrors | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> list[Explanation]:
-    """Measure savings and errors of each alternative with at most ``lanes`` seeds, which share a batch.
-
-    ``measured`` has errors against a converged reference; ``progress`` receives the name of each measurement.
-    """
+def explain(cells: Cells, measured: MeasuredErrors | None = None) -> list[Explanation]:
+    """Measure savings and errors of each alternative; ``measured`` has errors against a converged reference."""
     rows = []
-    for content in contents:
-        for alternative in _alternatives_of(experiment, content):
-            progress(f"{content:g} %: {alternative.what}")
-            rows.append(_with_errors(_measure_alternative(experiment, alternative, content, seeds, lanes), measured))
+    for content in cells.contents:
+        alternatives = _alternatives_of(cells.experiment, content)
+        opposites = {one.what: one.opposite for one in alternatives if one.opposite is not None}
+        found, seconds = cells.take_turns({DEFAULT: cells.experiment, **opposites}, content)
+        for one in alternatives:
+            row = Explanation(content, one, None, None)
+            if one.what in found:
+                changes = errors_of_vs(found[one.what], found[DEFAULT])
+                ratio = seconds[one.what] / seconds[DEFAULT]
+                row = Explanation(content, one, ratio, max(changes, default=None))
+            rows.append(_with_errors(row, measured))
     return rows
 
 
@@ -139,19 +133,3 @@ def _whole_domain(experiment: Experiment) -> _Alternative:
         return _Alternative("disks out of reach", needed=True, why=why, opposite=None)
     why = f"{share:.0%} of the disks lie deep in the damping layers or have no contacts: no signal reaches them"
     return _Alternative("disks out of reach", False, why, with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
-
-
-def _measure_alternative(
-    experiment: Experiment, alternative: _Alternative, content: float, seeds: Sequence[int], lanes: int
-) -> Explanation:
-    """Measure one alternative on one content."""
-    if alternative.opposite is None:
-        return Explanation(content, alternative, None, None)
-    ratios, pairs = [], []
-    for _ in range(ROUNDS):
-        own, own_seconds = measure_and_time(experiment, content, seeds, lanes)
-        other, seconds = measure_and_time(alternative.opposite, content, seeds, lanes)
-        ratios.append(seconds / own_seconds)
-        pairs = [(b.vs, a.vs) for a, b in zip(own, other, strict=True)]
-    changes = [abs(change) for pair in pairs if (change := relative_deviation(*pair)) is not None]
-    return Explanation(content, alternative, median(ratios), max(changes, default=None))

@@ -3,13 +3,15 @@
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import get_args
 
 import numpy as np
 import xarray as xr
 
+from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.app.campaign.patterns import stored_experiment
-from calcidem.app.studies.tables import markdown_table, number
+from calcidem.app.studies.results import StudyResult, markdown_table, number
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, interpret_record, measure
@@ -33,14 +35,12 @@ def _frequency_study(
     contents: Sequence[float] = (0.66, 3.17, 6.0, 8.0),
     frequencies: Sequence[float] = _FREQUENCIES,
     seeds: Sequence[int] = (1, 2, 3, 4),
-    check: Callable[[], None] = lambda: None,
 ) -> xr.Dataset:
     """Measure the same samples, at most 32 per content (%), at several frequencies, Hz (Figs. 6 and 9 of the paper).
 
-    ``check`` is called every fraction of a second; it may raise to end the study. Returns `vs_peak`,
-    `vs_first_arrival`, `vs_cross_correlation` (m/s) and `received_frequency` (Hz) along (content, frequency, seed), NaN
-    without a reliable reading. `campaign_frequency` (Hz) along content is that of the experiment itself. The attribute
-    `distance` (m) is that between transmitter and receiver.
+    Returns `vs_peak`, `vs_first_arrival`, `vs_cross_correlation` (m/s) and `received_frequency` (Hz) along (content,
+    frequency, seed), NaN without a reliable reading. `campaign_frequency` (Hz) along content is that of the experiment
+    itself. The attribute `distance` (m) is that between transmitter and receiver.
     """
     shape = (len(contents), len(frequencies), len(seeds))
     values = {name: np.full(shape, np.nan) for name in (*(f"vs_{m}" for m in _METHODS), "received_frequency")}
@@ -48,7 +48,7 @@ def _frequency_study(
     for row, content in enumerate(contents):
         for column, frequency in enumerate(frequencies):
             single = replace(experiment, frequencies=(_WHOLE_RANGE, (frequency, frequency)))
-            for place, measurement in enumerate(measure(single, content, seeds, lanes=lanes, check=check)):
+            for place, measurement in enumerate(measure(single, content, seeds, lanes=lanes)):
                 for name, value in _readings(single, measurement).items():
                     values[name][row, column, place] = value
     dimensions = ("content", "frequency", "seed")
@@ -69,7 +69,6 @@ def _damping_study(
     factors: Sequence[float] = _DAMPING_FACTORS,
     seed: int = 1,
     periods: float = 6.0,
-    check: Callable[[], None] = lambda: None,
 ) -> xr.Dataset:
     """Measure one sample of each content (%) with several local damping factors, 0 to 1 (Fig. 7 of the paper).
 
@@ -83,7 +82,7 @@ def _damping_study(
     for row, content in enumerate(contents):
         for column, factor in enumerate(factors):
             damped = replace(experiment, wave=replace(experiment.wave, damping=factor))
-            record = _long_record(damped, content, seed, float(time[row, -1]), check)
+            record = _long_record(damped, content, seed, float(time[row, -1]))
             if record.problem:
                 received[row, column] = np.nan
                 continue
@@ -137,32 +136,19 @@ def _pulse_frequency(signal: Floats, sampling_interval: float, moment: float, re
     return float(1.0 / (2.0 * (ended - began) * sampling_interval))
 
 
-def _long_record(
-    experiment: Experiment, content: float, seed: int, duration: float, check: Callable[[], None]
-) -> WaveRecord:
+def _long_record(experiment: Experiment, content: float, seed: int, duration: float) -> WaveRecord:
     """Record one sample for a given time in s, regardless of arrivals."""
     patient = replace(experiment, wave=replace(experiment.wave, slowest=experiment.distance / duration))
     bonded = [experiment.ordering(seed).at(content).bonded]
     frequency = experiment.frequency(content)
     return send_waves(
-        patient, bonded, frequency, stop_when=lambda record: record.section.duration >= duration, lanes=1, check=check
+        patient, bonded, frequency, stop_when=lambda record: record.section.duration >= duration, lanes=1
     )[0]
 
 
 def _set_units(study: xr.Dataset) -> None:
     for name, variable in study.variables.items():
         variable.attrs["units"] = _UNITS.get(str(name), "Hz" if "frequency" in str(name) else "m/s")
-
-
-def study_table(study: xr.Dataset, varied: str) -> str:
-    """Mean of Vs from peak to peak (m/s) over content and varied parameter, as a Markdown table."""
-    means = study["vs_peak"].mean([name for name in study["vs_peak"].dims if name == "seed"])
-    unit = "Hz" if varied == "frequency" else "1"
-    rows = [
-        (f"{content:g}", *(number(None if np.isnan(vs) else vs, ".0f") for vs in means.sel(content=content).values))
-        for content in study["content"].values
-    ]
-    return markdown_table(("content, %", *(f"{value:g} {unit}" for value in study[varied].values)), rows) + "\n"
 
 
 _STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": _frequency_study, "damping": _damping_study}
@@ -174,13 +160,11 @@ def run_studies(
     *,
     contents: Sequence[float] | None = None,
     campaign_name: str | None = None,
-    check: Callable[[], None] = lambda: None,
 ) -> dict[str, xr.Dataset]:
     """Run the studies "frequency" and "damping" on the samples of a campaign; nothing is written to its database.
 
-    Contents are in percent, by default those of the study; ``check`` is called every fraction of a second and may raise
-    to end it. `calcidem.app.report.page.write_report` accepts the results. `ValueError` if a study is unknown, or the
-    campaign cannot be recomputed from its stored data.
+    Contents are in percent, by default those of the study. `calcidem.app.report.page.write_report` accepts the results.
+    `ValueError` if a study is unknown, or the campaign cannot be recomputed from its stored data.
     """
     unknown = sorted(set(names) - set(_STUDIES))
     if unknown:
@@ -188,4 +172,18 @@ def run_studies(
     with read_campaign(database, campaign_name) as store:
         experiment = stored_experiment(store)
     chosen = {} if contents is None else {"contents": tuple(contents)}
-    return {name: _STUDIES[name](experiment, check=check, **chosen) for name in names}
+    return {name: _STUDIES[name](experiment, **chosen) for name in names}
+
+
+def vary_one(varied: str, database: str, contents: Sequence[float] | None, campaign_name: str | None) -> StudyResult:
+    """Run one study; its table has the mean of Vs from peak to peak (m/s) over content and varied parameter."""
+    study = run_studies(database, [varied], contents=contents, campaign_name=campaign_name)[varied]
+    means = study["vs_peak"].mean([name for name in study["vs_peak"].dims if name == "seed"])
+    unit = "Hz" if varied == "frequency" else "1"
+    rows = [
+        (f"{content:g}", *(number(None if np.isnan(vs) else vs, ".0f") for vs in means.sel(content=content).values))
+        for content in study["content"].values
+    ]
+    table = markdown_table(("content, %", *(f"{value:g} {unit}" for value in study[varied].values)), rows) + "\n"
+    figures = {entry.name: partial(entry.draw, study) for entry in STUDY_FIGURES if entry.study == varied}
+    return StudyResult(table, dataset=study, figures=figures, formats=("png", "svg", "pdf"))

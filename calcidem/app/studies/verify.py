@@ -3,7 +3,7 @@
 import math
 import random
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import Any
@@ -115,17 +115,11 @@ def verify(
     for (packing_index, content), cells in sorted(together.items(), key=lambda item: item[0]):
         experiment = experiment_of(packing_index)
         for start in range(0, len(cells), lanes):
-            yield from _verify_batch(experiment, content, cells[start : start + lanes], lanes)
-
-
-def _verify_batch(
-    experiment: Experiment, content: float, cells: Sequence[CellResult], lanes: int
-) -> Iterator[Verification]:
-    """Compute cells of one content and one packing."""
-    found = measure(experiment, content, [cell.key.seed for cell in cells], lanes=lanes)
-    for stored, measurement in zip(cells, found, strict=True):
-        computed = cell_result(measurement, experiment, store_sections=stored.section is not None)
-        yield _compare_outcomes(stored, computed)
+            batch = cells[start : start + lanes]
+            found = measure(experiment, content, [cell.key.seed for cell in batch], lanes=lanes)
+            for stored, measurement in zip(batch, found, strict=True):
+                computed = cell_result(measurement, experiment, store_sections=stored.section is not None)
+                yield _compare_outcomes(stored, computed)
 
 
 def _compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:

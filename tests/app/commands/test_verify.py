@@ -21,7 +21,7 @@ from calcidem.app.cli.run_view import _vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import _velocity_remarks
-from calcidem.app.studies.accuracy.command import AccuracyTask
+from calcidem.app.studies.cells import Cells
 from calcidem.app.studies.explain import Explanation, _Alternative
 from calcidem.app.studies.verify import Agreement, _compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
@@ -247,10 +247,10 @@ def test_choice_of_cells(small: Path) -> None:
 @pytest.mark.usefixtures("no_packing_is_made")
 def test_accuracy_judges_the_packing_of_the_database(small: Path, toml: Path, small_packing: Packing) -> None:
     """With --db the cells are those of the stored packing; none is made."""
-    task = AccuracyTask.plan(load_configuration(toml), (), 1, small, lambda _: None)
-    assert task.experiment.packing.content_hash == small_packing.content_hash
-    assert task.stored is not None
-    assert set(task.stored) == {0.0, 0.66}
+    cells, velocities = Cells.of_campaign(load_configuration(toml), 1, small, lambda _: None)
+    assert cells.experiment.packing.content_hash == small_packing.content_hash
+    assert velocities is not None
+    assert set(velocities) == {0.0, 0.66}
 
 
 @pytest.mark.full
@@ -269,11 +269,10 @@ def test_explain_judges_the_packing_of_the_database(
     """With --db the cells to measure are those of the stored packing; none is made."""
     judged: list[Experiment] = []
 
-    def note(experiment: Experiment, contents: list[float], *_: object, **_named: object) -> list[Explanation]:
-        judged.append(experiment)
-        return [
-            Explanation(content, _Alternative("double precision", False, "", None), None, None) for content in contents
-        ]
+    def note(cells: Cells, _: object) -> list[Explanation]:
+        judged.append(cells.experiment)
+        alternative = _Alternative("double precision", False, "", None)
+        return [Explanation(content, alternative, None, None) for content in cells.contents]
 
     monkeypatch.setattr("calcidem.app.studies.explain.explain", note)
     assert "double precision" in invoke("explain", toml, "--db", small, "--content", 0.66)

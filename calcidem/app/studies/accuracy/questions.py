@@ -6,7 +6,7 @@ error of a mean is compared with its statistical error.
 """
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -16,14 +16,13 @@ import numpy as np
 from calcidem.analysis.distribution import Distribution
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.accuracy.reference import CellError, Convergence, measure_cells, relative_deviation
+from calcidem.app.studies.accuracy.reference import Convergence
 from calcidem.app.studies.accuracy.settings import DEFAULT, with_wave
 from calcidem.app.studies.accuracy.study import Study
+from calcidem.app.studies.cells import Cells, CellsFound, errors_of_vs
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Preload, Regime
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Measurement
 
 _SCATTER_SEEDS = 16  # seeds for the scatter without a stored campaign
 _AMPLITUDES = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1)  # m/s
@@ -31,8 +30,6 @@ _DENSE_SAMPLES = 400  # samples per period of the pulse
 _RATIOS = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the smallest is the reference
 
 _CONVERGENCE_CASES: tuple[tuple[bool, Regime], ...] = ((True, "linear"), (False, "linear"), (False, "finite"))
-
-_CellsFound = dict[tuple[int, float], Measurement]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,46 +91,35 @@ class _Scatter:
     """
 
 
-def _errors(found: _CellsFound, exact: _CellsFound) -> list[float]:
-    """Absolute relative errors of Vs of cells with a velocity in both."""
-    deviations = (relative_deviation(found[key].vs, exact[key].vs) for key in exact if key in found)
-    return [abs(error) for error in deviations if error is not None]
-
-
 def _amplitude_rows(
-    experiment: Experiment,
-    contents: Sequence[float],
-    seeds: Sequence[int],
+    cells: Cells,
     amplitudes: Sequence[float] = _AMPLITUDES,
-    *,
     regimes: Sequence[Regime] = ("linear", "small"),
-    lanes: int = 8,
-    progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[_AmplitudeRow, ...]:
     """Measure regimes at several amplitudes against the finite regime."""
 
-    def measured(regime: Regime, amplitude: float) -> tuple[_CellsFound, str]:
-        setting = with_wave(experiment, regime=regime, amplitude=amplitude, samples_per_period=_DENSE_SAMPLES)
-        found: _CellsFound = {}
+    def measured(regime: Regime, amplitude: float) -> tuple[CellsFound, str]:
+        setting = with_wave(cells.experiment, regime=regime, amplitude=amplitude, samples_per_period=_DENSE_SAMPLES)
+        found: CellsFound = {}
         refusal = ""
-        for content in contents:
+        for content in cells.contents:
             try:
-                found |= measure_cells(setting, content, seeds, lanes)
+                found = {**found, **cells.measure(setting, [content])}
             except ValueError as refused:
                 refusal = str(refused)
         return found, refusal
 
-    own, _ = measured("finite", experiment.wave.amplitude)
+    own, _ = measured("finite", cells.experiment.wave.amplitude)
     rows = []
     for amplitude in amplitudes:
-        progress(f"regimes at {amplitude:g} m/s")
+        cells.progress(f"regimes at {amplitude:g} m/s")
         finite, refusal = measured("finite", amplitude)
-        compared: list[tuple[Regime, _CellsFound, _CellsFound, str]] = [("finite", finite, own, refusal)]
+        compared: list[tuple[Regime, CellsFound, CellsFound, str]] = [("finite", finite, own, refusal)]
         for regime in regimes:
             found, refusal = measured(regime, amplitude)
             compared.append((regime, found, finite, refusal))
         for regime, found, exact, refusal in compared:
-            errors = _errors(found, exact)
+            errors = errors_of_vs(found, exact)
             lost = sum(cell.vs is not None for cell in exact.values()) - len(errors)
             median = float(np.median(errors)) if errors else None
             rows.append(_AmplitudeRow(amplitude, regime, len(errors), lost, median, max(errors, default=None), refusal))
@@ -141,14 +127,7 @@ def _amplitude_rows(
 
 
 def _equilibrium_rows(
-    experiment: Experiment,
-    contents: Sequence[float],
-    seeds: Sequence[int],
-    packing_of: Callable[[float], Packing],
-    ratios: Sequence[float] = _RATIOS,
-    *,
-    lanes: int = 8,
-    progress: Callable[[str], None] = lambda _: None,
+    cells: Cells, packing_of: Callable[[float], Packing], ratios: Sequence[float] = _RATIOS
 ) -> tuple[_EquilibriumRow, ...]:
     """Measure Vs in packings of several unbalanced-force ratios, with the cement at the same contacts.
 
@@ -156,18 +135,16 @@ def _equilibrium_rows(
     """
     packings = {}
     for ratio in ratios:
-        progress(f"packing with an unbalanced-force ratio of {ratio:g}")
+        cells.progress(f"packing with an unbalanced-force ratio of {ratio:g}")
         packings[ratio] = packing_of(ratio)
     best = packings[min(ratios)]
-    found: dict[float, _CellsFound] = {}
-    for ratio, packing in packings.items():
-        setting = replace(experiment, packing=_same_contacts(packing, best))
-        found[ratio] = {}
-        for content in contents:
-            found[ratio] |= measure_cells(setting, content, seeds, lanes)
+    found = {
+        ratio: cells.measure(replace(cells.experiment, packing=_same_contacts(packing, best)))
+        for ratio, packing in packings.items()
+    }
     rows = []
     for ratio, packing in packings.items():
-        errors = _errors(found[ratio], found[min(ratios)])
+        errors = errors_of_vs(found[ratio], found[min(ratios)])
         changed = set(_keys_of(packing)) ^ set(_keys_of(best))
         rows.append(
             _EquilibriumRow(ratio, len(changed), len(errors), float(np.median(errors)), max(errors, default=np.inf))
@@ -191,15 +168,13 @@ def _keys_of(packing: Packing) -> list[int]:
     return keys
 
 
-def _scatter_rows(
-    cells: Iterable[CellError], velocities: Mapping[float, Sequence[float]], seeds: int
-) -> tuple[_Scatter, ...]:
+def _scatter_rows(study: Study, velocities: Mapping[float, Sequence[float]], seeds: int) -> tuple[_Scatter, ...]:
     """Compare the errors of a study's default setting with the scatter of the samples.
 
     ``velocities`` has samples of Vs at each content, m/s; ``seeds`` is the number of seeds of the campaign's mean.
     """
     errors: dict[float, list[float]] = {}
-    for cell in cells:
+    for cell in study.cells:
         if cell.setting == DEFAULT and cell.vs_error is not None:
             errors.setdefault(cell.content, []).append(cell.vs_error)
     rows = []
@@ -263,56 +238,46 @@ class Findings:
 
 
 def answer_questions(
-    findings: Findings,
-    configuration: Configuration,
-    experiment: Experiment,
-    contents: Sequence[float],
-    seeds: Sequence[int],
-    velocities: Mapping[float, Sequence[float]] | None,
-    progress: Callable[[str], None],
+    findings: Findings, configuration: Configuration, cells: Cells, velocities: Mapping[float, Sequence[float]] | None
 ) -> Findings:
-    """Add the results that have their own reference to those of a study at contents (%) for some seeds.
+    """Add the results that have their own reference to those of a study.
 
     Velocities of a stored campaign at each content, m/s, give the scatter; with None a few samples are measured.
     """
-    lanes, all_seeds = configuration.run.lanes, configuration.campaign.seed_numbers
+    all_seeds = configuration.campaign.seed_numbers
 
     def packing_of(ratio: float) -> Packing:
         # A stored packing may come from another version and then be another sample, not the same at another ratio.
         rule = replace(configuration.packing, unbalanced_force_ratio=ratio)
-        return new_packing(replace(configuration, packing=rule), progress)
+        return new_packing(replace(configuration, packing=rule), cells.progress)
 
-    orders = _orders(experiment, findings.study, seeds, lanes, progress)
+    orders = _orders(cells, findings.study)
     if velocities is None:
-        progress("scatter of the samples")
-        found: dict[float, list[float]] = {}
-        for content in contents:
-            few = measure_cells(experiment, content, all_seeds[:_SCATTER_SEEDS], lanes).values()
-            found[content] = [cell.vs for cell in few if cell.vs is not None]
-        velocities = found
+        cells.progress("scatter of the samples")
+        found = cells.measure(cells.experiment, seeds=all_seeds[:_SCATTER_SEEDS])
+        velocities = {
+            content: [cell.vs for cell in found.values() if cell.content == content and cell.vs is not None]
+            for content in cells.contents
+        }
     return replace(
         findings,
         convergence=orders,
-        amplitudes=_amplitude_rows(experiment, contents, seeds, lanes=lanes, progress=progress),
-        equilibrium=_equilibrium_rows(experiment, contents, seeds, packing_of, lanes=lanes, progress=progress),
-        scatter=_scatter_rows(findings.study.cells, velocities, len(all_seeds)),
+        amplitudes=_amplitude_rows(cells),
+        equilibrium=_equilibrium_rows(cells, packing_of),
+        scatter=_scatter_rows(findings.study, velocities, len(all_seeds)),
     )
 
 
-def _orders(
-    experiment: Experiment, study: Study, seeds: Sequence[int], lanes: int, progress: Callable[[str], None]
-) -> tuple[Convergence, ...]:
+def _orders(cells: Cells, study: Study) -> tuple[Convergence, ...]:
     """Order of convergence at each content with a velocity of the reference."""
-    orders, own = [], experiment.wave.regime
+    orders, own = [], cells.experiment.wave.regime
     for content in dict.fromkeys(cell.content for cell in study.references if cell.vs is not None):
         slowest = min(cell.vs for cell in study.references if cell.content == content and cell.vs is not None)
         # The linear regime refuses a strong pulse, so the configuration's regime replaces it.
         cases = ((damped, own if regime == "linear" else regime) for damped, regime in _CONVERGENCE_CASES)
         for damped, regime in dict.fromkeys(cases):
-            progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}, {regime}")
-            orders.append(
-                Convergence.measure(experiment, content, seeds, slowest, damped=damped, regime=regime, lanes=lanes)
-            )
+            cells.progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}, {regime}")
+            orders.append(Convergence.measure(cells, content, slowest, damped=damped, regime=regime))
     return tuple(orders)
 
 

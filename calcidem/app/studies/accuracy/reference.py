@@ -3,18 +3,16 @@
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from time import process_time
 from typing import Self
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from calcidem.app.studies.accuracy.settings import REFERENCE_SAMPLES, with_wave
+from calcidem.app.studies.cells import Cells, CellsFound, at_common_times, relative_deviation, signal_distance
 from calcidem.dem.engine.scene import Regime
-from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Measurement, measure_all
+from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.reading import smooth
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
@@ -97,17 +95,7 @@ class Convergence:
     """Logarithm to base 2 of each change over the next: the order, without an exact solution."""
 
     @classmethod
-    def measure(
-        cls,
-        experiment: Experiment,
-        content: float,
-        seeds: Sequence[int],
-        velocity: float,
-        *,
-        damped: bool,
-        regime: Regime = "linear",
-        lanes: int = 8,
-    ) -> Self:
+    def measure(cls, cells: Cells, content: float, velocity: float, *, damped: bool, regime: Regime = "linear") -> Self:
         """Measure it at one content, with records until a wave with two thirds of ``velocity`` (m/s) has arrived.
 
         Local damping opposes the velocity half a step before, whose sign changes within a step: an error of first
@@ -115,7 +103,7 @@ class Convergence:
         regimes, has the same order. All other errors are of second order, as the linear regime without damping shows.
         """
         even = with_wave(
-            experiment,
+            cells.experiment,
             regime=regime,
             precision="float64",
             samples_per_period=REFERENCE_SAMPLES,
@@ -123,57 +111,27 @@ class Convergence:
             **({} if damped else {"damping": 0.0, "boundary_damping": 0.0}),
         )
         even = replace(even, early_stop=False, installation="preserve")
-        runs = [measure_cells(with_wave(even, step_fraction=step), content, seeds, lanes) for step in CONVERGENCE_STEPS]
-        records = [[run[seed, content].record for run in runs] for seed in seeds]
+        runs = [cells.measure(with_wave(even, step_fraction=step), [content]) for step in CONVERGENCE_STEPS]
+        records = [[run[seed, content].record for run in runs] for seed in cells.seeds]
         changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in records], axis=0)
         orders = np.log2(changes[:-1] / changes[1:])
         return cls(content, damped, regime, tuple(changes.tolist()), tuple(orders.tolist()))
 
 
-def fitting_lanes(seeds: Sequence[int], lanes: int) -> int:
-    """Width of the kernel for these seeds: the smallest sufficient power of two, at most ``lanes``."""
-    return min(lanes, 1 << (len(seeds) - 1).bit_length())
-
-
-def measure_cells(
-    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int
-) -> dict[tuple[int, float], Measurement]:
-    """Measurements by seed and content, in a kernel of fitting width."""
-    found = measure_all(experiment, content, seeds, lanes=fitting_lanes(seeds, lanes))
-    return {(cell.seed, content): cell for cell in found}
-
-
-def measure_and_time(
-    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int
-) -> tuple[tuple[Measurement, ...], float]:
-    """Measure, and return also the processor time of a cell, s; repeated if kernels were compiled.
-
-    Unlike the wall time of a `Measurement`, processor time excludes other programs on a shared machine.
-    """
-    while True:
-        compiled, began = seconds_compiling(), process_time()
-        found = measure_all(experiment, content, seeds, lanes=lanes)
-        seconds = (process_time() - began) / len(seeds)
-        if seconds_compiling() == compiled:
-            return found, seconds
-
-
 def find_reference(
-    experiment: Experiment, content: float, seeds: Sequence[int], lanes: int, coarsest: float = COARSEST
-) -> tuple[tuple[Measurement, ...], tuple[ReferenceCell, ...], float]:
+    cells: Cells, content: float, coarsest: float = COARSEST
+) -> tuple[CellsFound, tuple[ReferenceCell, ...], float]:
     """Measure a content accurately: the step of each cell is halved until its Vs changes by less than `HALVING`.
 
     A cell that still changes at `_FINEST` keeps this step and records its change. Returns the measurements, their
     reference cells, and the mean processor time of a cell, s.
     """
-    step, waiting = coarsest, list(seeds)
-    before = measure_cells(_reference_experiment(experiment, step), content, waiting, lanes)
+    step, waiting = coarsest, list(cells.seeds)
+    before = cells.measure(_reference_experiment(cells.experiment, step), [content])
     done: dict[int, tuple[Measurement, ReferenceCell, float]] = {}
     while waiting:
         step /= 2.0
-        width = fitting_lanes(waiting, lanes)
-        found, seconds = measure_and_time(_reference_experiment(experiment, step), content, waiting, width)
-        now = {(cell.seed, content): cell for cell in found}
+        now, seconds = cells.measure_and_time(_reference_experiment(cells.experiment, step), content, waiting)
         for seed in waiting:
             cell = now[seed, content]
             change = relative_deviation(cell.vs, before[seed, content].vs)
@@ -181,41 +139,8 @@ def find_reference(
                 done[seed] = cell, ReferenceCell(seed, content, cell.vs, step, change), seconds
         waiting = [seed for seed in waiting if seed not in done]
         before = now
-    measurements, cells, times = zip(*(done[seed] for seed in seeds), strict=True)
-    return measurements, cells, float(np.mean(times))
-
-
-def relative_deviation(found: float | None, exact: float | None) -> float | None:
-    """Relative deviation; None if either is missing."""
-    return None if found is None or exact is None else found / exact - 1.0
-
-
-def signal_distance(found: WaveRecord, exact: WaveRecord) -> float:
-    """Normalised L2 distance of two received signals, each over its pulse's amplitude, in their common time.
-
-    It is ``||a - b|| / ||b||`` at the samples of the coarser record; a cubic spline interpolates the finer one.
-    """
-    sections = found.section, exact.section
-    times = [section.times for section in sections]
-    common = _common_times(times, max(times, key=lambda time: float(time[1] - time[0])))
-    first, second = (
-        _at_times(common, time, section.received / section.amplitude)
-        for time, section in zip(times, sections, strict=True)
-    )
-    return float(np.linalg.norm(first - second) / np.linalg.norm(second))
-
-
-def _common_times(times: Sequence[Floats], chosen: Floats) -> Floats:
-    """Chosen times that all records cover."""
-    begin, end = max(time[0] for time in times), min(time[-1] for time in times)
-    return np.asarray(chosen[(chosen >= begin) & (chosen <= end)])
-
-
-def _at_times(wanted: Floats, time: Floats, values: Floats) -> Floats:
-    """Values between samples, by a cubic spline; NaN if values are not finite."""
-    if not np.all(np.isfinite(values)):
-        return np.full(len(wanted), np.nan)
-    return np.asarray(CubicSpline(time, values)(wanted))
+    found = {(seed, content): done[seed][0] for seed in cells.seeds}
+    return found, tuple(done[seed][1] for seed in cells.seeds), float(np.mean([one[2] for one in done.values()]))
 
 
 def _signal_changes(records: Sequence[WaveRecord], smoothing: float) -> Floats:
@@ -226,8 +151,7 @@ def _signal_changes(records: Sequence[WaveRecord], smoothing: float) -> Floats:
     sections = [record.section for record in records]
     signals = [smooth(section.received, smoothing * section.period) for section in sections]
     times = [section.times[: len(signal)] for section, signal in zip(sections, signals, strict=True)]
-    common = _common_times(times, times[0])
-    signals = [_at_times(common, time, signal) for time, signal in zip(times, signals, strict=True)]
+    signals = at_common_times(times, signals, times[0])
     size = np.linalg.norm(signals[-1])
     return np.array([np.linalg.norm(fine - coarse) / size for coarse, fine in itertools.pairwise(signals)])
 

@@ -11,7 +11,7 @@ from calcidem.app.studies.accuracy.questions import Findings
 from calcidem.app.studies.accuracy.reference import CONVERGENCE_STEPS, HALVING, CellError
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED
 from calcidem.app.studies.accuracy.study import Study, covered_share
-from calcidem.app.studies.tables import markdown_table, number
+from calcidem.app.studies.results import markdown_table, number
 
 _TARGETS = (0.005, 0.002, 0.001)
 _MANY_CELLS = 40  # most cells in a table; more are only in the JSON
@@ -67,19 +67,17 @@ def _opening(study: Study) -> str:
 def _settings_table(study: Study) -> str:
     """Return one line for each setting; those that change the exact answer are marked."""
     header = ("setting", "Vs median", "Vs worst", "first arrival", "signal (L2)", "within bound", "s a cell")
-    return markdown_table(
-        (*header, "cells lost"),
-        [
-            (
-                row.setting if row.numerical else f"*{row.setting}*",
-                *map(number, (row.median, row.worst, row.arrival, row.signal)),
-                f"{100 * row.covered:.0f} %" if row.numerical and np.isfinite(row.covered) else "-",
-                f"{row.seconds:.3f}",
-                f"{row.lost}",
-            )
-            for row in study.summaries
-        ],
-    )
+    rows = [
+        (
+            row.setting if row.numerical else f"*{row.setting}*",
+            *(row.median, row.worst, row.arrival, row.signal),
+            f"{100 * row.covered:.0f} %" if row.numerical and np.isfinite(row.covered) else "-",
+            f"{row.seconds:.3f}",
+            row.lost,
+        )
+        for row in study.summaries
+    ]
+    return markdown_table((*header, "cells lost"), rows)
 
 
 def _content_table(study: Study) -> str:
@@ -94,16 +92,9 @@ def _content_table(study: Study) -> str:
         halving = max((abs(cell.halving) for cell in exact if cell.halving is not None), default=np.nan)
         bound = np.median([cell.bound for cell in found if cell.bound is not None])
         expected = np.median([cell.expected for cell in found if cell.expected is not None])
-        rows.append(
-            (
-                f"{content:g}",
-                f"{len(errors)}",
-                f"{min(cell.step_fraction for cell in exact):g}",
-                *map(number, (halving, float(np.median(errors)), max(errors), float(expected))),
-                f"{100 * covered_share(found):.0f} %",
-                f"{bound:.1e}",
-            )
-        )
+        reference = (f"{content:g}", len(errors), f"{min(cell.step_fraction for cell in exact):g}", halving)
+        default = (np.median(errors), max(errors), expected, f"{100 * covered_share(found):.0f} %", bound)
+        rows.append((*reference, *default))
     header = (
         *("content %", "cells", "reference's step / limit, smallest", "Vs by its last halving, largest"),
         *("default: median", "worst", "expected, median", "within bound", "bound, median"),
@@ -119,9 +110,9 @@ def _cell_table(study: Study) -> str:
     rows = []
     for exact in study.references:
         cell = found[exact.seed, exact.content]
+        reference = (number(exact.vs, ".2f"), f"{exact.step_fraction:g}", exact.halving, number(cell.vs, ".2f"))
         errors = (cell.vs_error, cell.expected, cell.bound, cell.arrival_error, cell.signal_error)
-        reference = (number(exact.vs, ".2f"), f"{exact.step_fraction:g}", number(exact.halving))
-        rows.append((f"{exact.content:g}", f"{exact.seed}", *reference, number(cell.vs, ".2f"), *map(number, errors)))
+        rows.append((f"{exact.content:g}", exact.seed, *reference, *errors))
     header = ("content %", "seed", "reference Vs, m/s", "its step / limit", "Vs by its last halving", "default Vs, m/s")
     return markdown_table((*header, "error", "expected", "own bound", "first arrival", "signal (L2)"), rows)
 
@@ -135,7 +126,7 @@ def _damping_table(study: Study) -> str:
         if cell.setting == UNDAMPED and cell.vs is not None and before is not None:
             ratios.setdefault(cell.content, []).append(before / cell.vs)
     rows = [
-        (f"{content:g}", f"{len(found)}", *(f"{value:.3f}" for value in (np.median(found), min(found), max(found))))
+        (f"{content:g}", len(found), *(f"{value:.3f}" for value in (np.median(found), min(found), max(found))))
         for content, found in sorted(ratios.items())
     ]
     header = ("content %", "cells", "Vs as configured over Vs without damping: median", "smallest", "largest")
@@ -145,67 +136,47 @@ def _damping_table(study: Study) -> str:
 def _other_tables(findings: Findings) -> dict[str, str]:
     """Return the tables with their own reference; the finite regime's line is an effect of the amplitude."""
     halvings = [f"{2 * step:g} to {step:g}" for step in CONVERGENCE_STEPS[1:]]
+    orders = [
+        (
+            *(f"{row.content:g}", row.regime, "as configured" if row.damped else "none"),
+            *row.changes,
+            *(f"{order:.2f}" for order in row.orders),
+        )
+        for row in findings.convergence
+    ]
+    amplitudes = [
+        (
+            f"{row.amplitude:g}",
+            f"*{row.regime}, effect of the amplitude*" if row.regime == "finite" else row.regime,
+            *(row.median, row.worst, row.cells, row.lost),
+            row.refusal.split(":")[0],
+        )
+        for row in findings.amplitudes
+    ]
+    equilibrium = [
+        (f"{row.unbalanced_force_ratio:g}", row.changed_contacts, row.median, row.worst, row.cells)
+        for row in findings.equilibrium
+    ]
+    scatter = [
+        (
+            *(f"{row.content:g}", row.numerical, row.worst, f"{row.bias:+.1e}"),
+            *(row.deviation, row.samples, row.statistical),
+        )
+        for row in findings.scatter
+    ]
     seeds = findings.scatter[0].seeds if findings.scatter else 0
+    of_scatter = (
+        *("content %", "numerical error: median", "worst", "mean with sign", "scatter (sd / mean)"),
+        *("of samples", f"statistical error of the mean of {seeds} seeds"),
+    )
+    of_orders = ("content %", "regime", "local damping", f"signal, {halvings[0]}", *halvings[1:], "order", "order")
+    of_amplitudes = ("amplitude, m/s", "regime", "Vs median", "Vs worst", "cells", "cells lost", "refused")
+    of_equilibrium = ("unbalanced-force ratio", "changed contacts", "Vs median", "Vs worst", "cells")
     return {
-        "convergence": markdown_table(
-            ("content %", "regime", "local damping", f"signal, {halvings[0]}", *halvings[1:], "order", "order"),
-            [
-                (
-                    f"{row.content:g}",
-                    row.regime,
-                    "as configured" if row.damped else "none",
-                    *map(number, row.changes),
-                    *(f"{order:.2f}" for order in row.orders),
-                )
-                for row in findings.convergence
-            ],
-        ),
-        "amplitudes": markdown_table(
-            ("amplitude, m/s", "regime", "Vs median", "Vs worst", "cells", "cells lost", "refused"),
-            [
-                (
-                    f"{row.amplitude:g}",
-                    f"*{row.regime}, effect of the amplitude*" if row.regime == "finite" else row.regime,
-                    number(row.median),
-                    number(row.worst),
-                    f"{row.cells}",
-                    f"{row.lost}",
-                    row.refusal.split(":")[0],
-                )
-                for row in findings.amplitudes
-            ],
-        ),
-        "equilibrium": markdown_table(
-            ("unbalanced-force ratio", "changed contacts", "Vs median", "Vs worst", "cells"),
-            [
-                (
-                    f"{row.unbalanced_force_ratio:g}",
-                    f"{row.changed_contacts}",
-                    number(row.median),
-                    number(row.worst),
-                    f"{row.cells}",
-                )
-                for row in findings.equilibrium
-            ],
-        ),
-        "scatter": markdown_table(
-            (
-                *("content %", "numerical error: median", "worst", "mean with sign", "scatter (sd / mean)"),
-                *("of samples", f"statistical error of the mean of {seeds} seeds"),
-            ),
-            [
-                (
-                    f"{row.content:g}",
-                    number(row.numerical),
-                    number(row.worst),
-                    f"{row.bias:+.1e}",
-                    number(row.deviation),
-                    f"{row.samples}",
-                    number(row.statistical),
-                )
-                for row in findings.scatter
-            ],
-        ),
+        "convergence": markdown_table(of_orders, orders),
+        "amplitudes": markdown_table(of_amplitudes, amplitudes),
+        "equilibrium": markdown_table(of_equilibrium, equilibrium),
+        "scatter": markdown_table(of_scatter, scatter),
     }
 
 

@@ -22,21 +22,14 @@ REFERENCE_SAMPLES = 1600
 class Setting:
     """One setting for computing the same cells."""
 
-    knob: str
-    """Changed parameter."""
-    value: str
-    """Its value as text."""
+    name: str
+    """Changed parameter and its value, unique in a study."""
     experiment: Experiment
     """Complete experiment."""
     numerical: bool = True
     """False if the exact answer also changes, as with the width of a band or the damping. The difference is then not an
     error, and `Study.cheapest` excludes the setting.
     """
-
-    @property
-    def name(self) -> str:
-        """Knob and value, unique in a study."""
-        return self.knob if not self.value else f"{self.knob} {self.value}"
 
 
 def with_wave(experiment: Experiment, **changes: Any) -> Experiment:  # noqa: ANN401 - fields of several types
@@ -47,30 +40,28 @@ def with_wave(experiment: Experiment, **changes: Any) -> Experiment:  # noqa: AN
 def settings(experiment: Experiment) -> Iterator[Setting]:
     """Yield the settings of a study: the experiment's own first, then every knob."""
     wave = experiment.wave
-    yield Setting(DEFAULT, "", experiment)
+    yield Setting(DEFAULT, experiment)
     yield from _vary(experiment, "step_fraction", _STEP_FRACTIONS)
     yield from _vary(experiment, "samples_per_period", _SAMPLES_PER_PERIOD)
     yield from _vary(experiment, "precision", ("float32", "float64"))
     if experiment.installation == "preserve":
         yield from _vary(experiment, "regime", ("linear", "small", "finite"))
-    yield Setting("whole domain", "", with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
-    yield Setting(
-        "early_stop", str(not experiment.early_stop), replace(experiment, early_stop=not experiment.early_stop)
-    )
+    yield Setting("whole domain", with_wave(experiment, keep=(*wave.keep, WHOLE_DOMAIN)))
+    yield Setting(f"early_stop {not experiment.early_stop}", replace(experiment, early_stop=not experiment.early_stop))
     # Combinations, in which errors of several knobs add up or cancel.
-    yield Setting("single precision, step", "0.95", with_wave(experiment, precision="float32", step_fraction=0.95))
+    yield Setting("single precision, step 0.95", with_wave(experiment, precision="float32", step_fraction=0.95))
     finer = with_wave(experiment, regime="finite", step_fraction=0.4, samples_per_period=400)
-    yield Setting("finite, 400 samples, step", "0.4", finer)
+    yield Setting("finite, 400 samples, step 0.4", finer)
     if wave.damping > 0.0:
-        yield Setting(UNDAMPED, "", with_wave(experiment, damping=0.0), numerical=False)
+        yield Setting(UNDAMPED, with_wave(experiment, damping=0.0), numerical=False)
     for name in ("transmitter_half_width", "receiver_half_width"):
         for factor in _BANDS:
             width = factor * getattr(wave, name)
-            yield Setting(name, f"{1e3 * width:g} mm", with_wave(experiment, **{name: width}), numerical=False)
+            yield Setting(f"{name} {1e3 * width:g} mm", with_wave(experiment, **{name: width}), numerical=False)
 
 
 def _vary(experiment: Experiment, knob: str, values: Iterable[Any]) -> Iterator[Setting]:
     """Yield the experiment with each other value of one field of its `WaveRule`."""
     for value in values:
         if value != getattr(experiment.wave, knob):
-            yield Setting(knob, f"{value}", with_wave(experiment, **{knob: value}))
+            yield Setting(f"{knob} {value}", with_wave(experiment, **{knob: value}))

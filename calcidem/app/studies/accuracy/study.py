@@ -1,26 +1,14 @@
 """Runs a study: the reference of every cell, then the comparison of every setting with it."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from statistics import median
 
 import numpy as np
 
-from calcidem.app.studies.accuracy.reference import (
-    COARSEST,
-    CellError,
-    ReferenceCell,
-    find_reference,
-    fitting_lanes,
-    measure_and_time,
-)
+from calcidem.app.studies.accuracy.reference import COARSEST, CellError, ReferenceCell, find_reference
 from calcidem.app.studies.accuracy.settings import Setting, settings
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Measurement
-
-ROUNDS = 3
-_SLOW = 3.0  # time over the default's above which a setting is timed only once
+from calcidem.app.studies.cells import ROUNDS, Cells
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,77 +71,42 @@ class Study:
         return tuple(front)
 
 
-def run_study(  # noqa: PLR0913 - every departure from the default is a keyword
-    experiment: Experiment,
-    contents: Sequence[float],
-    seeds: Sequence[int],
+def run_study(
+    cells: Cells,
     *,
     compared: Iterable[Setting] | None = None,
     coarsest: float = COARSEST,
-    lanes: int = 8,
     rounds: int = ROUNDS,
-    progress: Callable[[str], None] = lambda _: None,
 ) -> Study:
-    """Measure the errors of settings at contents (%) for some seeds.
+    """Measure the errors of settings.
 
     The experiment's own setting comes first in ``compared``, by default all of `settings.settings`. The search for the
-    reference starts at a step of ``coarsest`` times the limit. Fewer seeds than lanes use a narrower kernel. Settings
-    are timed alternately in ``rounds``, so that other load of the machine affects all of them.
+    reference starts at a step of ``coarsest`` times the limit. Settings are timed alternately in ``rounds``.
     """
-    compared = tuple(settings(experiment) if compared is None else compared)
-    width = fitting_lanes(seeds, lanes)
-    cells: list[CellError] = []
+    compared = tuple(settings(cells.experiment) if compared is None else compared)
+    errors: list[CellError] = []
     references: list[ReferenceCell] = []
     reference_seconds: list[float] = []
     seconds: dict[str, dict[float, float]] = defaultdict(dict)
-    for content in contents:
-        progress(f"{content:g} %: reference")
-        exact, exact_cells, taken = find_reference(experiment, content, seeds, width, coarsest)
+    for content in cells.contents:
+        cells.progress(f"{content:g} %: reference")
+        exact, exact_cells, taken = find_reference(cells, content, coarsest)
         references += exact_cells
         reference_seconds.append(taken)
-        progress(f"{content:g} %: {len(compared)} settings")
-        found, times = _compare_settings(compared, exact, width, rounds, progress)
-        cells += found
+        found, times = cells.take_turns({one.name: one.experiment for one in compared}, content, rounds)
+        errors += [CellError.compare(name, own[key], exact[key]) for name, own in found.items() for key in exact]
         for name, value in times.items():
             seconds[name][content] = value
     return Study(
-        cells=tuple(cells),
+        cells=tuple(errors),
         summaries=tuple(
-            _summary_of(one, [cell for cell in cells if cell.setting == one.name], seconds.get(one.name, {}))
+            _summary_of(one, [cell for cell in errors if cell.setting == one.name], seconds.get(one.name, {}))
             for one in compared
         ),
         references=tuple(references),
         reference_seconds=float(np.mean(reference_seconds)),
         seconds=dict(seconds),
     )
-
-
-def _compare_settings(
-    compared: Sequence[Setting],
-    exact: Sequence[Measurement],
-    lanes: int,
-    rounds: int,
-    progress: Callable[[str], None],
-) -> tuple[list[CellError], dict[str, float]]:
-    """Errors of all settings at one content, and their processor times of a cell, s."""
-    seeds, content = [cell.seed for cell in exact], exact[0].content
-    cells: list[CellError] = []
-    times: dict[str, list[float]] = {}
-    for round_ in range(rounds):
-        for setting in compared:
-            if round_ and (setting.name not in times or times[setting.name][0] > _SLOW * times[compared[0].name][0]):
-                continue
-            try:
-                found, taken = measure_and_time(setting.experiment, content, seeds, lanes)
-            except ValueError as refused:
-                progress(f"{setting.name} at {content:g} %: {refused}")
-                continue
-            times.setdefault(setting.name, []).append(taken)
-            if round_ == 0:
-                cells += [
-                    CellError.compare(setting.name, cell, other) for cell, other in zip(found, exact, strict=True)
-                ]
-    return cells, {name: median(values) for name, values in times.items()}
 
 
 def _summary_of(setting: Setting, cells: Sequence[CellError], seconds: Mapping[float, float]) -> Summary:

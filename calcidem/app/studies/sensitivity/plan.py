@@ -18,7 +18,7 @@ from calcidem.app.config.errors import ConfigurationError, Problem, phrase
 from calcidem.app.config.reader import parse_file, read_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.app.report.wording import ABSENT
-from calcidem.app.studies.tables import markdown_table
+from calcidem.app.studies.results import StudyResult, markdown_table
 from calcidem.storage.errors import UnknownCampaignError
 
 REFERENCE = "reference"
@@ -125,7 +125,7 @@ class VariantPlan:
                 compared[variant.name] = paired_changes(own, other)
         return compared
 
-    def table(self) -> str:
+    def result(self) -> StudyResult:
         """Table of the `changes`: a row for each variant, a column for each content of the reference.
 
         An entry has mean and standard deviation in m/s. Below them are the change of the mean, and the ratio of
@@ -144,7 +144,8 @@ class VariantPlan:
             entries = [_table_entry(found.get(content), is_reference=variant.name == REFERENCE) for content in contents]
             value = variant.value if variant.against == REFERENCE else f"{variant.value} (against {variant.against})"
             rows.append((choice, value, *entries))
-        return markdown_table(("choice", "value", *(f"{content:g} %" for content in contents)), rows) + "\n"
+        header = ("choice", "value", *(f"{content:g} %" for content in contents))
+        return StudyResult(markdown_table(header, rows) + "\n")
 
 
 def read_plan(path: str | os.PathLike[str]) -> tuple[_ListedPlan, Configuration]:

@@ -4,18 +4,20 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 import xarray as xr
 
+from calcidem.analysis.figures.sensitivity import draw_sobol
 from calcidem.analysis.sensitivity import OUTPUTS, campaign_outputs, sobol_indices, sobol_points
 from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.parameters import ParameterRange, check_ranges, with_values
+from calcidem.app.studies.results import StudyResult, markdown_table
 from calcidem.app.studies.sensitivity.plan import read_plan
-from calcidem.app.studies.tables import markdown_table
 from calcidem.app.studies.trials import check_cells, trial_workers
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import CampaignMismatchError
@@ -158,6 +160,11 @@ class SobolPlan:
             .assign(lowest=(both, lowest), highest=(both, highest))
         )
 
+    def result(self, points: xr.Dataset) -> StudyResult:
+        """Table and figure of the `indices`."""
+        indices = self.indices(points)
+        return StudyResult(_sobol_table(indices), figures={"": partial(draw_sobol, indices)})
+
 
 def _save_points(points: xr.Dataset, file: Path) -> None:
     """Write the points atomically."""
@@ -174,7 +181,7 @@ def _forecast(measure_once: Callable[[], object], points: int, cells: int) -> st
     return f"{points} points of {cells} cells each: about {minutes:.1f} minutes on these cores."
 
 
-def sobol_table(indices: xr.Dataset) -> str:
+def _sobol_table(indices: xr.Dataset) -> str:
     """Markdown table: a row for each output and parameter, a column for each content; first index, then total.
 
     Text below it lists negligible and undecided parameters.

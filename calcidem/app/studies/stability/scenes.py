@@ -6,7 +6,9 @@ which limit is approached.
 """
 
 from collections.abc import Container, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from itertools import product
 from typing import Any, Self
 
 import numpy as np
@@ -35,9 +37,9 @@ _PICK = PickRule(largest_error=1.0)
 """The boxes are short compared with the wavelength; only the dependence of the reading on the step is judged."""
 _FLOATER = 0.12  # radius of a floating disk over that of its neighbours; three in a row fit into a pore
 
-STRESSES = (1.0e2, 5.0e3, 5.0e5)  # stresses on small packings, Pa
-FRICTIONS = (0.0, 0.2, 1.0)  # coefficients during packing
-CONTENTS = (0.0, 2.0)  # contents of small packings, percent
+_STRESSES = (1.0e2, 5.0e3, 5.0e5)  # stresses on small packings, Pa
+_FRICTIONS = (0.0, 0.2, 1.0)  # coefficients during packing
+_CONTENTS = (0.0, 2.0)  # contents of small packings, percent
 _BOX_WIDTH, _BOX_HEIGHT = 0.025, 0.04  # m
 _UNBALANCED_FORCE_RATIO = 1.0e-7  # packings with so few contacts come to rest slowly
 _STROKE = 0.1  # stroke of the pulse over the mean overlap
@@ -124,6 +126,16 @@ class Extreme:
         bonded = experiment.ordering(self.seed).at(content).bonded
         bonds = lane_bonds(packing, experiment.cement, [bonded], 1, "preserve")
         return replace(wave_scene(packing, experiment.sand, experiment.wave, bonds), damping=damping), packing
+
+    @classmethod
+    def along_quantities(cls) -> dict[str, list[Self]]:
+        """Scenes along each quantity, in all regimes."""
+        found = {}
+        for name, quantity in QUANTITIES.items():
+            base: dict[str, Any] = asdict(quantity.base)
+            values = ({name: value, "regime": each} for value in quantity.walk for each in REGIMES)
+            found[name] = [cls(**base | changed) for changed in values]
+        return found
 
     @classmethod
     def draw(cls, count: int, seed: int, box: str = "extreme") -> tuple[Self, ...]:
@@ -216,9 +228,19 @@ class Packed:
     seed: int = 1
     """Seed of packing and cement."""
 
-    def experiment(self, packing: Packing) -> Experiment:
-        """Experiment with a pulse much smaller than the overlaps and far below the cut-off of the contacts."""
-        sand = Sand()
+    @classmethod
+    def samples(cls) -> dict[str, list[Self]]:
+        """Samples of each packing, from nearly unjammed to well compressed, bare and cemented, in all regimes."""
+        return {
+            f"packing under {stress:g} Pa, friction {friction:g}": [
+                cls(stress, friction, content, regime) for content, regime in product(_CONTENTS, REGIMES)
+            ]
+            for stress, friction in product(_STRESSES, _FRICTIONS)
+        }
+
+    def experiment(self) -> tuple[Experiment, float]:
+        """Experiment and content; its pulse is much smaller than the overlaps and far below the contacts' cut-off."""
+        sand, packing = Sand(), _small_packing(self.stress, self.friction, self.seed)
         radius = float(np.mean(packing.radius))
         cut_off = cutoff_frequency(_pressed_stiffness(packing, radius, sand), sand.density * np.pi * radius**2)
         frequency = _CEMENTED_FREQUENCY if self.content > 0.0 else _SLOW_PULSE * cut_off
@@ -231,7 +253,8 @@ class Packed:
             slowest=0.3 * radius * cut_off,
             regime=self.regime,
         )
-        return replace(Experiment(packing, sand=sand, wave=wave), frequencies=((0.0, 100.0), (frequency, frequency)))
+        experiment = Experiment(packing, sand=sand, wave=wave, frequencies=((0.0, 100.0), (frequency, frequency)))
+        return experiment, self.content
 
 
 def draw_quantities(
@@ -295,7 +318,8 @@ def _lattice(extreme: Extreme, sand: Sand) -> Packing:
     )
 
 
-def small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
+@lru_cache(maxsize=1)
+def _small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
     """About 150 disks at rest under a stress, Pa."""
     rule = PackingRule(
         width=_BOX_WIDTH,

@@ -1,0 +1,150 @@
+"""Cells of a study, measured with one experiment after another, and the deviations between two measurements."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+from time import process_time
+from typing import Self
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from calcidem.app.campaign.opened import open_campaign_of
+from calcidem.app.campaign.packing import provide_packing
+from calcidem.app.config.checks import check_against_packing
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.kernels.compiling import seconds_compiling
+from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement, measure_all
+from calcidem.dem.wave.recorder import WaveRecord
+
+ROUNDS = 3
+_SLOW = 3.0  # time over the first experiment's above which an experiment is timed only once
+
+CellsFound = Mapping[tuple[int, float], Measurement]
+"""Measurements by seed and content in percent."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """Cells of a campaign that a study measures with one experiment after another."""
+
+    experiment: Experiment
+    """That of the campaign."""
+    contents: Sequence[float]
+    """Percent."""
+    seeds: Sequence[int]
+    lanes: int = 8
+    """Width of the kernel; fewer seeds use a narrower one."""
+    progress: Callable[[str], None] = lambda _: None
+    """Receives a message before each part of a study."""
+
+    @classmethod
+    def of_campaign(
+        cls,
+        configuration: Configuration,
+        seeds: int,
+        database: str | os.PathLike[str] | None,
+        progress: Callable[[str], None],
+    ) -> tuple[Self, dict[float, list[float]] | None]:
+        """Cells of all contents and the first seeds of a campaign.
+
+        A database supplies the packing, and the campaign's velocities at each content, m/s, which are returned as well.
+        `CampaignMismatchError` if its campaign has another configuration.
+        """
+        contents, velocities = sorted(configuration.campaign.contents), None
+        if database is None:
+            packing = provide_packing(configuration, None, progress)
+        else:
+            with open_campaign_of(configuration, database) as campaign:
+                packing, vs = campaign.experiment().packing, campaign.vs()
+            known = [value for value in contents if value in vs.content.to_numpy()]
+            velocities = {value: vs.sel(content=value).dropna("seed").to_numpy().tolist() for value in known}
+        check_against_packing(configuration, packing)
+        chosen = configuration.campaign.seed_numbers[:seeds]
+        return cls(configuration.experiment(packing), contents, chosen, configuration.run.lanes, progress), velocities
+
+    def measure(self, experiment: Experiment, contents: Sequence[float] = (), seeds: Sequence[int] = ()) -> CellsFound:
+        """Measure all cells, or those of some contents and seeds; `ValueError` if the experiment refuses one."""
+        seeds = seeds or self.seeds
+        lanes = min(self.lanes, 1 << (len(seeds) - 1).bit_length())
+        return {
+            (cell.seed, content): cell
+            for content in contents or self.contents
+            for cell in measure_all(experiment, content, seeds, lanes=lanes)
+        }
+
+    def measure_and_time(
+        self, experiment: Experiment, content: float, seeds: Sequence[int] = ()
+    ) -> tuple[CellsFound, float]:
+        """Measure the cells of a content, and return also the processor time of a cell, s.
+
+        It is repeated if kernels were compiled. Unlike the wall time of a `Measurement`, processor time excludes other
+        programs on a shared machine.
+        """
+        while True:
+            compiled, began = seconds_compiling(), process_time()
+            found = self.measure(experiment, [content], seeds)
+            seconds = (process_time() - began) / len(found)
+            if seconds_compiling() == compiled:
+                return found, seconds
+
+    def take_turns(
+        self, experiments: Mapping[str, Experiment], content: float, rounds: int = ROUNDS
+    ) -> tuple[dict[str, CellsFound], dict[str, float]]:
+        """Measure and time experiments alternately at a content, so that other load of the machine affects all alike.
+
+        Returns cells, and median processor times of a cell, s, by name. A refused experiment is in neither.
+        """
+        found: dict[str, CellsFound] = {}
+        times: dict[str, list[float]] = {}
+        for number in range(rounds):
+            for name, experiment in experiments.items():
+                if number and (name not in times or times[name][0] > _SLOW * times[next(iter(experiments))][0]):
+                    continue
+                if not number:
+                    self.progress(f"{content:g} %: {name}")
+                try:
+                    found[name], seconds = self.measure_and_time(experiment, content)
+                except ValueError as refused:
+                    self.progress(f"{name} at {content:g} %: {refused}")
+                    continue
+                times.setdefault(name, []).append(seconds)
+        return found, {name: median(values) for name, values in times.items()}
+
+
+def relative_deviation(found: float | None, exact: float | None) -> float | None:
+    """Relative deviation; None if either is missing."""
+    return None if found is None or exact is None else found / exact - 1.0
+
+
+def errors_of_vs(found: CellsFound, exact: CellsFound) -> list[float]:
+    """Absolute relative errors of Vs of cells with a velocity in both."""
+    deviations = (relative_deviation(found[key].vs, exact[key].vs) for key in exact if key in found)
+    return [abs(error) for error in deviations if error is not None]
+
+
+def signal_distance(found: WaveRecord, exact: WaveRecord) -> float:
+    """Normalised L2 distance of two received signals, each over its pulse's amplitude, in their common time.
+
+    It is ``||a - b|| / ||b||`` at the samples of the coarser record; a cubic spline interpolates the finer one.
+    """
+    sections = found.section, exact.section
+    first, second = at_common_times(
+        [section.times for section in sections],
+        [section.received / section.amplitude for section in sections],
+        max((section.times for section in sections), key=lambda time: float(time[1] - time[0])),
+    )
+    return float(np.linalg.norm(first - second) / np.linalg.norm(second))
+
+
+def at_common_times(times: Sequence[Floats], signals: Sequence[Floats], wanted: Floats) -> list[Floats]:
+    """Signals at those of the wanted times that all cover, by a cubic spline; NaN if a signal is not finite."""
+    begin, end = max(time[0] for time in times), min(time[-1] for time in times)
+    common = wanted[(wanted >= begin) & (wanted <= end)]
+    return [
+        np.asarray(CubicSpline(time, signal)(common) if np.all(np.isfinite(signal)) else np.full(len(common), np.nan))
+        for time, signal in zip(times, signals, strict=True)
+    ]
