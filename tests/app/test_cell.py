@@ -5,10 +5,12 @@ from typing import Any
 
 import pytest
 
-from calcidem.app.campaign.task import CellComputation
+from calcidem.app.campaign.task import CellComputation, cell_result
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
+from calcidem.storage.records import EXACT_QUANTITIES
 from calcidem.sweep.batch import Batch, Cell
 
 pytestmark = pytest.mark.slow
@@ -35,3 +37,12 @@ def test_wavelengths_on_the_path_are_the_periods_of_the_travel_time(
     found = static_speed(experiment, experiment.ordering(1).at(0.66).bonded)
     assert asked["static_speed"] == (found.speed if found.error <= LARGEST_STATIC_ERROR else None)
     assert asked["vs"] == cell["vs"]
+
+
+def test_exact_quantities_need_no_graph(small_configuration: Configuration, small_packing: Packing) -> None:
+    """Those of a worker are those of `verify`, which has no graph of the packing."""
+    sent = computed(small_configuration, small_packing, 1, 0.66)
+    experiment = small_configuration.experiment(small_packing)
+    (measured,) = measure(experiment, 0.66, [1], lanes=small_configuration.run.lanes)
+    bare = cell_result(measured, experiment, store_sections=False).values()
+    assert {name: bare[name] for name in EXACT_QUANTITIES} == {name: sent[name] for name in EXACT_QUANTITIES}

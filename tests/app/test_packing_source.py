@@ -122,7 +122,8 @@ def test_the_packing_of_a_preset_comes_with_calcidem(
     told: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, preset: Preset
 ) -> None:
     """Nobody has to make the packing of an example, so everybody has the same; nor is it put into the cache."""
-    monkeypatch.setattr(packing_source, "make_packing", None)
+    missing = f"no packing of {preset} in the package: run python scripts/preset_packings.py"
+    monkeypatch.setattr(packing_source, "make_packing", lambda *_: pytest.fail(missing))
     (tmp_path / "c.toml").write_text(preset_text(preset), encoding="utf-8")
     configuration = load_configuration(tmp_path / "c.toml")
     found = provide_packing(configuration, None, told.append)

@@ -153,7 +153,8 @@ def cell_result(
 ) -> CellResult:
     """Measurement of an experiment as the store keeps it; the caller that stores it adds attempt, rank and host.
 
-    Path features and graph summary are left out where there is no ``graph`` of the packing.
+    Path features and graph summary are left out where there is no ``graph`` of the packing, as in `verify`: no
+    quantity that `is_exact` may need it.
     """
     cement, record, result = measurement.cement, measurement.record, measurement.result
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)

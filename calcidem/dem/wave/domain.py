@@ -40,7 +40,7 @@ class Domain:
 
 
 def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> Domain:
-    """Disks that a wave can reach, and receiver disks.
+    """Disks that a wave can reach, and listening disks.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
 
 
 def station_disks(packing: Packing, rule: WaveRule) -> tuple[Integers, ...]:
-    """Disks of each station, starting at the transmitter: slices of equal thickness before the receiver disks.
+    """Disks of each station, starting at the transmitter: slices of equal thickness before the listening disks.
 
     There are `_STATIONS` of them, fewer if slices would be thinner than the largest disk, and none if one would be
     empty. The first part of the path is left out, because P and S wave have not separated there.
