@@ -13,6 +13,7 @@ from scipy.stats import norm
 
 from calcidem.analysis.doubt import _bias_of_failed, is_in_doubt
 from calcidem.app.campaign.diagnosis import (
+    _NAMED,
     _experiment_with,
     _explain_refusal,
     _find_remedies,
@@ -31,6 +32,7 @@ from calcidem.app.config.reference import key_references
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import _velocity_remarks
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave import reading
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.dem.wave.measurement import Interpretation, Outcome, measure
@@ -49,6 +51,13 @@ from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 SEEDS, CONTENT, SMOOTHING = (1, 2, 3, 4), 0.66, PickRule().smoothing
+
+
+def test_words_that_name_a_remedy_are_written_by_the_wave() -> None:
+    """A reason that is worded anew would lose its remedy without a word."""
+    wave = Path(reading.__file__).parent
+    written = "".join(file.read_text(encoding="utf-8") for file in sorted(wave.glob("*.py")))
+    assert [words for words in _NAMED if words not in written] == []
 
 
 def store_campaign(path: Path, configuration: Configuration, packing: Packing, *, store_sections: bool = True) -> Path:
