@@ -11,10 +11,11 @@ import xarray as xr
 
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.app.campaign.patterns import stored_experiment
+from calcidem.app.studies.cells import Cells
 from calcidem.app.studies.results import StudyResult, markdown_table, number
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Measurement, interpret_record, measure
+from calcidem.dem.wave.measurement import Measurement, interpret_record
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Method
 from calcidem.dem.wave.recorder import WaveRecord
@@ -23,7 +24,6 @@ from calcidem.storage.sql.store import read_campaign
 _METHODS: tuple[Method, ...] = get_args(Method)
 _FREQUENCIES = (4e3, 8e3, 12e3, 16e3, 20e3, 25e3)
 _DAMPING_FACTORS = (0.1, 0.2, 0.3, 0.5, 0.7)
-_LANES = (4, 8, 16, 32)
 _RECORD_POINTS = 600
 _UNITS = {"content": "%", "seed": "1", "damping": "1", "time": "s"}
 _WHOLE_RANGE = (0.0, 100.0)
@@ -36,7 +36,7 @@ def _frequency_study(
     frequencies: Sequence[float] = _FREQUENCIES,
     seeds: Sequence[int] = (1, 2, 3, 4),
 ) -> xr.Dataset:
-    """Measure the same samples, at most 32 per content (%), at several frequencies, Hz (Figs. 6 and 9 of the paper).
+    """Measure the same samples at contents (%) at several frequencies, Hz (Figs. 6 and 9 of the paper).
 
     Returns `vs_peak`, `vs_first_arrival`, `vs_cross_correlation` (m/s) and `received_frequency` (Hz) along (content,
     frequency, seed), NaN without a reliable reading. `campaign_frequency` (Hz) along content is that of the experiment
@@ -44,13 +44,12 @@ def _frequency_study(
     """
     shape = (len(contents), len(frequencies), len(seeds))
     values = {name: np.full(shape, np.nan) for name in (*(f"vs_{m}" for m in _METHODS), "received_frequency")}
-    lanes = next(width for width in _LANES if width >= len(seeds))
-    for row, content in enumerate(contents):
-        for column, frequency in enumerate(frequencies):
-            single = replace(experiment, frequencies=(_WHOLE_RANGE, (frequency, frequency)))
-            for place, measurement in enumerate(measure(single, content, seeds, lanes=lanes)):
-                for name, value in _readings(single, measurement).items():
-                    values[name][row, column, place] = value
+    cells = Cells(experiment, contents, seeds)
+    for column, frequency in enumerate(frequencies):
+        single = replace(experiment, frequencies=(_WHOLE_RANGE, (frequency, frequency)))
+        for (seed, content), measurement in cells.measure(single).items():
+            for name, value in _readings(single, measurement).items():
+                values[name][contents.index(content), column, seeds.index(seed)] = value
     dimensions = ("content", "frequency", "seed")
     study = xr.Dataset(
         {name: (dimensions, numbers) for name, numbers in values.items()},
@@ -171,7 +170,7 @@ def run_studies(
         raise ValueError(f"study {unknown[0]!r} does not exist; choose from {', '.join(_STUDIES)}")
     with read_campaign(database, campaign_name) as store:
         experiment = stored_experiment(store)
-    chosen = {} if contents is None else {"contents": tuple(contents)}
+    chosen = {} if contents is None else {"contents": tuple(dict.fromkeys(contents))}
     return {name: _STUDIES[name](experiment, **chosen) for name in names}
 
 

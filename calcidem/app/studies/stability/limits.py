@@ -47,7 +47,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Detection:
+class _Detection:
     """One run with a forced step."""
 
     factor: float
@@ -92,12 +92,12 @@ def _acceleration_matrix(state: State) -> Floats:
     return matrix
 
 
-def detections() -> tuple[Detection, ...]:
+def detections() -> tuple[_Detection, ...]:
     """Force steps around the true limit in all regimes of the plain lattice."""
     return tuple(_force_step(factor, regime) for factor in _FACTORS for regime in REGIMES)
 
 
-def _force_step(factor: float, regime: Regime) -> Detection:
+def _force_step(factor: float, regime: Regime) -> _Detection:
     """Transmit a pulse through the plain lattice with a step that configurations do not allow."""
     scene = Extreme(regime=regime, damping=0.0)
     experiment, content = scene.experiment()
@@ -107,7 +107,7 @@ def _force_step(factor: float, regime: Regime) -> Detection:
     step = recorder.state.time_step * 0.0 + factor * Limits.of_scene(scene).true
     recorder.state = replace(recorder.state, time_step=step)
     record = recorder.run(lambda _: False, lambda: None)[0]
-    return Detection(factor, regime, record.steps if record.problem else None, record.problem, recorder.steps_per_look)
+    return _Detection(factor, regime, record.steps if record.problem else None, record.problem, recorder.steps_per_look)
 
 
 _LONG = 100_000  # steps
@@ -117,7 +117,7 @@ _PRESSED_LATTICE = Extreme(confinement=1e6)
 
 
 @dataclass(frozen=True, slots=True)
-class Endurance:
+class _Endurance:
     """Results of long runs of one regime."""
 
     regime: Regime
@@ -132,10 +132,10 @@ class Endurance:
     """Whether a run continued from a stored state half-way ended with the same bits."""
 
 
-def endurance() -> tuple[Endurance, ...]:
+def endurance() -> tuple[_Endurance, ...]:
     """Long runs of a lattice with a third of its cement, in all regimes."""
     return tuple(
-        Endurance(
+        _Endurance(
             regime, _LONG, _energy_drift(regime, _LONG), _residual_motion(regime, _LONG), _restart_keeps_bits(regime)
         )
         for regime in REGIMES
