@@ -1,11 +1,13 @@
 """Whether the tests of a room notice small errors in it: one at a time is put into a copy of the package.
 
-    python benchmarks/mutation/run.py [--rooms analysis sweep dem] [--mutants 40] [--seed 1]
+    pip install pytest-cov
+    python benchmarks/mutation/run.py [--rooms analysis sweep dem] [--mutants 400] [--seed 1]
 
 `tests/test_sentinels.py` keeps twenty of them.
 
-A mutant moves a number, or exchanges a sign, an operator, a comparison or a logical word. Those tests of the room run that
-import the mutated module. Kernels are left out, since each mutant of one would be compiled anew; their naive twins
+A mutant moves a number, or exchanges a sign, an operator, a comparison or a logical word. It is judged by the tests of the
+room that run its line, then by the files that import its module, since programs that tests start, and lines that run
+at import, are not seen. Kernels are left out, since each mutant of one would be compiled anew; their naive twins
 (tests/dem/test_naive.py) compare every term of them. Prints the survivors, and the share of killed mutants of each room.
 """
 
@@ -106,6 +108,24 @@ def _sides(node: ast.AST) -> Iterator[tuple[ast.expr, ast.AST, ast.expr]]:
         yield from ((left, node.op, right) for left, right in pairwise(node.values))
 
 
+def tests_by_line(room: str) -> dict[tuple[str, int], set[str]]:
+    """Tests of a room that run each line of the package."""
+    from coverage import CoverageData  # noqa: PLC0415 - nothing else here needs it
+
+    with tempfile.TemporaryDirectory(prefix="calcidem-mutant-") as folder:
+        environment = os.environ | {"COVERAGE_FILE": f"{folder}/lines"}
+        command = [sys.executable, "-m", "pytest", "-q", "--cov=calcidem", "--cov-context=test", "--cov-report="]
+        if subprocess.run([*command, f"tests/{room}"], cwd=CHECKOUT, env=environment, check=False).returncode:
+            sys.exit(f"{room}: tests fail without any error in the package")
+        data = CoverageData(f"{folder}/lines")
+        data.read()
+    return {
+        (str(Path(file).relative_to(CHECKOUT)), line): {name.partition("|")[0] for name in names if name}
+        for file in data.measured_files()
+        for line, names in data.contexts_by_lineno(file).items()
+    }
+
+
 def judges(room: str, module: Path) -> list[str]:
     """Files of tests of the room that import the module, its own one first; all of the room if none does."""
     dotted = ".".join(module.with_suffix("").parts)
@@ -115,48 +135,48 @@ def judges(room: str, module: Path) -> list[str]:
     return [str(file) for file in found or files]
 
 
-def is_killed(mutant: Mutant, room: str) -> tuple[bool, str]:
-    """Whether a test fails with the error in the package, and the line that has it."""
+def is_killed(mutant: Mutant, room: str, tests: set[str]) -> tuple[bool, str]:
+    """Whether a test fails with the error in the package, and the line that has it; ``tests`` run this line."""
     with tempfile.TemporaryDirectory(prefix="calcidem-mutant-") as folder:
         shutil.copytree(CHECKOUT / "calcidem", Path(folder) / "calcidem")  # with the compiled kernels
         line = mutant.apply(Path(folder))
-        options = ["-x", "-q", "--no-header", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
-        environment = os.environ | {"PYTHONPATH": folder}  # for programs that the tests start
-        command = [sys.executable, "-m", "pytest", *options, "--rootdir", str(CHECKOUT), *judges(room, mutant.module)]
-        try:
-            done = subprocess.run(
-                command, cwd=folder, env=environment, capture_output=True, timeout=TIME_LIMIT, check=False
-            )
-        except subprocess.TimeoutExpired:
-            return True, line
-    return done.returncode != 0, line
+        seen = sorted(str(CHECKOUT / test) for test in tests)
+        return any(_fails(folder, chosen) for chosen in (seen, judges(room, mutant.module)) if chosen), line
 
 
-def sample(room: str, count: int, seed: int) -> list[Mutant]:
-    """So many mutants of a room, the same ones for a seed."""
-    found = sorted(set(mutants(room)))
-    return random.Random(seed).sample(found, min(count, len(found)))
+def _fails(folder: str, chosen: list[str]) -> bool:
+    """Whether a test fails with the package in a folder."""
+    options = ["-x", "-q", "--no-header", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
+    environment = os.environ | {"PYTHONPATH": folder}  # for programs that the tests start
+    command = [sys.executable, "-m", "pytest", *options, "--rootdir", str(CHECKOUT), *chosen]
+    try:
+        done = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, timeout=TIME_LIMIT, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return True
+    return done.returncode != 0
 
 
 def main() -> None:
     """Judge, and print the survivors and the shares."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rooms", nargs="+", default=["analysis", "sweep", "dem"])
-    parser.add_argument("--mutants", type=int, default=40, help="of each room")
+    parser.add_argument("--mutants", type=int, default=400, help="of all rooms together")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
+    pool = [(room, mutant) for room in given.rooms for mutant in sorted(set(mutants(room)))]
+    chosen = random.Random(given.seed).sample(pool, min(given.mutants, len(pool)))
     for room in given.rooms:
-        chosen, killed = sample(room, given.mutants, given.seed), 0
-        nothing = Mutant(chosen[0].module, 1, 0, 0, "")
-        if is_killed(nothing, room)[0]:
-            sys.exit(f"{room}: tests fail without any error in the package")
-        for mutant in chosen:
-            noticed, line = is_killed(mutant, room)
+        tests, killed = tests_by_line(room), 0
+        of_room = [mutant for owner, mutant in chosen if owner == room]
+        for mutant in of_room:
+            noticed, line = is_killed(mutant, room, tests.get((str(mutant.module), mutant.line), set()))
             killed += noticed
             if not noticed:
                 place = f"{mutant.module}:{mutant.line}:{mutant.begin}"
                 print(f"survived: {place}: {line}   here: {mutant.instead or 'nothing'}", flush=True)
-        print(f"{room}: {killed} of {len(chosen)} mutants killed", flush=True)
+        print(f"{room}: {killed} of {len(of_room)} mutants killed", flush=True)
 
 
 if __name__ == "__main__":
