@@ -58,6 +58,7 @@ print(json.dumps(found))
 PHASES = {
     "kernel": ("calcidem.dem.engine.leapfrog.advance_steps",),
     "scenes: neighbours, forces, step": ("calcidem.dem.wave.propagation.prepare_recorder",),
+    "lists of neighbours": ("calcidem.dem.engine.leapfrog.renew_assembly",),
     "drawing cement": ("calcidem.dem.wave.experiment.draw_cement",),
     "looks at the records": ("calcidem.dem.wave.measurement.is_settled",),
     "guards": tuple(f"calcidem.dem.wave.recorder.{name}" for name in ("problems_of", "nonlinearity", "slipped_force")),
