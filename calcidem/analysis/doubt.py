@@ -5,14 +5,12 @@ from statistics import NormalDist
 
 
 def _bias_of_failed(measured: int, failed: int) -> float:
-    """Largest bias of a mean by failed cells, over the standard deviation of all cells.
+    """Largest bias of a mean by failed cells, over the standard deviation of all cells; some are measured, some failed.
 
     A normal distribution that loses the share p = failed / (measured + failed) at one end has the bias
     ``phi(z) / (1 - p)``, where p lies beyond z (N. L. Johnson et al., Continuous Univariate Distributions 1, 1994,
     section 13.10.1). Failure depends on the signal, so failed cells may be the slowest or the fastest.
     """
-    if failed == 0 or measured == 0:
-        return 0.0 if failed == 0 else math.inf
     share, normal = failed / (measured + failed), NormalDist()
     return normal.pdf(normal.inv_cdf(share)) / (1.0 - share)
 

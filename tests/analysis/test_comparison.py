@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from calcidem.analysis.comparison import compare_velocities
+from calcidem.analysis.comparison import _correlation, compare_velocities
 from calcidem.analysis.intervals import Interval
 
 
@@ -44,6 +44,13 @@ def test_pairs_are_the_seeds_that_both_have() -> None:
     assert float(twice["deviation_ratio"]) == pytest.approx(2.0)
     assert twice["deviation_ratio_interval"].values == pytest.approx([2.0, 2.0])  # every draw of seeds has it
     assert float(twice["pair_correlation"]) == pytest.approx(1.0)
+
+
+def test_equal_pairs_correlate_and_a_constant_column_does_not() -> None:
+    """A campaign that gives the velocities of another has a correlation of 1 with it."""
+    values = np.array([300.0, 420.0, 510.0, 480.0, 700.0])
+    assert _correlation(np.column_stack([values, values])) == pytest.approx(1.0)
+    assert math.isnan(_correlation(np.column_stack([values, np.full(5, 500.0)])))
 
 
 def test_contents_of_one_campaign_alone_have_no_difference() -> None:

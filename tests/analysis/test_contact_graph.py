@@ -79,6 +79,14 @@ def test_the_longest_run_is_the_mean_over_all_shortest_paths(
     assert found == pytest.approx(np.mean(runs), rel=1e-12)
 
 
+def test_paths_do_not_depend_on_the_unit_of_the_weights(random_sample: Callable[..., Sample]) -> None:
+    """Weights that are far smaller give the same path."""
+    sample = random_sample(2, 400)
+    small = ContactWeights(3e-5 * PHYSICAL.hertz, 3e-5 * PHYSICAL.bond)
+    path = ShortestPaths.search(*sample, PHYSICAL).first()
+    assert ShortestPaths.search(*sample, small).first() == path
+
+
 def test_the_longest_run_does_not_depend_on_the_numbers_of_the_grains(random_sample: Callable[..., Sample]) -> None:
     """Numbered anew, the same sample may have another path found first, but the same longest run."""
     graph, bonded = random_sample(2, 900)

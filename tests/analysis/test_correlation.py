@@ -178,6 +178,8 @@ def test_a_trend_with_content_and_seeds_that_were_not_analysed_do_not_count() ->
     flat = np.broadcast_to(trend, (20, 4))
     found = seed_permutation_test(table(x=x, flat=flat, y=y), "y")
     assert float(found["p"].sel(variable="x")) > 0.02
+    within = correlate(table(x=x, y=y)).within
+    assert float(found["pearson"].sel(variable="x")) == pytest.approx(pair(within, "pearson"))
     assert np.isnan(found.sel(variable="flat").to_array()).all()
     longer = [np.concatenate([values, np.full((30, 4), np.nan)]) for values in (x, y)]
     np.testing.assert_array_equal(

@@ -5,7 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from calcidem.analysis.doubt import _bias_of_failed, is_in_doubt
 from calcidem.analysis.intervals import (
+    UNDEFINED,
     Interval,
     mean,
     standard_deviation,
@@ -28,6 +30,19 @@ def test_equal_values_have_exactly_no_deviation() -> None:
     for interval in (Interval.of_mean(copies), Interval.of_prediction(copies)):
         assert interval == Interval(169.73, 169.73)
     assert Interval.of_standard_deviation(copies) == Interval(0.0, 0.0)
+
+
+def test_an_interval_contains_its_ends() -> None:
+    """Also one without width; an undefined one contains nothing."""
+    assert [Interval(1.0, 2.0).contains(value) for value in (0.99, 1.0, 1.5, 2.0, 2.01)] == [
+        False,
+        True,
+        True,
+        True,
+        False,
+    ]
+    assert Interval(1.0, 1.0).contains(1.0)
+    assert not UNDEFINED.contains(1.0)
 
 
 def test_mean_interval_is_scipys() -> None:
@@ -125,3 +140,18 @@ def test_deviation_interval_covers_normal_and_skewed_values(n: int, skewed: bool
     samples = generator.gamma(5.0, 1 / np.sqrt(5.0), (1000, n)) if skewed else generator.normal(0, 1, (1000, n))
     hits = sum(Interval.of_standard_deviation(sample).contains(1.0) for sample in samples)
     assert hits / 1000 >= (0.9 if skewed else 0.92)
+
+
+@pytest.mark.parametrize(("measured", "failed"), [(1, 1), (7, 1), (5, 3), (111, 5), (39, 9)])
+def test_the_bias_of_a_mean_is_that_of_a_normal_distribution_without_its_end(measured: int, failed: int) -> None:
+    """Values of a normal distribution at equal steps of probability, less those at one end, have this mean."""
+    values = stats.norm.ppf((np.arange(200_000) + 0.5) / 200_000)
+    left = values[round(len(values) * failed / (measured + failed)) :]
+    assert _bias_of_failed(measured, failed) == pytest.approx(left.mean(), rel=1e-3)
+    assert is_in_doubt(measured, failed) == (left.mean() > 1.0 / np.sqrt(measured))
+
+
+def test_a_mean_is_in_doubt_from_two_of_eight_failed_cells_on() -> None:
+    """Without failed cells it is not, without measured ones it is."""
+    assert all(is_in_doubt(measured, failed) for measured, failed in [(6, 2), (44, 4), (111, 5), (0, 1)])
+    assert not any(is_in_doubt(measured, failed) for measured, failed in [(7, 1), (45, 3), (112, 4), (0, 0), (5, 0)])

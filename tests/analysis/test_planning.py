@@ -39,6 +39,8 @@ def test_a_campaign_that_is_narrow_enough_needs_no_more() -> None:
     """Where the interval is narrower than asked, nothing is left to compute; nor without any scatter."""
     assert SeedPlan.of_values(np.random.default_rng(1).normal(1200, 260, 40), 200.0).more == 0
     assert SeedPlan.of_values(np.full(5, 169.73), 0.1).more == 0
+    with pytest.raises(ValueError, match=r"half_width is 0\.0; it must be positive"):
+        SeedPlan.of_values([1.0, 2.0], 0.0)
 
 
 def test_seeds_that_cannot_be_read_are_planned_for() -> None:

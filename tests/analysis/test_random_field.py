@@ -18,7 +18,8 @@ def test_averages_over_a_window_have_its_side_as_their_scale() -> None:
 
 
 def test_a_decaying_correlation_has_twice_its_length() -> None:
-    """``r^k`` makes (1 + r) / (1 - r) steps; equal values have no correlation."""
+    """``r^k`` makes (1 + r) / (1 - r) steps, a line its first zero; equal values have no correlation."""
+    assert _scale_of_fluctuation(1.0 - np.arange(9) / 2.5, 2.0) == pytest.approx(5.0, rel=1e-12)
     assert _scale_of_fluctuation(0.8 ** np.arange(100), 1.0) == pytest.approx(9.0, rel=1e-6)
     assert np.isnan(_scale_of_fluctuation(_autocorrelation(np.ones((2, 3, 4)), -1), 1.0))
 

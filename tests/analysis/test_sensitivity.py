@@ -33,6 +33,8 @@ def test_unread_cells_are_left_out_on_both_sides() -> None:
     (change,) = paired_changes(velocities(variant), velocities(reference))
     assert (change.measured, change.planned) == (23, 24)
     assert change.mean_ratio == pytest.approx(1.1)
+    own = variant[np.isfinite(variant)]
+    assert (change.mean, change.standard_deviation) == pytest.approx((np.mean(own), np.std(own, ddof=1)))
     assert change.deviation_ratio == pytest.approx(1.1)
 
 

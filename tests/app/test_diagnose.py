@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 
-from calcidem.analysis.doubt import _bias_of_failed, is_in_doubt
 from calcidem.app.campaign.diagnosis import (
     _NAMED,
     _experiment_with,
@@ -300,16 +298,6 @@ def test_a_packing_that_carries_no_wave_is_told(experiment: Experiment) -> None:
     text = _judged_packing(replace(experiment, packing=replace(packing, report=report)))
     assert "2.50 contacts per disk" in text
     assert "lower packing.porosity" in text
-
-
-@pytest.mark.parametrize(("measured", "failed"), [(7, 1), (5, 3), (111, 5), (39, 9)])
-def test_the_bias_of_a_mean_is_that_of_a_normal_distribution_without_its_end(measured: int, failed: int) -> None:
-    """Values of a normal distribution at equal steps of probability, less those at one end, have this mean."""
-    values = norm.ppf((np.arange(200_000) + 0.5) / 200_000)
-    left = values[round(len(values) * failed / (measured + failed)) :]
-    assert _bias_of_failed(measured, failed) == pytest.approx(left.mean(), rel=1e-3)
-    assert _bias_of_failed(measured, 0) == 0.0
-    assert is_in_doubt(measured, failed) == (left.mean() > 1.0 / np.sqrt(measured))
 
 
 def test_tables_warn_of_means_in_doubt_and_advise_no_retry(unread: Path, invoke: Callable[..., str]) -> None:

@@ -18,6 +18,7 @@ from calcidem.dem.wave.measurement import Outcome, measure
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
+from calcidem.dem.wave.scene import wave_scene
 from calcidem.dem.wave.section import RESOLUTION, Counts
 
 RULE = WaveRule(
@@ -91,6 +92,40 @@ def test_the_whole_packing_is_kept_where_a_signal_could_come_back(packing: Packi
     assert len(domain_of(packing, RULE, "zero").packing.x) == len(packing.x)
 
 
+def test_a_packing_upside_down_keeps_the_same_disks(packing: Packing) -> None:
+    """The middle of the kept part is that of the packing."""
+    turned = replace(packing, y=packing.height - packing.y)
+    kept = domain_of(packing, RULE, "preserve").packing
+    np.testing.assert_array_equal(domain_of(turned, RULE, "preserve").packing.x, kept.x)
+
+
+def test_walls_of_a_wave_are_the_sides_of_the_packing(packing: Packing) -> None:
+    """Every point of the rim is on the wall of its side, in the part whose span contains it, and inside the others."""
+    middle, half = packing.height / 2.0, RULE.transmitter_half_width
+    walls = wave_scene(packing, SAND, RULE, None).walls
+    for x, y, rubbing in (
+        (0.0, middle + 1.1 * half, False),
+        (0.0, middle + 0.9 * half, True),
+        (0.0, middle - 0.9 * half, True),
+        (0.0, middle - 1.1 * half, False),
+        (packing.width, middle + 1.1 * half, False),
+        (packing.width, middle + 0.9 * half, True),
+        (packing.width, middle - 0.9 * half, True),
+        (packing.width, middle - 1.1 * half, False),
+        (0.4 * packing.width, 0.0, False),
+        (0.4 * packing.width, packing.height, False),
+    ):
+        place = np.array(x), np.array(y)
+        distances = [wall.distance(*place) for wall in walls]
+        (here,) = [
+            wall
+            for wall, distance in zip(walls, distances, strict=True)
+            if distance == 0.0 and wall.span[0] <= wall.along(*place) < wall.span[1]
+        ]
+        assert min(distances) == 0.0
+        assert here.friction == (RULE.band_friction if rubbing else 0.0)
+
+
 def test_disks_at_the_rim_of_the_domain_are_held(packing: Packing) -> None:
     """Held are the disks that lost a neighbour, and only those; pairs and shear forces are those of the packing."""
     rule = replace(RULE, regime="finite")
@@ -109,6 +144,7 @@ def test_stations_record_the_mean_of_their_disks(packing: Packing) -> None:
     experiment = Experiment(packing, sand=SAND, wave=RULE)
     recorder = prepare_recorder(experiment, [bonded(packing, 5.0)], FREQUENCY, 1, check=lambda: None)
     (record,) = recorder.run(lambda record: len(record.section.across) >= SAMPLES_PER_CHUNK, lambda: None)
+    assert recorder.state.steps == recorder.steps_per_look
     part = domain_of(packing, RULE, "preserve").packing
     velocity = recorder.state.motion.velocity[np.argsort(recorder.state.assembly.order), :2, 0]
     listening = [*station_disks(part, RULE), listening_disks(part, RULE)]

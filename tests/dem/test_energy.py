@@ -69,6 +69,16 @@ def cycle(rescaling: bool) -> tuple[State, float]:
     return state, 0.5 * float(stiffness[0] - stiffness[1]) * slid**2
 
 
+def test_shear_is_rescaled_where_the_scene_says_so_and_stiffness_changes() -> None:
+    """The linear regime has constant stiffness, and so nothing to rescale."""
+    found = {
+        (rescaling, regime): choose_features(pair_scene(rescaling=rescaling), regime).rescaling
+        for rescaling in (False, True)
+        for regime in ("finite", "small", "linear")
+    }
+    assert [key for key, rescaled in found.items() if rescaled] == [(True, "finite"), (True, "small")]
+
+
 @pytest.mark.full
 def test_shear_rescaling_keeps_a_cycle_of_loading_and_sliding_from_creating_energy() -> None:
     """Mode 1 loses (k_deep - k_shallow) s^2 / 2 in the cycle; mode 0 creates just as much."""

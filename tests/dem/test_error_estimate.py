@@ -8,14 +8,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import LINEAR, SOFT, SOFT_CEMENT, bare_packing, hexagonal, pair_scene
 from scenes import RADIUS as SCENE_RADIUS
+from waves import section, wave
 
+from calcidem.dem.engine.readout import net_forces
 from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
 from calcidem.dem.engine.state import start
-from calcidem.dem.wave.error_estimate import ErrorParts, chatters, cure_of, error_bound, estimate_error
+from calcidem.dem.wave import measurement
+from calcidem.dem.wave.error_estimate import ErrorParts, chatters, cure_of, error_bound, estimate_error, shift_by_change
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity, slipped_force
+from calcidem.dem.wave.linearity import (
+    Nonlinearity,
+    _intact_bonds,
+    _spring_work,
+    _strained_contacts,
+    nonlinearity,
+    slipped_force,
+)
+from calcidem.dem.wave.measurement import _change_by_halving
 from calcidem.dem.wave.pulse import Pulse
-from calcidem.dem.wave.reading import ShearArrival
+from calcidem.dem.wave.reading import ShearArrival, read_section
 from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.section import Section
@@ -281,6 +292,60 @@ def test_what_the_transmitter_loses_is_expected_in_part() -> None:
     assert bound == error_bound(found)
 
 
+@pytest.mark.parametrize(
+    ("experiment", "record"),
+    [
+        (waves(EXPERIMENT, precision="float32"), RECORD),
+        (EXPERIMENT, replace(RECORD, time_step=0.5 * RECORD.time_step, stability_limit=0.5 * RECORD.stability_limit)),
+        (EXPERIMENT, replace(RECORD, unbalanced_speed=1e-4)),
+        (EXPERIMENT, replace(RECORD, broken_bonds=3, bonds=560)),
+        (waves(EXPERIMENT, damping=0.5), RECORD),
+    ],
+)
+def test_a_tenth_of_the_other_parts_is_expected(experiment: Experiment, record: WaveRecord) -> None:
+    """Precision, chatter, unbalanced forces and broken bonds count alike."""
+    (usual, _, before), (changed, _, after) = (
+        estimate_error(*given, received()) for given in ((EXPERIMENT, RECORD), (experiment, record))
+    )
+    others = ("precision", "chatter", "unbalanced", "breaking")
+    more = sum(getattr(after, name) - getattr(before, name) for name in others)
+    assert changed - usual == pytest.approx(0.1 * more, rel=1e-9, abs=1e-15)
+
+
+def test_chatter_that_was_measured_is_expected_as_of_one_of_two_runs() -> None:
+    """Two runs with equal errors differ by sqrt(2) of one."""
+    without, measured = (estimate_error(EXPERIMENT, RECORD, received(), chatter).expected for chatter in (0.0, 0.01))
+    assert measured - without == pytest.approx(0.01 / np.sqrt(2.0), rel=0.01)
+
+
+def test_the_change_by_halving_is_that_of_the_signal_where_the_travel_time_stays() -> None:
+    """A signal sampled at other times is the same; one that is 1 % larger moves its peak as such a change does."""
+    fine, coarse, louder = (
+        replace(RECORD, section=section(wave(8.0, height), samples=samples))
+        for height, samples in ((1.0, 40), (1.0, 37), (1.01, 40))
+    )
+    arrival = read_section(fine.section).arrival
+    assert arrival is not None
+    assert _change_by_halving(EXPERIMENT, fine, arrival, coarse) < 3e-4
+    change = _change_by_halving(EXPERIMENT, fine, arrival, louder)
+    assert change == pytest.approx(0.01 * shift_by_change(fine.section, arrival), rel=1e-3)
+    assert _change_by_halving(EXPERIMENT, fine, arrival, replace(coarse, problem="unstable")) == 1.0
+
+
+def test_seeds_are_measured_in_batches_of_the_kernels_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of them, in order."""
+    batches: list[list[int]] = []
+
+    def measured(_experiment: Experiment, _content: float, seeds: list[int], **_options: object) -> list[int]:
+        batches.append(seeds)
+        return seeds
+
+    monkeypatch.setattr(measurement, "measure", measured)
+    found: list[object] = list(measurement.measure_all(EXPERIMENT, 0.0, [5, 3, 1, 2, 4], lanes=2))
+    assert found == [5, 3, 1, 2, 4]
+    assert batches == [[5, 3], [1, 2], [4]]
+
+
 FAR = (Wall((0.0, -1.0), (0.0, 1.0)),)  # touches nothing
 
 
@@ -306,6 +371,17 @@ def test_cement_is_linear() -> None:
     state = start(scene, features=LINEAR)
     state.motion.displacement[1] = [[1e-5], [1e-5], [1e-3]]
     assert not np.any(nonlinearity(state).share)
+
+
+def test_the_work_of_the_springs_is_that_of_the_net_forces() -> None:
+    """With constant stiffness, bonds and bare contacts take up the negative sum of force times displacement."""
+    x, y = hexagonal(3, 2, 2.0 * SCENE_RADIUS - 1e-6)
+    scene = Scene(x, y, np.full(6, SCENE_RADIUS), SOFT, FAR, Bonds(np.array([[0, 1], [1, 2], [1, 4]]), SOFT_CEMENT))
+    state = start(scene, features=LINEAR)
+    state.motion.displacement[:, :, 0] = np.random.default_rng(1).normal(size=(6, 3)) * [1e-9, 1e-9, 1e-6]
+    moved = state.to_scene_order(state.motion.displacement[:, :, 0])
+    work = _spring_work(state, _strained_contacts(state, slice(None)), _intact_bonds(state, slice(None)))
+    assert work == pytest.approx(-np.sum(net_forces(state) * moved), rel=1e-6)
 
 
 @pytest.mark.parametrize("slide", [1e-12, 1e-9])

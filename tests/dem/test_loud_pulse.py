@@ -14,7 +14,7 @@ from calcidem.dem.kernels.layout import X, Y
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.guards import problems_of
+from calcidem.dem.wave.guards import cheap_limit, problems_of, unbalanced_speed
 from calcidem.dem.wave.measurement import Measurement, Outcome, measure
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.recorder import WaveRecord
@@ -104,6 +104,37 @@ def test_the_step_is_held_against_the_contacts_as_they_are_pressed_now(part: flo
     state.motion.displacement[1, X, 0] = -overlap * (part**-4 * (1.02 if above else 0.98) - 1.0)
     (problem,) = problems_of(state, amplitude=1.0, overlap=overlap)
     assert ("above the stability limit of the pressed contacts" in problem) == above
+
+
+def test_the_cheap_limit_of_two_equal_disks_is_exact() -> None:
+    """Their contact counts twice, as it is now and as at the start: the limit is that of twice the stiffness."""
+    state = start(pair_scene(-1e-4 * RADIUS, sand=SOFT), features=HERTZ, steps_per_contact=0.0)
+    assert cheap_limit(state)[0] == pytest.approx(state.critical_time_step[0] / np.sqrt(2.0), rel=1e-6)
+
+
+def test_unbalanced_forces_move_disks_at_force_over_mass_and_frequency() -> None:
+    """Two pressed disks that nothing holds; a pulse of a thousand times their speed is not yet too weak."""
+    overlap = 1e-4 * RADIUS
+    state = start(pair_scene(-overlap, sand=SOFT), features=HERTZ, steps_per_contact=0.0)
+    radius = np.full(1, RADIUS)
+    force = float(SOFT.hertz_coefficient(radius, radius)[0]) * overlap**1.5
+    speed = float(force / state.scene.mass[0] * state.critical_time_step[0] / 2.0)
+    assert unbalanced_speed(state, 1010.0 * speed) == pytest.approx(1.0 / 1010.0, rel=1e-6)
+    with pytest.raises(ValueError, match=r"amplitude = .* unbalanced forces of the packing alone"):
+        unbalanced_speed(state, 990.0 * speed)
+
+
+def test_a_disk_that_left_its_neighbours_behind_is_named_by_its_place() -> None:
+    """The one that moved farther than half the skin, not one that only turns."""
+    state = start(pair_scene(sand=SOFT), features=HERTZ)
+    state = replace(state, features=replace(HERTZ, search=False))
+    turned, moved = state.assembly.order.argsort()
+    state.motion.displacement[turned, 2, 0] = 10.0
+    state.motion.displacement[moved, Y, 0] = 0.49 * state.skin
+    assert problems_of(state, amplitude=1.0, overlap=RADIUS) == [""]
+    state.motion.displacement[moved, Y, 0] = 0.51 * state.skin
+    (problem,) = problems_of(state, amplitude=1.0, overlap=RADIUS)
+    assert problem.startswith("the disk at (0.002, 0) m moved")
 
 
 @pytest.mark.full

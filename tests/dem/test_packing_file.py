@@ -13,7 +13,7 @@ from calcidem.dem.engine.step_control import UnstableRunError
 from calcidem.dem.sample import compaction
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingFileError, PackingRule
-from calcidem.dem.sample.packing_file import _read_disks, packing_from_csv, write_packing_csv
+from calcidem.dem.sample.packing_file import FARTHEST, _numbered_rows, _read_disks, packing_from_csv, write_packing_csv
 
 RULE = PackingRule(width=0.02, height=0.03)
 SAND = Sand()
@@ -128,6 +128,19 @@ def test_files_that_are_no_packings_are_refused(
     file.write_text("\n".join(change(file.read_text().splitlines())))
     with pytest.raises(PackingFileError, match=message):
         packing_from_csv(file, SAND, RULE)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.0 + 1e-15])
+def test_numbers_up_to_a_limit_are_read(factor: float, tmp_path: Path) -> None:
+    """The limit itself is accepted, as x, as y, and as radius or its inverse."""
+    far, small = FARTHEST * factor, 1.0 / FARTHEST / factor
+    for x, y, radius in ((far, 0.0, 1.0), (0.0, -far, 1.0), (0.0, 0.0, far), (0.0, 0.0, small)):
+        lines = ["x,y,radius", f"{x},{y},{radius}"]
+        if factor == 1.0:
+            assert list(_numbered_rows(tmp_path, lines)) == [(2, (x, y, radius))]
+        else:
+            with pytest.raises(PackingFileError, match=r"line 2: .* up to 1e\+30"):
+                list(_numbered_rows(tmp_path, lines))
 
 
 def test_unreadable_files_are_refused(tmp_path: Path) -> None:

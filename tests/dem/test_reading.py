@@ -358,6 +358,21 @@ def test_candidates_are_the_peaks_that_are_judged() -> None:
     assert faster.coherence == pytest.approx(0.3, abs=0.02)  # the others' flanks
     assert faster.rival == pytest.approx(chosen.coherence, abs=0.01)
     assert chosen.rival < 0.5
+    assert [one.rival for one in find_candidates(section(wave(8.0)), 0.3)] == [0.0]  # nothing else moves
+
+
+def test_a_peak_at_that_of_the_p_wave_is_a_candidate() -> None:
+    """A narrow S wave that arrives with the crest of a wide P wave is left when the P wave is taken off."""
+    given = section(wave(8.0, faster=2.0), at_receiver(wave(8.0)))
+    assert int(prepare(given, 0.3).p_peak[-1]) in [one.index for one in find_candidates(given, 0.3)]
+
+
+def test_the_spectrum_lacks_a_p_wave_before_the_line_alone() -> None:
+    """A wave of P that also moves across is seen along a faster line, and taken off before a slower one."""
+    given = section(total(wave(4.0, 0.3), wave(8.0, 0.2)), wave(4.0))
+    faster, slower = velocity_spectrum(given, 0.3, DISTANCE * FREQUENCY / np.array([3.8, 4.3]))
+    assert faster > 0.9
+    assert slower < 0.1
 
 
 def test_the_spectrum_is_largest_at_the_velocity() -> None:

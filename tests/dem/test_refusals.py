@@ -1,17 +1,22 @@
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import pytest
 from scenes import HERTZ, RADIUS, pair_scene
+from test_distance import lattice_experiment
 
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import contact_forces, energies
-from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
+from calcidem.dem.engine.scene import Bonds, Installation, Preload, Regime, Scene, Wall
 from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import PackingRule
+from calcidem.dem.wave import propagation
+from calcidem.dem.wave.propagation import _refuse_short_pulse
+from calcidem.dem.wave.rule import WaveRule, refuse_long_stroke
 
 ONE = np.zeros(1)
 TWO = np.array([[0, 1]])
@@ -109,3 +114,47 @@ def test_a_pair_that_is_named_twice_is_bonded_in_the_lanes_of_both() -> None:
     bonds = Bonds(np.array([[0, 1], [1, 0]]), lanes=np.array([1, 2], np.uint32))
     state = start(pair_scene(bonds=bonds), features=Features(bonds=True, lanes=4), steps_per_contact=0.0)
     assert state.assembly.pairs.cemented.tolist() == [3]
+
+
+def test_a_pulse_may_be_as_short_as_its_refusal_says() -> None:
+    """Twenty steps are enough."""
+    step = 2.0**-20
+    _refuse_short_pulse(step, 0.05 / step)
+    with pytest.raises(ValueError, match=r"frequency = .* 20 time steps of 9\.54e-07 s, .* at most 52428 Hz"):
+        _refuse_short_pulse(step, 0.0501 / step)
+
+
+@pytest.mark.parametrize(("regime", "amplitude"), [("linear", 1280.0), ("small", 1024.0)])
+def test_a_pulse_may_move_the_transmitter_as_far_as_its_refusal_says(regime: Regime, amplitude: float) -> None:
+    """Five mean overlaps of 0.25 m, or a twentieth of a radius of 20 m, are allowed, and half of it with half of f."""
+    for part in (1.0, 0.5):
+        refuse_long_stroke(WaveRule(amplitude=part * amplitude, regime=regime), part * 1024.0, 0.25, 20.0)
+        with pytest.raises(ValueError, match=rf"amplitude = .* at most {part * amplitude:.3g} m/s".replace("+", r"\+")):
+            refuse_long_stroke(WaveRule(amplitude=1.01 * part * amplitude, regime=regime), part * 1024.0, 0.25, 20.0)
+
+
+def test_samples_are_prepared_only_where_their_steps_or_forces_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pulse that is long for sand needs no sample; bonds that change the forces need the packing without them."""
+    prepared: list[tuple[list[int], float]] = []
+    monkeypatch.setattr(
+        propagation,
+        "prepare_recorder",
+        lambda _experiment, bonded, frequency, *_: prepared.append(([int(flags.sum()) for flags in bonded], frequency)),
+    )
+    experiment = lattice_experiment(3)
+    experiment = replace(experiment, wave=replace(experiment.wave, regime="small"))
+    limit = 0.05 / (experiment.wave.step_fraction * propagation._limit_of_all_patterns(experiment, cemented=False))
+    orderings = [experiment.ordering(1)]
+    count = int(orderings[0].at(9.0).bonded.sum())
+    cases: list[tuple[Installation, float, list[tuple[list[int], float]]]] = [
+        ("preserve", 0.99, []),
+        ("preserve", 1.01, [([count], 1.01 * limit)]),
+        ("zero", 0.3, [([0], 0.3 * limit)]),
+        ("zero", 0.9, [([0], 0.5 * limit)]),
+    ]
+    for installation, share, expected in cases:
+        given = replace(experiment, installation=installation, frequencies=((0.0, 9.0), (share * limit, share * limit)))
+        prepared.clear()
+        propagation.refuse_unfit_samples(given, 9.0, orderings, 1)
+        assert [flags for flags, _ in prepared] == [flags for flags, _ in expected]
+        assert [frequency for _, frequency in prepared] == pytest.approx([frequency for _, frequency in expected])

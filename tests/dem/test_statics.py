@@ -1,6 +1,7 @@
 """The static stiffness against closed forms, a dense twin made of the naive laws, and stiff patches at the walls."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from calcidem.dem.engine.state import start
 from calcidem.dem.engine.statics import sheared_motion, sheared_parts
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave import static_speed as static
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.static_speed import static_speed
@@ -121,6 +123,22 @@ def test_static_speeds_grow_with_cement(small_packing: Packing) -> None:
     found = [static_speed(experiment, ordering.at(content).bonded) for content in (0.0, 0.66, 9.0)]
     assert np.all(np.diff([one.speed for one in found]) > 0.0)
     assert all(0.0 < one.error < 0.2 for one in found)
+
+
+def test_the_error_of_a_static_speed_has_its_closed_form(
+    small_packing: Packing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Half the difference of both shears and half the range over three sizes add as squares."""
+    experiment, both = Experiment(small_packing), iter([(300.0, 330.0, 340.0), (280.0, 270.0, 290.0)])
+    density = experiment.stiffen()[1].density
+    monkeypatch.setattr(static, "state_at_rest", lambda *_: None)
+    monkeypatch.setattr(static, "sheared_motion", lambda *_: None)
+    monkeypatch.setattr(
+        static, "sheared_parts", lambda *_: [SimpleNamespace(modulus=density * v * v, solid=1.0) for v in next(both)]
+    )
+    found = static_speed(experiment, np.zeros(len(small_packing.pairs), dtype=bool))
+    assert found.speed == pytest.approx(np.sqrt(330.0 * 270.0))
+    assert found.error * found.speed == pytest.approx(np.hypot(30.0, 0.5 * (315.0 - 290.0)))
 
 
 def test_a_stiff_patch_at_the_wall_does_not_change_the_static_speed() -> None:

@@ -12,7 +12,7 @@ from calcidem.dem.engine.portable import root
 from calcidem.dem.engine.readout import Energies, contact_forces, energies, net_forces, wall_contacts, wall_reactions
 from calcidem.dem.engine.scene import Bonds, Scene, Wall
 from calcidem.dem.engine.state import advance, start
-from calcidem.dem.engine.step_control import UnstableRunError
+from calcidem.dem.engine.step_control import UnstableRunError, _contact_durations, _instant
 
 FLOOR = Wall((0.0, 0.0), (0.0, 1.0))
 GRAVITY = 9.81
@@ -113,7 +113,9 @@ def test_a_changed_step_costs_no_energy() -> None:
     """A step that is halved in the middle of an impact leaves restitution at 1."""
     velocity = np.array([[1.0, 0.0], [-1.0, 0.0]])
     state = advance(start(pair_scene(sand=Sand()), features=HERTZ, velocity=velocity), 10)
-    state = advance(change_step(state, look_ahead(state), 0.5 * state.time_step), 60)
+    halved = change_step(state, look_ahead(state), 0.5 * state.time_step)
+    assert (halved.steps, halved.control.began) == (state.steps + 1, (state.steps, state.time))
+    state = advance(halved, 60)
     assert state.velocity()[1, 0] == pytest.approx(1.0, abs=1e-3)
     steps = state.control.began[0]
     assert state.time[0] == pytest.approx((2.0 * steps + state.steps - steps) * state.time_step[0], rel=1e-12)
@@ -256,3 +258,22 @@ def test_roots_are_right_to_two_units_in_the_last_place() -> None:
         exact = values.astype(np.longdouble) ** (np.longdouble(1.0) / degree)
         assert float(np.max(np.abs(root(values, degree) - exact) / exact)) < 2.0 * np.finfo(float).eps
     assert root(np.array([0.0, 8.0]), 3).tolist() == [0.0, 2.0]
+
+
+def test_a_disk_alone_has_the_limit_of_one_in_a_row_pressed_by_a_thousandth() -> None:
+    """``omega^2 = 12 k / m`` is that of turning disks in a row with two contacts each, equally stiff in shear."""
+    scene = replace(pair_scene(sand=SOFT), x=np.zeros(1), y=np.zeros(1), radius=np.full(1, RADIUS))
+    radius = np.full(1, RADIUS)
+    stiffness = 1.5 * SOFT.hertz_coefficient(radius, radius) * np.sqrt(1e-3 * RADIUS)
+    assert start(scene, features=HERTZ).critical_time_step == pytest.approx(
+        2.0 / np.sqrt(12.0 * stiffness / scene.mass)
+    )
+
+
+def test_a_held_disk_makes_no_contact_of_its_own() -> None:
+    """The step follows from the contact of the disk that moves, however small the held one is."""
+    scene = pair_scene(second_radius=0.1 * RADIUS, held=np.array([False, True]))
+    state = start(scene, features=HERTZ, velocity=np.array([[1.0, 0.0], [0.0, 0.0]]))
+    now = _instant(state, look_ahead(state))
+    durations, _ = _contact_durations(scene, state.assembly, state.features, now, state.time_step)
+    assert np.isfinite(state.to_scene_order(durations)).ravel().tolist() == [True, False]

@@ -28,6 +28,10 @@ def test_a_lattice_is_as_stiff_everywhere_as_its_shear_wave_says() -> None:
     found = stiffness_field(lattice, none, WINDOW)
     assert found.modulus.shape == (len(found.y), len(found.x))
     assert min(found.modulus.shape) > 10
+    box = lattice.packing.width, lattice.packing.height
+    for centres, side in zip((found.x, found.y), box, strict=True):
+        assert 0.5 * (centres[0] + centres[-1]) == pytest.approx(0.5 * side)
+        assert centres[0] - 0.5 * WINDOW > 0.0999 * min(box)
     np.testing.assert_allclose(found.modulus, 0.5 * SOFT.shear_ratio * normal, rtol=1e-6)
     cemented = stiffness_field(lattice, ~none, WINDOW).modulus
     np.testing.assert_allclose(cemented, cemented[0, 0], rtol=1e-6)

@@ -64,6 +64,12 @@ def test_options_refuse_impossible_values(name: str, value: float) -> None:
         SweepOptions(**{name: value})
 
 
+def test_no_time_may_be_left() -> None:
+    """A margin and the times to stop may be zero."""
+    options = SweepOptions(watchdog_margin=0.0, stop_grace=0.0, hurry_grace=0.0, time_limit=1e-3)
+    assert options.watchdog_limit == options.hard_limit
+
+
 def test_the_guards_of_a_batch_are_nested() -> None:
     """The hard limit lies behind the time limit, and the watchdog behind both; without a limit there are none."""
     options = SweepOptions(time_limit=10.0)

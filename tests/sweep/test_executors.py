@@ -9,15 +9,17 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPool
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Self
 
 import pytest
 
 from calcidem.sweep.batch import Batch, plan_batches
 from calcidem.sweep.options import SweepOptions
-from calcidem.sweep.outcome import FailureKind
-from calcidem.sweep.run import run_sweep
+from calcidem.sweep.outcome import FailureKind, Place
+from calcidem.sweep.run import _Master, run_sweep
 from calcidem.sweep.sweep_end import SweepError, SweepState
+from calcidem.sweep.workers import Loss
 
 if TYPE_CHECKING:
     from conftest import MemorySink
@@ -191,6 +193,22 @@ def test_a_worker_that_does_not_answer_is_given_up(sink: "MemorySink", tmp_path:
     end = run_sweep(Scripted(hang), planned(), Fault("", tmp_path), sink, options=options)
     assert end.state is SweepState.OUT_OF_WORKERS or end.tally.quarantined == 1
     assert all(BAD_CELL in batch.cells for batch, _ in sink.losses)
+    waited = [float(reason.removeprefix("no answer within ").removesuffix(" s")) for _, reason in sink.losses]
+    assert all(0.1 < seconds < 60.0 for seconds in waited)
+
+
+@pytest.mark.parametrize(("batch", "hurried"), [(None, False), (Batch(1, ((3, 5.0),)), True)])
+def test_no_cell_is_to_blame_for_an_idle_worker_or_one_that_is_stopped(
+    batch: Batch[tuple[int, float]] | None, hurried: bool
+) -> None:
+    """Their loss is shown, and nothing is stored."""
+    shown: list[str] = []
+    progress: Any = SimpleNamespace(on_loss=lambda _, reason: shown.append(reason))
+    request: Any = SimpleNamespace(hurry=lambda: hurried)
+    nothing: Any = None  # is asked
+    master = _Master(nothing, nothing, progress, request, SweepOptions(), nothing)
+    master._account_for([Loss(Place(1, "here"), batch, "killed", 1.0)], nothing)
+    assert shown == ["killed"]
 
 
 def test_the_computation_travels_with_the_first_batches_only(sink: "MemorySink", tmp_path: Path) -> None:

@@ -1,7 +1,9 @@
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from calcidem.sweep import session as module
 from calcidem.sweep.session import Session
 
 if TYPE_CHECKING:
@@ -21,6 +23,18 @@ def test_a_program_alone_has_rank_0_of_1() -> None:
         called: list[int] = []
         session.share_on_node([lambda: called.append(1)])
         assert called == [1]
+
+
+@pytest.mark.parametrize(("failed", "ended"), [({1}, False), ({1, 2}, True)])
+def test_the_others_have_ended_if_all_of_them_failed(
+    failed: set[int], ended: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of three ranks, two are others."""
+    monkeypatch.setattr(module, "wait_until", lambda condition, limit: condition())  # noqa: ARG005 - as it is called
+    last: Any = SimpleNamespace(
+        comm=SimpleNamespace(Iprobe=lambda _: False), _ranks=SimpleNamespace(failed=lambda: failed), rank=0, size=3
+    )
+    assert Session._others_have_ended(last) is ended
 
 
 @pytest.mark.parametrize("code", [0, 75])

@@ -346,7 +346,7 @@ def _assemble_wall_pairs(
     overlap = radius[disk] - distance
     hertz = scene.sand.hertz_coefficient(radius[disk])
     tangent = 1.5 * hertz * np.sqrt(np.maximum(overlap, 0.0))
-    friction = np.array([wall.friction for wall in scene.walls])[wall_index] if len(disk) else np.zeros(0)
+    friction = np.array([wall.friction for wall in scene.walls])[wall_index]
     shear = np.where(np.minimum(friction, scene.sand.friction) > 0.0, scene.sand.shear_ratio * tangent, 0.0)
     return WallPairs(
         start=np.searchsorted(disk, np.arange(scene.count + 1)).astype(np.int64),

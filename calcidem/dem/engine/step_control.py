@@ -210,7 +210,7 @@ def _steps_to_look(state: State, now: _Instant, limits: Floats, fastest: Floats)
     busy = (limits < np.inf).any()
     touching = now.overlap[now.overlap > 0.0]
     steps = [_BUSY_LOOK if busy else _QUIET_LOOK]
-    if not busy and len(touching):
+    if len(touching):
         steps.append(max(_BUSY_LOOK, _steps_in(_time_across(_STEADY * float(touching.mean()), fastest, 0.0), step)))
     if state.features.search:
         # An unsupported disk at rest falls until the next check.
