@@ -15,7 +15,6 @@ from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
-from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.batch import Batch
 from calcidem.sweep.outcome import BatchOutcome, Place
@@ -40,7 +39,7 @@ def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.Monke
     """Nothing is dropped while another process has locked the database, and it is said why nothing happens."""
     monkeypatch.setattr(store_sink, "_LOCK_PAUSE", 0.0)
     told: list[tuple[str, bool]] = []
-    with OftenLockedStore(Address.parse(tmp_path / "one.db")) as store:
+    with OftenLockedStore(tmp_path / "one.db") as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1,), datetime.now(UTC)))
         sink = StoreSink(store, [CellKey(1, 5.0)], lambda text: told.append((text, sink.busy.locked())))
         store.locked = 3
