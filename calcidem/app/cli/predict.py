@@ -2,7 +2,6 @@
 
 import csv
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -80,8 +79,7 @@ def predict_command(
         alone = check_predictions(analysis, (), level)
         if layout is not Format.TABLE:
             chosen = (known for known in checks if content is None or np.isclose(known, content))
-            rows = ({"content": known, **asdict(checks[known]), "score_alone": alone[known].score} for known in chosen)
-            tell_rows(list(rows), layout)
+            tell_rows([_check_row(known, checks[known], alone[known]) for known in chosen], layout)
         elif content is None:
             make_console().print(_check_table(checks, alone))
             typer.echo(_overall_line(checks, alone))
@@ -120,6 +118,12 @@ def _prediction_line(content: float, prediction: "Prediction", level: float) -> 
         f"{content:g} %: Vs {prediction.vs:.0f} m/s, {100.0 * level:g} % of such samples from {interval.low:.0f} to "
         f"{interval.high:.0f} m/s, from {source}."
     )
+
+
+def _check_row(content: float, check: "PredictorCheck", alone: "PredictorCheck") -> dict[str, float]:
+    """The same for programs; scores in m/s."""
+    numbers = {name: getattr(check, name) for name in ("n", "coverage", "score")}
+    return {"content": content, **numbers, "score_alone": alone.score}
 
 
 def _check_line(check: "PredictorCheck", alone: "PredictorCheck") -> str:

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from calcidem.app.cli import formats
 from calcidem.app.cli.formats import Format, _as_csv, _as_parquet, _flat
 from calcidem.app.cli.main import _build_application
 
@@ -20,8 +21,19 @@ ANSWERS = {
     "query": ((), 40),
     "show": (("--seed", "1", "--content", "5"), 1),
     "compare": ((), 10),
+    "predict": ((), 4),
 }
-"""Options of some commands, and rows of their answers on the tutorial's database."""
+"""Options of commands, and rows of their answers on the tutorial's database."""
+
+COMPUTE = {"accuracy", "stability", "explain", "verify", "diagnose", "doctor"}
+"""Commands that compute for longer than they write, or look at the machine."""
+
+
+def test_no_command_in_a_table_is_left_out() -> None:
+    """A new command with `--format` needs a line above."""
+    folder = Path(formats.__file__).parent
+    found = {file.stem for file in folder.glob("*.py") if "FormatOption" in file.read_text(encoding="utf-8")}
+    assert found - {"formats"} == ANSWERS.keys() | COMPUTE
 
 
 @pytest.mark.parametrize("command", ANSWERS)
