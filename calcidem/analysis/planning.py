@@ -66,6 +66,8 @@ class SeedPlan:
 
 def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0.95) -> int:
     """Smallest number of seeds for an interval of the mean of at most this half-width, in the unit of the deviation."""
+    if not (math.isfinite(standard_deviation) and standard_deviation >= 0):
+        raise ValueError(f"standard_deviation is {standard_deviation}; it must be a finite number, not negative")
     if not half_width > 0:
         raise ValueError(f"half_width is {half_width}; it must be positive")
     # The normal quantile gives two or three too few, since Student's is larger.
