@@ -61,6 +61,13 @@ def study(experiment: Experiment, request: pytest.FixtureRequest) -> Study:
     return run_study(Cells(gentle, contents, seeds), compared=compared, coarsest=0.1, rounds=1)
 
 
+def test_a_refused_campaign_ends_a_study_with_its_reason(experiment: Experiment) -> None:
+    """There is nothing to compare with, so other settings are not tried."""
+    loud = with_wave(experiment, amplitude=100.0)
+    with pytest.raises(ValueError, match="amplitude"):
+        Cells(loud, [0.66], SEEDS).take_turns({"default": loud, "another": experiment}, 0.66)
+
+
 def test_the_error_is_below_the_cells_own_bound(study: Study) -> None:
     """The true error is below the bound in 95 % of the cells, as far as so many can say; the bound is not too large."""
     cells = [cell for cell in study.cells if cell.vs_error is not None and cell.bound is not None]

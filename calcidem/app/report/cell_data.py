@@ -6,6 +6,7 @@ from base64 import b64encode
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
 from calcidem.dem.wave.reading import LEAST_COHERENCE, PickRule, find_candidates
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult, RecordedSection
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95
-from calcidem.storage.store import Selection
+from calcidem.storage.store import ALL_CELLS, Selection
 
 MOST_FULL_RECORDS = 10_000
 SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")
@@ -75,10 +76,9 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
     room -= sum(map(len, blocks.values()))
     shown: list[int] = []
     known = _analysed_samples(analysis)
-    for seed in analysis.vs["seed"].to_numpy().tolist():
-        cells = _cells_of_seed(analysis, seed, known)
-        if not cells:
-            continue
+    stored = analysis.store.results(ALL_CELLS, with_arrays=True)
+    for seed, grouped in groupby(stored, lambda cell: cell.key.seed):
+        cells = _with_unknown_cement(analysis, list(grouped), known)
         text = _compress(list(describe_cells(analysis, cells, graphs, known)))
         if len(text) > room:
             break
@@ -108,14 +108,13 @@ def _analysed_samples(analysis: CampaignAnalysis) -> dict[tuple[int, float], Mea
         return {}
 
 
-def _cells_of_seed(
-    analysis: CampaignAnalysis, seed: int, known: Mapping[tuple[int, float], MeasuredSample]
+def _with_unknown_cement(
+    analysis: CampaignAnalysis, cells: list[CellResult], known: Mapping[tuple[int, float], MeasuredSample]
 ) -> list[CellResult]:
-    """Give the outcomes of a seed by content, with the cement of those that are not known."""
-    stored = list(analysis.store.results(Selection(seed), with_arrays=True))
-    strange = [cell for cell in stored if (cell.key.seed, cell.key.content) not in known]
+    """Give the cells of a seed, those that are not known with their cement."""
+    strange = [cell for cell in cells if (cell.key.seed, cell.key.content) not in known]
     with_cement = {cell.key: cell for cell in analysis.with_cement(analysis.store, strange)}
-    return [with_cement.get(cell.key, cell) for cell in stored]
+    return [with_cement.get(cell.key, cell) for cell in cells]
 
 
 def _gather_sections(analysis: CampaignAnalysis, seeds: Sequence[int], room: int) -> tuple[int, dict[str, str]]:

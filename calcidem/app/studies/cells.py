@@ -97,18 +97,22 @@ class Cells:
         """Measure and time experiments alternately at a content, so that other load of the machine affects all alike.
 
         Returns cells, and median processor times of a cell, s, by name. A refused experiment is in neither.
+        `ValueError` if the first is refused, with which the others are compared.
         """
         found: dict[str, CellsFound] = {}
         times: dict[str, list[float]] = {}
+        first = next(iter(experiments))
         for number in range(rounds):
             for name, experiment in experiments.items():
-                if number and (name not in times or times[name][0] > _SLOW * times[next(iter(experiments))][0]):
+                if number and (name not in times or times[name][0] > _SLOW * times[first][0]):
                     continue
                 if not number:
                     self.progress(f"{content:g} %: {name}")
                 try:
                     found[name], seconds = self.measure_and_time(experiment, content)
                 except ValueError as refused:
+                    if name == first:
+                        raise
                     self.progress(f"{name} at {content:g} %: {refused}")
                     continue
                 times.setdefault(name, []).append(seconds)
