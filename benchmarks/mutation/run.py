@@ -119,11 +119,11 @@ def tests_by_line(room: str) -> dict[tuple[str, int], set[str]]:
             sys.exit(f"{room}: tests fail without any error in the package")
         data = CoverageData(f"{folder}/lines")
         data.read()
-    return {
-        (str(Path(file).relative_to(CHECKOUT)), line): {name.partition("|")[0] for name in names if name}
-        for file in data.measured_files()
-        for line, names in data.contexts_by_lineno(file).items()
-    }
+        return {
+            (str(Path(file).relative_to(CHECKOUT)), line): {name.partition("|")[0] for name in names if name}
+            for file in data.measured_files()
+            for line, names in data.contexts_by_lineno(file).items()
+        }
 
 
 def judges(room: str, module: Path) -> list[str]:
