@@ -68,7 +68,7 @@ def _turned() -> float:
 
 @check(
     # Galilei: packing and walls carried along at (1.1, -0.6) m/s move as before, carried.
-    "Galilei: packing and walls carried along at constant velocity", source=_NOETHER,
+    "Galilean invariance: packing and walls at constant velocity", source=_NOETHER,
     tolerance=1e-8, reason=_STRETCHED, quick=True,
 )  # fmt: skip
 def _carried() -> float:
@@ -98,7 +98,7 @@ def _mirrored() -> float:
 
 
 @check(
-    "Disks listed in another order: not a bit changes", source="a sum over contacts has no first one", tolerance=0.0,
+    "Disks listed in another order: not a bit changes", source="sums of forces do not depend on the order of the list", tolerance=0.0,
     reason="the sums of forces have one order, whatever the list", quick=True,
 )  # fmt: skip
 def _shuffled() -> float:
@@ -112,7 +112,7 @@ def _shuffled() -> float:
 
 @check(
     "Run cut into single steps: not a bit changes",
-    source="a state is all there is to know", tolerance=0.0, reason="states are values", quick=True,
+    source="a state determines all later ones", tolerance=0.0, reason="states are values", quick=True,
 )  # fmt: skip
 def _cut() -> float:
     generator = np.random.default_rng(21)

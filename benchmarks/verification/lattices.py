@@ -135,7 +135,7 @@ def _stiffness_over_mass() -> tuple[float, float]:
 @check(
     # Hexagonal lattice: c_s^2 = 3/8 (k_n + k_s) a^2 / m, c_p^2 = 3/8 (3 k_n + k_s) a^2 / m in all directions.
     "Hexagonal lattice: speeds of long S and P waves",
-    source="continuum limit; the arms cancel for disks that turn freely", tolerance=2e-4,
+    source="continuum limit; the arms cancel for disks that rotate freely", tolerance=2e-4,
     reason="waves of 200 spacings: (q a)^2 / 24 to / 8 = 4e-5 to 1.2e-4", quick=True,
 )  # fmt: skip
 def _hexagonal_speeds() -> float:

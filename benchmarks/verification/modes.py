@@ -74,7 +74,7 @@ def _worst_mode(share_bonded: float) -> float:
 
 
 @check(
-    "Packing of 280 disks, linear: all 840 frequencies, from one throw", source=_EIGEN, tolerance=1e-8,
+    "Packing of 280 disks, linear: all 840 frequencies, from one free vibration", source=_EIGEN, tolerance=1e-8,
     reason="rounding of eigenvectors and positions, over the square of slow modes' phases",
 )  # fmt: skip
 def _bare_modes() -> float:

