@@ -34,7 +34,8 @@ def diagnose_command(
     with read_campaign(database, campaign) as store:
         found = diagnose(store, Selection(seed, content))
         if layout is not Format.TABLE:
-            tell_rows([one.as_row() for one in found], layout)
+            names = ("seed", "content", "status", "reason", "finding", "vs", "remedies")
+            tell_rows([one.as_row() for one in found], layout, names=names)
             return
         counts = [(key, number) for key, number in store.status_counts().items() if key[1] in UNREAD]
         words = ", ".join(f"{number} at {content:g} % ({status})" for (content, status), number in sorted(counts))

@@ -79,7 +79,8 @@ def predict_command(
         alone = check_predictions(analysis, (), level)
         if layout is not Format.TABLE:
             chosen = (known for known in checks if content is None or np.isclose(known, content))
-            tell_rows([_check_row(known, checks[known], alone[known]) for known in chosen], layout)
+            rows = [_check_row(known, checks[known], alone[known]) for known in chosen]
+            tell_rows(rows, layout, names=("content", "n", "coverage", "score", "score_alone"))
         elif content is None:
             make_console().print(_check_table(checks, alone))
             typer.echo(_overall_line(checks, alone))

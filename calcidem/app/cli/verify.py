@@ -91,9 +91,12 @@ def _verify_integrity(database: str, opened: "Campaign", layout: Format) -> None
     damaged, others = opened.store.integrity()
     cells = len(opened.store.statuses())
     if layout is not Format.TABLE:
-        rows = [{"seed": key.seed, "content": key.content, "damage": text} for key, text in damaged.items()]
-        tell_rows([*rows, *({"seed": None, "content": None, "damage": text} for text in others)], layout)
-        raise typer.Exit(EXIT_ERROR if rows or others else 0)
+        rows: list[dict[str, Any]] = [
+            {"seed": key.seed, "content": key.content, "damage": text} for key, text in damaged.items()
+        ]
+        rows += [{"seed": None, "content": None, "damage": text} for text in others]
+        tell_rows(rows, layout, names=("seed", "content", "damage"))
+        raise typer.Exit(EXIT_ERROR if rows else 0)
     for key, damage in damaged.items():
         typer.echo(printable(f"seed {key.seed}, {key.content:g} %: {damage}"))
     for sentence in others:
