@@ -38,6 +38,17 @@ def test_unread_cells_are_left_out_on_both_sides() -> None:
     assert change.deviation_ratio == pytest.approx(1.1)
 
 
+@pytest.mark.parametrize(("seeds", "compared"), [(3, False), (4, True)])
+def test_four_common_seeds_have_a_ratio(seeds: int, compared: bool) -> None:
+    """Fewer have none, however many each side has."""
+    generator = np.random.default_rng(4)
+    variant, reference = generator.normal(1000.0, 50.0, (2, 8))
+    variant[seeds:] = np.nan
+    (change,) = paired_changes(velocities(variant), velocities(reference))
+    assert change.measured == seeds
+    assert [np.isfinite(ratio) for ratio in (change.mean_ratio, change.deviation_ratio)] == [compared] * 2
+
+
 def test_interval_covers_the_true_ratio_of_independent_samples() -> None:
     """Of 40 pairs of independent samples with a true ratio of 1.5, most intervals hold it."""
     generator = np.random.default_rng(3)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 import pytest
 
 from calcidem.sweep.batch import Batch, plan_batches
+from calcidem.sweep.executor_workers import ExecutorWorkers
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import FailureKind, Place
 from calcidem.sweep.run import _Master, run_sweep
@@ -158,6 +160,7 @@ class Scripted(Executor):
                 future.set_exception(error)
                 return future
             if self.answer is hang:
+                future.set_running_or_notify_cancel()
                 return future
         future.set_result(fn(*arguments))
         return future
@@ -195,6 +198,34 @@ def test_a_worker_that_does_not_answer_is_given_up(sink: "MemorySink", tmp_path:
     assert all(BAD_CELL in batch.cells for batch, _ in sink.losses)
     waited = [float(reason.removeprefix("no answer within ").removesuffix(" s")) for _, reason in sink.losses]
     assert all(0.1 < seconds < 60.0 for seconds in waited)
+
+
+def test_workers_that_do_not_answer_are_counted(tmp_path: Path) -> None:
+    """The other of two workers goes on without the silent one; when both are silent the executor is given up."""
+    options = SweepOptions(silence_floor=0.05, silence_factor=1.0)
+    workers: ExecutorWorkers[tuple[int, float]] = ExecutorWorkers(Scripted(hang), Fault("", tmp_path), options)
+    now = time.monotonic()
+    workers._rank_of = {("here", 1, 1): 1, ("here", 2, 1): 2, ("here", 3, 1): 3}
+    workers._last_answer = {("here", 1, 1): now, ("here", 2, 1): now, ("here", 3, 1): now - 61.0}
+    assert workers.count == 2  # the third has not answered for a minute
+    for silent in (1, 2):
+        workers.submit(Batch(silent, (BAD_CELL,)))
+        losses: list[Loss[tuple[int, float]]] = []
+        while not losses:
+            _, losses = workers.poll()
+        assert bool(workers.exhausted) == (silent == 2)
+
+
+def test_the_heart_beats_twice_a_second() -> None:
+    """However often the scheduler looks, whoever watches the run hears of it at this interval."""
+    beats: list[float] = []
+    sink: Any = SimpleNamespace(keep_alive=lambda: beats.append(time.monotonic()))
+    progress: Any = SimpleNamespace(on_heartbeat=lambda **_: None)
+    nothing: Any = None  # is asked
+    master = _Master(nothing, sink, progress, nothing, SweepOptions(), nothing)
+    while len(beats) < 3:
+        master._beat(workers=1, running=1)
+    assert min(later - beat for beat, later in pairwise(beats)) >= 0.5
 
 
 @pytest.mark.parametrize(("batch", "hurried"), [(None, False), (Batch(1, ((3, 5.0),)), True)])
