@@ -14,7 +14,8 @@ bootstrap() {
     fi
     echo "Installing calcidem into $venv (once)."
     [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -e "$root[$extras]"
+    # Python compiles a module when it is first imported; most modules of the libraries never are.
+    "$venv/bin/python" -m pip install --no-compile --quiet --disable-pip-version-check -e "$root[$extras]"
     touch "$stamp"
   fi
   # shellcheck disable=SC1091
