@@ -1,8 +1,9 @@
 """Frozen records of a run and of its processes."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
+from typing import Any, Self
 
 from calcidem.storage.passwords import hide_passwords
 
@@ -24,24 +25,23 @@ class WorkerRecord:
     """LLVM's name of the processor that kernels are compiled for, such as ``znver4``."""
     features: tuple[str, ...]
     """LLVM's names of its features that kernels may use."""
-    blas_core: str | None
-    """Processor that OpenBLAS has chosen its kernels for; None for another BLAS."""
-    numpy_simd: tuple[str, ...]
-    """Instruction sets beyond its baseline for which numpy has chosen functions."""
     versions: Mapping[str, str]
     """Of Python, calcidem, its physics and the libraries that numbers depend on."""
 
     def __post_init__(self) -> None:
         """Take lists, as JSON has them, for tuples."""
-        for name in ("ranks", "hosts", "features", "numpy_simd"):
+        for name in ("ranks", "hosts", "features"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
     def kind(self) -> str:
         """What these processes are, in a line."""
-        blas = "BLAS unknown" if self.blas_core is None else f"OpenBLAS {self.blas_core}"
-        simd = self.numpy_simd[-1] if self.numpy_simd else "baseline"
-        return f"{self.processor} ({self.architecture}, {len(self.features)} features), {blas}, numpy {simd}"
+        return f"{self.processor} ({self.architecture}, {len(self.features)} features)"
+
+    @classmethod
+    def from_json(cls, stored: Mapping[str, Any]) -> Self:
+        """Take what was stored; names that an earlier calcidem stored as well are left out."""
+        return cls(**{entry.name: stored[entry.name] for entry in fields(cls)})
 
     @property
     def places(self) -> str:
@@ -82,7 +82,8 @@ class RunRecord:
     def __post_init__(self) -> None:
         """Take mappings, as JSON has them, for workers."""
         known = (
-            worker if isinstance(worker, WorkerRecord) else WorkerRecord(**worker) for worker in self.workers or ()
+            worker if isinstance(worker, WorkerRecord) else WorkerRecord.from_json(worker)
+            for worker in self.workers or ()
         )
         object.__setattr__(self, "workers", tuple(known))
         object.__setattr__(self, "launch_line", hide_passwords(self.launch_line))
