@@ -29,13 +29,12 @@ from calcidem.analysis.distribution import tabulate
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.campaign.stored_packing import packing_record
-from calcidem.app.cli.query import find
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, GraphSummary, PathFeatures
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
-from calcidem.storage.sql.store import Store
+from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 
 CONTENTS = tuple(0.5 * i for i in range(17))
@@ -128,7 +127,13 @@ def ask_import(campaign: Campaign) -> None:
 def ask_query(campaign: Campaign) -> None:
     """Find the ten fastest cells of one content, as `calcidem query` does."""
     path = str(campaign.store.address.path)  # type: ignore[attr-defined]  # a SQLite store
-    find(path, Selection(contents=(5.0,), where="vs > 1300"), sort=("-vs",), limit=10)
+    with read_campaign(path) as store:
+        store.table(
+            ("seed", "content", "status", "vs", "vs_error", "seconds"),
+            Selection(contents=(5.0,), where="vs > 1300"),
+            sort=("-vs",),
+            limit=10,
+        )
 
 
 QUESTIONS: dict[str, tuple[str, Callable[[Campaign], object]]] = {

@@ -10,7 +10,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import velocities
 from calcidem.analysis.measured import Target, misfits, root_mean_square_misfit
-from calcidem.app.report.comparison import _measured_table
+from calcidem.app.report.sections import _measured_table
 
 VS = xr.DataArray(
     [[190.0, 290.0], [200.0, 300.0], [210.0, 310.0]],

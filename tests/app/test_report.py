@@ -6,6 +6,7 @@ import re
 import shutil
 import zlib
 from base64 import b64decode
+from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -21,14 +22,16 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report import cell_data
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
-from calcidem.app.report.cell_figures import draw_cell
-from calcidem.app.report.comparison import _published_table
 from calcidem.app.report.folder import write_files
-from calcidem.app.report.one_cell import describe_cell
 from calcidem.app.report.page import _MEANINGS, _explained_terms, unnamed_page, write_report
-from calcidem.app.report.provenance import _configuration_table, _parameter_table
 from calcidem.app.report.results import _growth_table, _outcome_table, _velocity_table
-from calcidem.app.report.sections import TABLES, make_or_explain
+from calcidem.app.report.sections import (
+    TABLES,
+    _configuration_table,
+    _parameter_table,
+    _published_table,
+    make_or_explain,
+)
 from calcidem.app.report.wording import decimal, probability, significant, time_span
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
@@ -298,23 +301,24 @@ def test_no_table_of_the_folder_holds_a_formula(
     assert not [value for value in values if value.startswith(("=", "+", "@"))]
 
 
-def test_one_cell_is_shown_with_its_pictures(small_database: Path, tmp_path: Path) -> None:
+def test_one_cell_is_shown_with_its_pictures(small_database: Path, tmp_path: Path, invoke: Callable[..., str]) -> None:
     """A cell is described by its quantities and drawn with cement, path and signals."""
-    table = describe_cell(small_database, 1, 0.66)
-    files = draw_cell(small_database, 1, 0.66, tmp_path)
-    assert dict(table.rows)["outcome of the cell"] == "done"
-    assert {file.name for file in files if file.suffix == ".png"} == {
+    told = invoke("show", small_database, "--seed", 1, "--content", 0.66, "--out", tmp_path / "cell")
+    assert re.search("outcome of the cell +done", told)
+    assert {file.name for file in (tmp_path / "cell").glob("*.png")} == {
         f"seed1_content0.66_{part}.png" for part in ("cement", "path", "signals")
     }
     with pytest.raises(UnknownCellError):
-        describe_cell(small_database, 6, 0.34)
+        invoke("show", small_database, "--seed", 6, "--content", 0.34)
 
 
-def test_failed_cell_is_shown_without_pictures(small_database: Path, tmp_path: Path) -> None:
+def test_failed_cell_is_shown_without_pictures(
+    small_database: Path, tmp_path: Path, invoke: Callable[..., str]
+) -> None:
     """A cell without cement and signal is described by its reason."""
-    table = describe_cell(small_database, 6, 9.0)
-    assert ("why the outcome is what it is", "the worker ran out of memory") in table.rows
-    assert draw_cell(small_database, 6, 9.0, tmp_path) == []
+    told = invoke("show", small_database, "--seed", 6, "--content", 9, "--out", tmp_path / "cell")
+    assert re.search("why the outcome is what it is +the worker ran out of memory", told)
+    assert not (tmp_path / "cell").exists()
 
 
 @pytest.mark.parametrize(

@@ -11,12 +11,12 @@ import xarray as xr
 from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.formats import Format, tell_rows
-from calcidem.app.cli.query import _as_rows, find
+from calcidem.app.cli.query import as_rows
 from calcidem.storage.errors import QueryError
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
 from calcidem.storage.records import LARGEST_SEED, CellKey, CellStatus
-from calcidem.storage.sql.store import Store
+from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
@@ -58,8 +58,9 @@ def test_seeds_are_exact_on_every_path(tmp_path: Path, records: "Records") -> No
     check_seeds(tmp_path / "imported.db", records)
     merge_databases([str(database), str(tmp_path / "imported.db")], tmp_path / "merged.db")
     check_seeds(tmp_path / "merged.db", records)
-    columns = find(str(database), Selection(seeds=(LARGEST_SEED,)), ("seed", "status"))
-    tell_rows(_as_rows(columns), Format.JSON, tmp_path / "large.json")
+    with read_campaign(database) as store:
+        columns = store.table(("seed", "status"), Selection(seeds=(LARGEST_SEED,)))
+    tell_rows(as_rows(columns), Format.JSON, tmp_path / "large.json")
     assert json.loads((tmp_path / "large.json").read_text()) == [{"seed": LARGEST_SEED, "status": "pending"}]
 
 

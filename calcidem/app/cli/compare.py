@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
@@ -75,8 +74,9 @@ def compare_command(
 
 def _comparison_table(table: "pd.DataFrame", level: float) -> Table:
     """The table as people read it: contents together, campaigns below one another."""
-    shown = Table(title="Shear-wave velocity, m/s", title_justify="left", box=SIMPLE_HEAD)
-    shown.add_column("content %", justify="right")
+    from calcidem.app.cli.tables import make_table
+
+    shown = make_table("Shear-wave velocity, m/s", numbers=["content %"])
     shown.add_column("campaign", overflow="fold", min_width=12)
     for name in ("n", "mean", "sd", "difference", "paired", "pairs", "sd ratio"):
         shown.add_column(name, justify="right")
@@ -97,7 +97,6 @@ def _comparison_table(table: "pd.DataFrame", level: float) -> Table:
         f"In brackets: {100 * level:g} % intervals. Differences are to the first campaign: of all samples, and of the "
         "seeds that both have (paired), as is the ratio of the standard deviations."
     )
-    shown.caption_justify = "left"
     return shown
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, JudgedDatabase, OnlyContents
@@ -73,9 +72,10 @@ def _errors_source(measured: "MeasuredErrors | None", configuration: str) -> str
 
 def _explanation_table(content: float, rows: "Iterable[Explanation]") -> Table:
     """Table of one content."""
-    table = Table("part", "needed", "why", title=f"{content:g} % of calcite", title_justify="left", box=SIMPLE_HEAD)
-    for name in ("time of the alternative", "change of Vs", "error of Vs, own and of the alternative"):
-        table.add_column(name, justify="right")
+    from calcidem.app.cli.tables import make_table
+
+    numbers = ("time of the alternative", "change of Vs", "error of Vs, own and of the alternative")
+    table = make_table(f"{content:g} % of calcite", "part", "needed", "why", numbers=numbers)
     for row in rows:
         table.add_row(
             row.alternative.what,

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, number_parser, parse_percentage
@@ -137,9 +136,9 @@ def _check_line(check: "PredictorCheck", alone: "PredictorCheck") -> str:
 
 def _check_table(checks: "Mapping[float, PredictorCheck]", alone: "Mapping[float, PredictorCheck]") -> Table:
     """Table of all contents."""
-    table = Table(box=SIMPLE_HEAD)
-    for name in ("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s"):
-        table.add_column(name, justify="right")
+    from calcidem.app.cli.tables import make_table
+
+    table = make_table(None, numbers=("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s"))
     for content, check in checks.items():
         numbers = f"{100.0 * check.coverage:.1f}", f"{check.score:.1f}", f"{alone[content].score:.1f}"
         table.add_row(f"{content:g}", str(check.n), *numbers)

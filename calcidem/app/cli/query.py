@@ -50,6 +50,7 @@ def query_command(
     corrected for the number of features.
     """
     from calcidem.storage.records import QUANTITY_BY_NAME
+    from calcidem.storage.sql.store import read_campaign
 
     selection = Selection(seed or None, content or None, status or None, where)
     if features:
@@ -60,8 +61,9 @@ def query_command(
     else:
         names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
         names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
-        found = find(database, selection, names, _split_list(sort), limit, campaign)
-        rows, headings = _as_rows(found), _headings(names)
+        with read_campaign(database, campaign) as store:
+            rows = as_rows(store.table(names, selection, sort=_split_list(sort), limit=limit))
+        headings = _headings(names)
         remark = pluralize(len(rows), "cell")
     if layout is Format.TABLE and out is not None:
         layout = _FORMAT_OF_ENDING.get(out.suffix.lower(), layout)
@@ -92,37 +94,12 @@ def _feature_rows(database: str, selection: Selection, campaign_name: str | None
     return rows, f"{pluralize(found.attrs['samples'], 'cell')} with a velocity and features"
 
 
-def find(
-    database: str,
-    selection: Selection,
-    columns: Sequence[str] = _DEFAULT_COLUMNS,
-    sort: Sequence[str] = (),
-    limit: int | None = None,
-    campaign_name: str | None = None,
-) -> Columns:
-    """Columns of the selected cells, and what is refused: see `calcidem.storage.store.Store.table`."""
-    from calcidem.storage.sql.store import read_campaign
-
-    with read_campaign(database, campaign_name) as store:
-        return store.table(columns, selection, sort=sort, limit=limit)
-
-
-def quantities_row(database: str, seed: int, content: float, campaign_name: str | None) -> Mapping[str, Any]:
-    """All quantities of one cell; `UnknownCellError` if it has no outcome."""
-    from calcidem.storage.records import QUANTITY_BY_NAME
-    from calcidem.storage.sql.store import read_campaign
-
-    with read_campaign(database, campaign_name) as store:
-        store.cell(seed=seed, content=content)
-        return _as_rows(store.table(tuple(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,))))[0]
-
-
 def _split_list(text: str) -> list[str]:
     """Parts of a list with commas."""
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def _as_rows(columns: Columns) -> RecordRows:
+def as_rows(columns: Columns) -> RecordRows:
     """Columns as rows."""
     values = (_plain_values(name, column) for name, column in columns.items())
     return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, error_budget
@@ -16,7 +15,7 @@ from calcidem.app.campaign.progress import ProgressDisplay
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.campaign.status import UNREAD
 from calcidem.app.cli.exit_codes import tell_error
-from calcidem.app.cli.tables import format_number, make_console, marks_of, remarks_on
+from calcidem.app.cli.tables import format_number, make_console, make_table, marks_of, remarks_on
 from calcidem.app.cli.terminal import IS_QUIET, printable
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
@@ -114,10 +113,10 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     """Table of Vs against content, of the selected cells of the campaign that is chosen in the store."""
     others = ("content", "status", "wavelengths_on_path", "seconds", "broken_bonds")
     columns = store.table((*BUDGET_QUANTITIES, *others), selection)
-    table = Table(title="Shear-wave velocity", title_justify="left", box=SIMPLE_HEAD)
     velocities = ("mean m/s", "sd m/s", "reading m/s", "min m/s", "max m/s")
-    for name in ("content %", "done", *velocities, "G0 MPa", "L/lambda", "seconds"):
-        table.add_column(name, justify="right")
+    table = make_table(
+        "Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda", "seconds")
+    )
     table.add_column("other cells")
     marks = []
     for content in np.unique(columns["content"]):
@@ -147,7 +146,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
         )
     if any(status in UNREAD for status in columns["status"]):
         remarks.append("'calcidem diagnose DB' explains why cells have no velocity and proposes remedies")
-    table.caption, table.caption_justify = "\n".join(remarks), "left"
+    table.caption = "\n".join(remarks)
     return table
 
 

@@ -1,16 +1,19 @@
 """``calcidem show``: a closer look at one cell."""
 
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.cli.arguments import CampaignName, Database, OneContent, OneSeed
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable, progress_bar
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.campaign.opened import Campaign
 
 
 def show_command(
@@ -24,27 +27,57 @@ def show_command(
     campaign: CampaignName = None,
 ) -> None:
     """Show one cell: its quantities and, with --out, its packing, cement, path and signals as figures."""
-    if layout is Format.TABLE:
-        from calcidem.app.cli.tables import make_console
-        from calcidem.app.report.one_cell import describe_cell
+    from calcidem.app.cli.query import as_rows
+    from calcidem.storage.records import QUANTITY_BY_NAME
+    from calcidem.storage.sql.store import read_campaign
+    from calcidem.storage.store import Selection
 
-        described = describe_cell(database, seed, content, campaign_name=campaign)
-        table = Table(*described.header, title=described.caption, title_justify="left", box=SIMPLE_HEAD)
-        for row in described.rows:
-            table.add_row(*(Text(printable(entry)) for entry in row))
+    with read_campaign(database, campaign) as store:
+        store.cell(seed=seed, content=content)  # raises a clear error if there is none
+        (row,) = as_rows(store.table(tuple(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,))))
+    if layout is Format.TABLE:
+        from calcidem.app.cli.tables import make_console, make_table
+
+        table = make_table(f"Seed {seed} at {content:g} %.", "quantity", "value")
+        for meaning, value in _described(row):
+            table.add_row(meaning, Text(printable(value)))
         make_console().print(table)
     else:
-        from calcidem.app.cli.query import quantities_row
+        tell_rows([row], layout)
+    if out is None and movie is None:
+        return
+    from calcidem.app.campaign.opened import open_campaign
 
-        tell_rows([quantities_row(database, seed, content, campaign)], layout)
-    if out is not None:
-        from calcidem.app.report.cell_figures import draw_cell
-
-        for file in draw_cell(database, seed, content, out, campaign_name=campaign):
+    with open_campaign(database, campaign) as opened:
+        for file in () if out is None else _draw_cell(opened, seed, content, out):
             typer.echo(f"Wrote {file}", err=layout is not Format.TABLE)
-    if movie is not None:
-        from calcidem.app.campaign.opened import open_campaign
+        if movie is not None:
+            with progress_bar("Movie") as watch:
+                opened.plot.movie(movie, seed=seed, content=content, frames=frames, watch=watch)
+            typer.echo(f"Wrote {movie}", err=layout is not Format.TABLE)
 
-        with open_campaign(database, campaign) as opened, progress_bar("Movie") as watch:
-            opened.plot.movie(movie, seed=seed, content=content, frames=frames, watch=watch)
-        typer.echo(f"Wrote {movie}", err=layout is not Format.TABLE)
+
+def _described(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Meanings and values, with units, of the quantities of a cell that it has."""
+    from calcidem.app.report.wording import ABSENT, EXCEPTIONAL, decimal, readable_unit, significant
+    from calcidem.storage.records import QUANTITY_BY_NAME
+
+    for name, value in row.items():
+        quantity = QUANTITY_BY_NAME[name]
+        if quantity.kind == "text":
+            text = str(value or "")
+        else:
+            text = decimal(value) if quantity.kind == "whole" else significant(value, 6)
+        if text in {"", ABSENT} or (name in EXCEPTIONAL and not value):
+            continue
+        yield quantity.meaning, text if quantity.kind == "text" else f"{text} {readable_unit(quantity.unit)}".rstrip()
+
+
+def _draw_cell(opened: "Campaign", seed: int, content: float, folder: Path) -> Iterator[Path]:
+    """Draw a cell into a folder as far as it has what the figures need, and give the files."""
+    from calcidem.analysis.campaign_analysis import UnavailableError
+    from calcidem.analysis.figures.style import save
+
+    for name, draw in {"cement": opened.plot.cement, "path": opened.plot.path, "signals": opened.plot.signal}.items():
+        with suppress(UnavailableError):
+            yield from save(draw(seed=seed, content=content), folder, f"seed{seed}_content{content:g}_{name}")

@@ -1,11 +1,13 @@
-"""What several commands show alike: numbers, marks and what these mean, and the console."""
+"""What several commands show alike: tables, numbers, marks and what these mean, and the console."""
 
 import math
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.table import Table
 
 from calcidem.analysis.doubt import is_in_doubt
 from calcidem.storage.records import CellStatus
@@ -26,6 +28,14 @@ def make_console() -> Console:
         return Console(highlight=False)
     columns = int(os.environ.get(TERMINAL_VARIABLE, "0"))
     return Console(highlight=False, force_terminal=columns > 0, width=columns or PLAIN_WIDTH)
+
+
+def make_table(title: str | None, *names: str, numbers: Sequence[str] = ()) -> Table:
+    """Table for people with columns of texts, followed by columns of numbers."""
+    table = Table(*names, title=title, title_justify="left", caption_justify="left", box=SIMPLE_HEAD)
+    for name in numbers:
+        table.add_column(name, justify="right")
+    return table
 
 
 def format_number(value: float | None, form: str = "{:.1f}", missing: str = "-") -> str:

@@ -1,18 +1,301 @@
-"""What a report has: tables by name, and the sections in which tables and figures stand."""
+"""What a report has: tables by name, and the sections in which tables and figures stand.
 
-from collections.abc import Callable
+Here are the tables of what was run, and those that hold the campaign beside the published study and measured
+velocities; `calcidem.app.report.results` has those of what came out.
+"""
+
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
+
+from scipy import stats
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.app.report.comparison import COMPARISON_TABLES
-from calcidem.app.report.provenance import PROVENANCE_TABLES
+from calcidem.analysis.distribution import Distribution
+from calcidem.analysis.figures.registry import published_velocities
+from calcidem.analysis.measured import misfits, root_mean_square_misfit
+from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
+from calcidem.analysis.shear_wave import median_diameter_by_mass
+from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.report.results import RESULT_TABLES
-from calcidem.app.report.wording import Table
+from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span, with_bounds
+from calcidem.storage.records import RunRecord
+from calcidem.storage.records.canonical import flat_parameters
 
 Made = TypeVar("Made")
 
-TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = RESULT_TABLES | COMPARISON_TABLES | PROVENANCE_TABLES
+_SIGNIFICANCE = 0.05
+_MANY_ERRORS = 2.0
+_UNKNOWN = "unknown"
+_CHOSEN = {
+    "sand.wave_stiffness_factor": (1.0, "multiplies grain modulus and confining stress in the wave stage"),
+    "pattern.p_share": (1.0, "calcite of a P contact as a multiple of the toroid of Eq. 2"),
+    "pattern.p_patch_diameter": (
+        0.0,
+        "diameter in m of the circles in which P contacts come together; 0 for single ones",
+    ),
+    "pattern.cluster_area": (None, "calcite of a cluster in m²; without it the sum of Eq. 2 over its contacts"),
+    "pattern.keep_p": (_UNKNOWN, "whether P contacts stay when clusters appear; the published text allows both"),
+    "packing.friction_preparation": (_UNKNOWN, "friction while the packing is made; decides its coordination number"),
+    "wave.transmitter": (_UNKNOWN, "whether the wall rubs along the grains, or they are given the pulse's velocity"),
+    "wave.transmitter_half_width": (_UNKNOWN, "of the band that is moved, m"),
+    "wave.receiver_half_width": (_UNKNOWN, "of the band that is listened to, m"),
+    "wave.boundary_thickness": (_UNKNOWN, "of the strongly damped layers, m"),
+    "wave.regime": (_UNKNOWN, "how far geometry and stiffness follow the wave"),
+    "cement.bond_stiffness_ratio": (_UNKNOWN, "normal over shear stiffness of a bond"),
+    "cement.installation": (_UNKNOWN, "what happens to a contact's force when it is cemented"),
+}
+"""Keys without a published value: the value that a literal reading gives, if any, and what they mean."""
+
+
+def _published_table(analysis: CampaignAnalysis) -> Table | None:
+    """Mean, deviation and normality beside the published ones; None for other sands and contents."""
+    published = published_velocities(analysis)
+    if not published:
+        return None
+    here = {round(row.content, 6): row.vs for row in analysis.distributions}
+    rows: list[tuple[str, ...]] = []
+    marked: set[int] = set()
+    for content, row in published:
+        vs = here[round(content, 6)]
+        p_value = vs.normality.p_small_sample
+        if _differs(vs, row):
+            marked.add(len(rows))
+        rows.append(
+            (
+                f"{content:g}",
+                with_bounds(vs.mean, vs.mean_interval),
+                decimal(row.mean),
+                f"{decimal(100 * (vs.mean / row.mean - 1), 1)} %" if vs.n else ABSENT,
+                with_bounds(vs.standard_deviation, vs.standard_deviation_interval),
+                decimal(row.standard_deviation),
+                _normal(None if math.isnan(p_value) else p_value >= _SIGNIFICANCE),
+                _normal(row.normal),
+            )
+        )
+    return Table(
+        "This campaign and the published one. Marked: the two means differ by more than their errors explain "
+        "(Welch's test at 5 %, with the published standard deviation and number of samples). Normal: not rejected by "
+        "the Jarque-Bera test at 5 %. Some printed verdicts do not follow from the printed skewness and kurtosis, see "
+        "docs/reproduction.md.",
+        (
+            "content (%)",
+            "mean (m/s)",
+            "published",
+            "difference",
+            "standard deviation (m/s)",
+            "published",
+            "normal here",
+            "printed as normal",
+        ),
+        tuple(rows),
+        frozenset(marked),
+    )
+
+
+def _measured_table(analysis: CampaignAnalysis) -> Table | None:
+    """Mean and scatter beside measured ones; None if none are given."""
+    if not analysis.measured:
+        return None
+    found = misfits(analysis.distributions, analysis.measured)
+    rows = tuple(
+        (
+            f"{one.measured.content:g}{' (interpolated)' if one.interpolated else ''}",
+            decimal(one.mean),
+            decimal(one.measured.vs),
+            decimal(100 * one.difference, 1),
+            decimal(one.standard_errors, 1),
+            decimal(one.standard_deviation),
+            ABSENT if one.measured.sd is None else decimal(one.measured.sd),
+            decimal(one.deviation_ratio, 2),
+        )
+        for one in found
+    )
+    outside = len(analysis.measured) - len(found)
+    return Table(
+        f"This campaign and measured velocities: root mean square of the differences of the means "
+        f"{decimal(100 * root_mean_square_misfit(found), 1)} %. Between the campaign's contents by straight lines. A "
+        "standard error is that of the difference of both means. Marked: more than two of them. "
+        f"Measured contents outside the campaign's range: {outside}.",
+        (
+            "content (%)",
+            "mean (m/s)",
+            "measured mean (m/s)",
+            "difference (%)",
+            "in standard errors",
+            "standard deviation (m/s)",
+            "measured deviation (m/s)",
+            "ratio",
+        ),
+        rows,
+        frozenset(i for i, one in enumerate(found) if abs(one.standard_errors) > _MANY_ERRORS),
+    )
+
+
+def _differs(here: Distribution, published: PublishedVelocity) -> bool:
+    """Say whether two means differ; a mean without scatter cannot be compared."""
+    if not here.standard_deviation > 0:
+        return False
+    test = stats.ttest_ind_from_stats(
+        here.mean,
+        here.standard_deviation,
+        here.n,
+        published.mean,
+        published.standard_deviation,
+        published_study().seeds,
+        equal_var=False,
+    )
+    return bool(test.pvalue < _SIGNIFICANCE)
+
+
+def _normal(verdict: bool | None) -> str:
+    return ABSENT if verdict is None else "yes" if verdict else "no"
+
+
+def _parameter_table(config: Mapping[str, Any]) -> Table | None:
+    """Calibrated and chosen parameters, and those unlike the published ones (marked); None for other sands."""
+    if not published_study().has_sand_of(config):
+        return None
+    flat, published = flat_parameters(config), published_study().parameters
+    rows: list[tuple[str, ...]] = []
+    marked: set[int] = set()
+    known = {key: (published[name], name.replace("_", " ")) for key, name in PUBLISHED_KEYS.items()}
+    for key, (expected, meaning) in (_CHOSEN | known).items():
+        if key not in flat:
+            continue
+        remark = meaning
+        if expected != _UNKNOWN and flat[key] != expected:
+            marked.add(len(rows))
+            remark = f"{meaning}: differs from the published value" if key in known else f"calibrated: {meaning}"
+        rows.append((key, _value_text(flat[key]), _value_text(expected), remark))
+    return Table(
+        "Parameters in SI units. Marked rows differ from what is published, or from a literal reading of it: "
+        "these are the calibrated ones. Where nothing is published, a value had to be chosen.",
+        ("parameter", "here", "published or literal", "meaning"),
+        tuple(rows),
+        frozenset(marked),
+    )
+
+
+def _configuration_table(analysis: CampaignAnalysis) -> Table:
+    """The whole physical configuration, with the frequencies that were chosen by themselves."""
+    texts = {key: _value_text(value) for key, value in flat_parameters(analysis.config).items()}
+    if texts.get("wave.frequency") == "auto":
+        chosen = analysis.cells["frequency"].max("seed").dropna("content")
+        found = [f"{float(one) / 1e3:g} kHz at {float(one['content']):g} %" for one in chosen]
+        texts["wave.frequency"] = f"auto: {', '.join(found) or 'no cell is computed yet'}"
+    return Table("The whole physical configuration in SI units.", ("parameter", "value"), tuple(texts.items()))
+
+
+def _value_text(value: object) -> str:
+    """Give a value of a configuration as people read it."""
+    match value:
+        case None:
+            return "none"
+        case bool():
+            return "yes" if value else "no"
+        case int():
+            return str(value)
+        case float():
+            return significant(value, 6)
+        case list() | tuple():
+            return ", ".join(_value_text(item) for item in value)
+        case _:
+            return str(value)
+
+
+def _run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
+    """Each run of the program on this campaign."""
+    rows = tuple(
+        (
+            str(run_number),
+            f"{run.started:%Y-%m-%d %H:%M} UTC",
+            ABSENT if run.ended is None else time_span((run.ended - run.started).total_seconds()),
+            run.exit_state or "still running, or killed",
+            str(run.ranks),
+            f"{run.host} ({run.cpu})",
+            "; ".join(f"{worker.kind} on {worker.places}" for worker in run.workers) or _UNKNOWN,
+            ", ".join(f"{name} {version}" for name, version in run.versions.items()),
+            _source(run),
+        )
+        for run_number, run in runs
+    )
+    header = ("run", "started", "took", "ended", "ranks", "host", "workers", "versions", "source")
+    return Table("Runs of the program on this campaign.", header, rows)
+
+
+def _source(run: RunRecord) -> str:
+    if run.git_commit is None:
+        return "installed package"
+    return run.git_commit[:10] + (" with local changes" if run.git_dirty else "")
+
+
+def _packing_table(analysis: CampaignAnalysis) -> Table:
+    """Quality of the packings, one column each."""
+    graphs, notes = analysis.graphs, ("in two dimensions", "")
+    if published_study().has_sand_of(analysis.config):
+        notes = (f"published {_value_text(published_study().parameters['porosity'])}", "published weights: 3.05")
+    rows: list[tuple[str, ...]] = [
+        (name, *(text(graph) for graph in graphs), note)
+        for name, text, note in (
+            ("grains", lambda g: str(g.graph.grain_count), ""),
+            ("contacts", lambda g: str(g.graph.contact_count), ""),
+            ("porosity", lambda g: decimal(g.packing.porosity, 4), notes[0]),
+            ("coordination number", lambda g: decimal(g.packing.coordination_number, 3), notes[1]),
+            (
+                "coordination number without rattlers",
+                lambda g: decimal(g.packing.coordination_number_without_rattlers, 3),
+                "",
+            ),
+            ("width and height (mm)", _size, "the lid has moved"),
+            (
+                "median diameter by mass (mm)",
+                lambda g: decimal(1e3 * median_diameter_by_mass(g.packing.radius), 3),
+                "d50",
+            ),
+            ("median diameter by count (mm)", lambda g: decimal(1e3 * g.scale.median_diameter, 3), "d50 of Eq. 9 here"),
+            *_stresses(graphs[0]),
+            ("mean overlap / diameter", lambda g: significant(g.packing.mean_relative_overlap), ""),
+            ("largest overlap / diameter", lambda g: significant(g.packing.largest_relative_overlap), ""),
+            ("unbalanced-force ratio", lambda g: significant(g.packing.unbalanced_ratio), "at rest"),
+            ("grains at transmitter, receiver", _ends, "ends of the paths"),
+            (
+                "content hash",
+                lambda g: content_hash_of(g.packing) or _UNKNOWN,
+                "of all bits of disks, walls and forces",
+            ),
+            ("time to make", lambda g: time_span(g.packing.seconds), ""),
+        )
+    ]
+    names = ("packing",) if len(graphs) == 1 else tuple(f"packing {graph.packing.index}" for graph in graphs)
+    return Table("Packings that all cells share.", ("quantity", *names, "remark"), tuple(rows))
+
+
+def _size(graph: PackingGraph) -> str:
+    return f"{1e3 * graph.packing.width:.2f} \N{MULTIPLICATION SIGN} {1e3 * graph.packing.height:.2f}"
+
+
+def _ends(graph: PackingGraph) -> str:
+    return f"{graph.graph.transmitter.size}, {graph.graph.receiver.size}"
+
+
+def _stresses(first: PackingGraph) -> list[tuple[str, Any, str]]:
+    def stress_on(wall: str) -> Any:  # noqa: ANN401 - one of the table's functions of a graph
+        return lambda graph: decimal(graph.packing.wall_stress[wall] / 1e3, 3)
+
+    return [(f"stress on the {wall} wall (kPa)", stress_on(wall), "") for wall in first.packing.wall_stress]
+
+
+TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = RESULT_TABLES | {
+    "measured": _measured_table,
+    "published": _published_table,
+    "parameters": lambda analysis: _parameter_table(analysis.config),
+    "packing": _packing_table,
+    "runs": lambda analysis: _run_table(analysis.store.runs()),
+    "configuration": _configuration_table,
+}
 """Makers of tables by their names in files; None where a campaign has nothing to show."""
 
 

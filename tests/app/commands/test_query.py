@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from calcidem.analysis.packing_graph import FEATURES
 from calcidem.app.campaign.opened import Campaign
-from calcidem.app.cli.query import _as_rows, find
+from calcidem.app.cli.query import as_rows
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 from calcidem.storage.store import Selection
@@ -47,10 +47,10 @@ def test_sorting_and_limit(database: Path, invoke: Invoke, campaign: Campaign) -
     assert [cell["vs"] for cell in cells] == fastest
 
 
-def test_missing_values_come_last(database: Path) -> None:
+def test_missing_values_come_last(campaign: Campaign) -> None:
     """Cells without a value are last whichever way is up."""
     for sort in ("vs_cross_correlation", "-vs_cross_correlation"):
-        found = find(str(database), Selection(), ("vs_cross_correlation",), (sort,))["vs_cross_correlation"]
+        found = campaign.store.table(("vs_cross_correlation",), sort=(sort,))["vs_cross_correlation"]
         missing = pd.isna(found)
         assert missing.tolist() == sorted(missing.tolist())
 
@@ -116,7 +116,7 @@ def test_no_text_gets_through_as_sql(campaign: Campaign, where: str, name: str) 
         except QueryError:
             continue
         assert all(len(values) <= everything for values in found.values())
-        json.dumps(_as_rows(found))
+        json.dumps(as_rows(found))
     assert digest(campaign.store.address.path) == before  # type: ignore[attr-defined]  # as above
 
 
