@@ -20,9 +20,6 @@ _LONGEST_LINE = 4096
 _TIME_TO_GREET = 10.0
 """Seconds in which a connection must have authenticated as a rank."""
 
-_PAUSE_OF_WORDS = 60.0
-"""Seconds between two messages on closed connections."""
-
 _MOST_STRANGERS = 64
 """Connections not authenticated yet, beyond one for each rank; more close the oldest."""
 
@@ -92,8 +89,6 @@ class _Caller:
     """
 
     connection: socket.socket
-    place: str
-    """Its address and port, for the user."""
     challenge: str
     """The text that it has to seal."""
     since: float
@@ -140,9 +135,6 @@ class RankWatch:
             places.append(f"{address}:{listener.getsockname()[1]}")
         self._ranks: dict[int, _ReportedRank] = {}
         self._callers: dict[_Caller, None] = {}
-        self._dropped = 0
-        self._first_dropped = ""
-        self._next_word_of_dropped = 0.0
         self._now = time.monotonic()
         self._missing: set[str] = set()
         self._seconds = 0.0
@@ -192,7 +184,7 @@ class RankWatch:
                 self._accept(key.fileobj)  # type: ignore[arg-type]
         for caller in list(self._callers):
             if self._seconds - caller.since > _TIME_TO_GREET:
-                self._drop(caller, f"did not identify itself within {_TIME_TO_GREET:g} s")
+                self._drop(caller)
         self._note_deaths()
         return bool(events)
 
@@ -284,47 +276,33 @@ class RankWatch:
             "it is stopped, its disk is slow, or the network between the hosts fails; --start-timeout gives more time"
         )
 
-    def describe_dropped(self) -> str:
-        """Message on connections that no rank made, once a minute at most; empty if there were none."""
-        if not self._dropped or self._seconds < self._next_word_of_dropped:
-            return ""
-        self._next_word_of_dropped = self._seconds + _PAUSE_OF_WORDS
-        others = f", and on {self._dropped - 1} more" if self._dropped > 1 else ""
-        self._dropped = 0
-        return f"Closed the connection of {self._first_dropped}{others}; the run continues."
-
     def _accept(self, listener: socket.socket) -> None:
         """Ask a new connection to authenticate; without room the one silent for longest is closed."""
         try:
-            connection, place = listener.accept()
+            connection, _ = listener.accept()
         except BlockingIOError:
             return
         except OSError:  # no descriptors are left, or it has hung up already
             if self._callers:
-                self._drop(next(iter(self._callers)), "had not identified itself when file descriptors ran out")
+                self._drop(next(iter(self._callers)))
             else:
                 time.sleep(_PAUSE_WITHOUT_DESCRIPTORS)
             return
         if len(self._callers) >= _MOST_STRANGERS + self._size:
-            self._drop(next(iter(self._callers)), "had not identified itself when many others connected")
+            self._drop(next(iter(self._callers)))
         connection.setblocking(False)
-        caller = _Caller(connection, "{}:{}".format(*place[:2]), secrets.token_hex(16), self._seconds)
+        caller = _Caller(connection, secrets.token_hex(16), self._seconds)
         self._callers[caller] = None
         self._selector.register(connection, selectors.EVENT_READ, caller)
         try:
             connection.send(f"{caller.challenge}\n".encode())
         except OSError:
-            self._drop(caller, "closed the connection at once")
+            self._drop(caller)  # it has hung up already
 
-    def _drop(self, caller: _Caller, why: str) -> None:
-        """Close a connection that is no rank, and note why."""
+    def _drop(self, caller: _Caller) -> None:
+        """Close a connection that is no rank."""
         del self._callers[caller]
         self._hang_up(caller.connection)
-        self._note_dropped(f"{caller.place}, which {why}")
-
-    def _note_dropped(self, who: str) -> None:
-        self._first_dropped = self._first_dropped if self._dropped else who
-        self._dropped += 1
 
     def _hang_up(self, connection: socket.socket) -> None:
         self._selector.unregister(connection)
@@ -344,21 +322,21 @@ class RankWatch:
         line, newline, rest = caller.buffer.partition(b"\n")
         if not newline:
             if not data or len(line) > LONGEST_GREETING:
-                self._drop(caller, "did not identify itself")
+                self._drop(caller)
             return
         words, _, sealed = line.decode(errors="replace").rpartition(" ")
-        if not hmac.compare_digest(sealed.encode(), seal_words(self._key, "rank", caller.challenge, words).encode()):
-            self._drop(caller, "does not know the key of this run")
-            return
+        seal = seal_words(self._key, "rank", caller.challenge, words)
+        is_expected = hmac.compare_digest(sealed.encode(), seal.encode())
         try:
             number, process, host, drawn = words.split(" ")
             rank = _ReportedRank(int(number), host, int(process), caller.connection, rest)
-            caller.connection.send(f"{seal_words(self._key, 'command', drawn, caller.challenge)}\n".encode())
+            is_expected &= 0 <= rank.number < self._size and rank.number not in self._ranks
+            if is_expected:
+                caller.connection.send(f"{seal_words(self._key, 'command', drawn, caller.challenge)}\n".encode())
         except (ValueError, OSError):
-            self._drop(caller, "is no rank, though it knows the key of this run")
-            return
-        if not 0 <= rank.number < self._size or rank.number in self._ranks:
-            self._drop(caller, f"claims to be rank {rank.number}, which is not expected (any more)")
+            is_expected = False
+        if not is_expected:
+            self._drop(caller)
             return
         del self._callers[caller]
         self._ranks[rank.number] = rank
@@ -386,7 +364,6 @@ class RankWatch:
             for line in lines:
                 self._hear(rank, line.decode(errors="replace"))
         except ValueError:
-            self._note_dropped(f"{rank}, which sent an invalid message")
             return False
         return True
 

@@ -210,8 +210,8 @@ def _attend(process: "subprocess.Popen[bytes]", watch: RankWatch, relay: "_Relay
         for number in relay.take():
             if watch.begun:
                 process.send_signal(number)
-        for text in filter(None, (watch.describe_silent_master(), watch.describe_dropped())):
-            screen.say(text)
+        if silent := watch.describe_silent_master():
+            screen.say(silent)
         why = watch.reason_to_end()
         if why is None and relay.asked and not watch.begun:
             why = "a signal asked for it"

@@ -40,30 +40,24 @@ def provide_packing(
     `PackingError` if it has to be made and does not come to rest, `CampaignMismatchError` if the stored one is damaged
     and what is found or made is another one.
     """
-    if store is None or 0 not in store.packing_indices():
-        return _find_packing(configuration, tell, check, watch)
-    try:
-        packing = stored_packing(store.packing())
-    except DamagedStoreError as error:
-        tell(f"Packing: {error.problem}")
-    else:
-        tell("Packing: taken from the database.")
-        return packing
-    packing = _find_packing(configuration, tell, check, watch)
-    store.save_packing(packing_record(packing, index=0, packing_hash=configuration.packing_hash), replace_state=True)
-    tell("Packing: it is the same, and the one in the database has been replaced.")
-    return packing
-
-
-def _find_packing(
-    configuration: Configuration, tell: Tell, check: Callable[[], None], watch: Callable[[PackingStage], None]
-) -> Packing:
-    """The packing that comes with calcidem or is in the cache, or else a new one; see `provide_packing`."""
-    packing = kept_packing(configuration.packing_hash, tell)
-    if packing is not None:
-        return packing
-    packing = new_packing(configuration, tell, check, watch)
-    _write_cache(cache_folder() / _cached_name(configuration.packing_hash), packing, tell)
+    damaged = None
+    if store is not None and 0 in store.packing_indices():
+        try:
+            packing = stored_packing(store.packing())
+        except DamagedStoreError as error:
+            damaged = store
+            tell(f"Packing: {error.problem}")
+        else:
+            tell("Packing: taken from the database.")
+            return packing
+    kept = kept_packing(configuration.packing_hash, tell)
+    packing = kept or new_packing(configuration, tell, check, watch)
+    if kept is None:
+        _write_cache(cache_folder() / _cached_name(configuration.packing_hash), packing, tell)
+    if damaged is not None:
+        record = packing_record(packing, index=0, packing_hash=configuration.packing_hash)
+        damaged.save_packing(record, replace_state=True)
+        tell("Packing: it is the same, and the one in the database has been replaced.")
     return packing
 
 
@@ -77,7 +71,10 @@ def new_packing(
     draw = configuration.packing_draw
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")
-        return _packing_of_own_disks(configuration, check, watch)
+        path = Path(draw.file)
+        if sha256(path.read_bytes()).hexdigest() != draw.file_sha256:
+            raise PackingFileError(f"{path} was changed while the campaign began; run the command again")
+        return packing_from_csv(path, configuration.sand, configuration.packing, check, watch)
     tell("Packing: being made; this is done once.")
     generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
     return make_packing(configuration.packing, configuration.sand, generator, check, watch)
@@ -121,14 +118,3 @@ def _write_cache(path: Path, packing: Packing, tell: Tell) -> None:
         cure = f"set {CACHE_VARIABLE} to a folder that works"
         why = error.strerror if isinstance(error, OSError) else f"{path.name} is no packing's file"
         tell(f"Packing: not kept in the cache {path.parent} ({why}); {cure}.")
-
-
-def _packing_of_own_disks(
-    configuration: Configuration, check: Callable[[], None], watch: Callable[[PackingStage], None]
-) -> Packing:
-    """Make the packing of the disks in the configuration's file, unless that was changed meanwhile."""
-    draw = configuration.packing_draw
-    path = Path(str(draw.file))
-    if sha256(path.read_bytes()).hexdigest() != draw.file_sha256:
-        raise PackingFileError(f"{path} was changed while the campaign began; run the command again")
-    return packing_from_csv(path, configuration.sand, configuration.packing, check, watch)

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import NoReturn, Protocol
 
@@ -40,15 +40,6 @@ class RunView(Protocol):
 
     def refuse(self, error: Exception) -> int:
         """Tell an error that is the user's to cure and give its exit code; raise any other."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Orders:
-    """What rank 0 broadcasts before the cells are computed."""
-
-    configuration: Configuration
-    packing: Packing
-    anything_to_do: bool
 
 
 def run_on_ranks(
@@ -100,31 +91,21 @@ def _lead(
     with work:
         # The address of the database, which may have a password, stays on this rank.
         told = replace(work.configuration, run=replace(work.configuration.run, database=None))
-        orders = session.broadcast(_Orders(told, work.packing, bool(work.batches)))
+        session.broadcast((told, work.packing, bool(work.batches)))
         view.begin(work)
-        if orders.anything_to_do:
+        if work.batches:
             reporter.begin(RunStage.COMPILING)
-        if executor is None:
-            _compile_on_nodes(session, orders, reporter.on_compiling)
+            if executor is None:
+                _compile_on_nodes(session, told, work.packing, reporter.on_compiling)
         try:
-            work.end = run_sweep(
-                executor or session.comm,
-                work.batches,
-                CellComputation(orders.configuration, work.packing),
-                work.sink,
-                options=sweep_options(orders.configuration),
-                progress=reporter,
-                stop_request=session.stop_request,
-                more=work.more,
-            )
-            work.store.renew_lease()  # nothing is complete whose database is no longer there
+            end = work.compute(executor or session.comm, reporter, session.stop_request)
             reporter.begin(RunStage.WRITING)
             view.finish(work, in_haste=session.stop_request.hurry())
         except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
             code, session.obstacle = view.refuse(error), type(error).__name__
             # A server that comes back has everything that was stored.
             return EXIT_RESUMABLE if isinstance(error, StoreUnavailableError) else code, work.end
-        return work.end.exit_code, work.end
+        return end.exit_code, end
 
 
 def _follow(session: Session) -> tuple[int, SweepEnd | None]:
@@ -132,10 +113,12 @@ def _follow(session: Session) -> tuple[int, SweepEnd | None]:
     session.gather(describe_worker(session.rank))
     if code := session.broadcast(0):
         return code, None
-    orders: _Orders = session.broadcast(None)
-    _compile_on_nodes(session, orders)
-    cells = CellComputation(orders.configuration, orders.packing)
-    end = run_sweep(session.comm, (), cells, None, options=sweep_options(orders.configuration))
+    told: tuple[Configuration, Packing, bool] = session.broadcast(None)
+    configuration, packing, anything_to_do = told
+    if anything_to_do:
+        _compile_on_nodes(session, configuration, packing)
+    cells = CellComputation(configuration, packing)
+    end = run_sweep(session.comm, (), cells, None, options=sweep_options(configuration))
     return end.exit_code, end
 
 
@@ -149,14 +132,16 @@ def _end_in_haste(stop_request: StopRequest) -> None:
 
 
 def _compile_on_nodes(
-    session: Session, orders: _Orders, tell: Callable[[str, str, int], object] = lambda *_: None
+    session: Session,
+    configuration: Configuration,
+    packing: Packing,
+    tell: Callable[[str, str, int], object] = lambda *_: None,
 ) -> None:
     """Have each kernel compiled by one rank of each node, so that no cell's cost or time limit has it.
 
     The first rank of a node has the largest one, so how far rank 0 is tells how far all are.
     """
-    if orders.anything_to_do:
-        session.share_on_node(kernel_compilations(orders.configuration, orders.packing, tell))
+    session.share_on_node(kernel_compilations(configuration, packing, tell))
 
 
 def _refuse_singletons(world_size: int, variables: Mapping[str, str] = os.environ) -> None:

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import starmap
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from calcidem.app.campaign.display import choose_display
 from calcidem.app.campaign.identity import choose_campaign
@@ -32,6 +32,7 @@ from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.processes import keep_freed_memory
+from calcidem.sweep.progress import Progress
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.signals import StopRequest
 from calcidem.sweep.sweep_end import SweepEnd, SweepState, WorkersLostError
@@ -110,19 +111,9 @@ def run(
                 if executor is None:
                     for compile_kernel in kernel_compilations(configuration, work.packing, reporter.on_compiling):
                         compile_kernel()
-            work.end = run_sweep(
-                executor,
-                work.batches,
-                CellComputation(configuration, work.packing),
-                work.sink,
-                options=sweep_options(configuration),
-                progress=reporter,
-                stop_request=StopRequest(),  # no signal sets it: an interrupt goes to the caller
-                more=work.more,
-            )
-            work.store.renew_lease()  # what was stored is still there
-            if work.end.state is not SweepState.COMPLETE:
-                raise WorkersLostError(f"{work.end.detail} (everything stored is safe)")
+            end = work.compute(executor, reporter, StopRequest())  # no signal sets it: an interrupt goes to the caller
+            if end.state is not SweepState.COMPLETE:
+                raise WorkersLostError(f"{end.detail} (everything stored is safe)")
             for line in work.demand.lines() if work.demand else ():
                 display.note(line)
     return open_campaign(configuration.database, configuration.campaign.name)
@@ -164,7 +155,7 @@ class CampaignRun:
     demand
         How many seeds each content needs, without `until` in the configuration.
     end
-        To be set to the end of the sweep.
+        Of the sweep; None before it.
     """
 
     def __init__(
@@ -238,7 +229,25 @@ class CampaignRun:
         if unlike := describe_unlike(kinds):
             tell(unlike)
 
-    def more(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> tuple[Batch[Cell], ...]:
+    def compute(self, where: Any, reporter: Progress, stop_request: StopRequest) -> SweepEnd:  # noqa: ANN401 - with MPI's type, which only the scheduler knows
+        """Have the batches computed and store the outcomes; ``where`` is that of `calcidem.sweep.run.run_sweep`.
+
+        `StoreError` if the database is no longer there: then nothing is complete.
+        """
+        self.end = run_sweep(
+            where,
+            self.batches,
+            CellComputation(self.configuration, self.packing),
+            self.sink,
+            options=sweep_options(self.configuration),
+            progress=reporter,
+            stop_request=stop_request,
+            more=self._more,
+        )
+        self.store.renew_lease()
+        return self.end
+
+    def _more(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> tuple[Batch[Cell], ...]:
         """Further batches that the outcomes require; none unless the number of seeds is open."""
         if self.demand is None:
             return ()

@@ -194,7 +194,7 @@ def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
 
 
 def status_as_json(status: CampaignStatus, half_width: float | None = None) -> dict[str, Any]:
-    """All there is to know, in JSON's types; a missing number is null."""
+    """All there is to know, as `tell_rows` takes it; a missing number is NaN."""
     plans = [None if half_width is None else _plan_of(content, half_width) for content in status.contents]
     run = status.last_run
     return {
@@ -204,10 +204,10 @@ def status_as_json(status: CampaignStatus, half_width: float | None = None) -> d
         "running": status.running,
         "run": None if run is None else {"number": status.run_number, "ranks": run.ranks, "exit_state": run.exit_state},
         "cells": dict(sorted(status.counts.items())),
-        "vs_error": _finite_or_none(status.budget.total),
-        "reading_error": _finite_or_none(status.budget.reading),
-        "numerical_error": _finite_or_none(status.budget.numerical),
-        "seconds_left": _finite_or_none(status.seconds_left),
+        "vs_error": status.budget.total,
+        "reading_error": status.budget.reading,
+        "numerical_error": status.budget.numerical,
+        "seconds_left": status.seconds_left,
         "workers": status.workers,
         "seeds": list(status.seeds),
         "contents": [
@@ -215,13 +215,13 @@ def status_as_json(status: CampaignStatus, half_width: float | None = None) -> d
                 "content": content.content,
                 "status": [content.statuses.get(seed) for seed in status.seeds],
                 "cells": dict(sorted(content.counts.items())),
-                "mean": _finite_or_none(content.mean),
-                "sd": _finite_or_none(content.deviation),
-                "reading_scatter": _finite_or_none(content.budget.scatter),
+                "mean": content.mean,
+                "sd": content.deviation,
+                "reading_scatter": content.budget.scatter,
                 "departing": content.budget.departing,
-                "interval_95": [_finite_or_none(content.interval.low), _finite_or_none(content.interval.high)],
-                "seconds_per_cell": _finite_or_none(content.seconds_per_cell),
-                "core_seconds_left": _finite_or_none(content.seconds_left),
+                "interval_95": [content.interval.low, content.interval.high],
+                "seconds_per_cell": content.seconds_per_cell,
+                "core_seconds_left": content.seconds_left,
             }
             | ({} if plan is None else {"seeds_needed": plan.needed, "more_seeds": plan.more})
             for content, plan in zip(status.contents, plans, strict=True)
@@ -232,8 +232,3 @@ def status_as_json(status: CampaignStatus, half_width: float | None = None) -> d
             for trouble in status.troubles
         ],
     }
-
-
-def _finite_or_none(value: float) -> float | None:
-    """A number as JSON has it."""
-    return value if math.isfinite(value) else None
