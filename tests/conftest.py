@@ -23,8 +23,7 @@ from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_rec
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration, Excitation, FrequencyTable
-from calcidem.app.report.folder import write_files
-from calcidem.app.report.page import write_report
+from calcidem.app.report.page import write_files, write_report
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.measurement import measure

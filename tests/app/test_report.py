@@ -22,8 +22,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report import cell_data
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
-from calcidem.app.report.folder import write_files
-from calcidem.app.report.page import _MEANINGS, _explained_terms, unnamed_page, write_report
+from calcidem.app.report.page import _MEANINGS, _explained_terms, unnamed_page, write_files, write_report
 from calcidem.app.report.results import _growth_table, _outcome_table, _velocity_table
 from calcidem.app.report.sections import (
     TABLES,
@@ -285,7 +284,7 @@ def test_no_table_of_the_folder_holds_a_formula(
     small_database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A reason and a host that a spreadsheet would evaluate begin with an apostrophe in CSV; numbers do not."""
-    monkeypatch.setattr("calcidem.app.report.folder.CAMPAIGN_FIGURES", ())  # pictures take seconds
+    monkeypatch.setattr("calcidem.app.report.page.CAMPAIGN_FIGURES", ())  # pictures take seconds
     formulas = "=cmd|' /C calc'!A0", "@SUM(1)"
     database = Path(shutil.copy(small_database, tmp_path / "small.db"))
     with Store(database) as store:

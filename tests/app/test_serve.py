@@ -16,7 +16,7 @@ import pytest
 from live_page import ADDRESS, PATIENCE, Live, serve, start
 
 from calcidem.app.campaign.status import CampaignStatus
-from calcidem.app.serve.beside_run import page_beside_run
+from calcidem.app.serve.address import page_beside_run
 from calcidem.app.serve.columns import CellColumns
 from calcidem.app.serve.feed import CampaignFeed
 from calcidem.app.serve.movies import MovieMaker

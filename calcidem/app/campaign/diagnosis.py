@@ -109,7 +109,7 @@ class Diagnosis:
 
     def draw(self) -> "Figure":
         """Picture of the section with the line of each candidate, and its velocity spectrum."""
-        from calcidem.app.campaign.section_picture import draw_diagnosis  # noqa: PLC0415 - loads matplotlib
+        from calcidem.app.campaign.plots import draw_diagnosis  # noqa: PLC0415 - loads matplotlib
 
         return draw_diagnosis(self)
 

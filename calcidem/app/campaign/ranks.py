@@ -1,9 +1,9 @@
 """One campaign on ranks or an executor: rank 0 prepares, hands out, stores and reports, the others compute."""
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from typing import NoReturn, Protocol
@@ -21,6 +21,12 @@ from calcidem.sweep.run import run_sweep
 from calcidem.sweep.session import Session
 from calcidem.sweep.signals import StopRequest
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE, LaunchError, SweepEnd
+
+_CONNECT_TIMEOUT = 10.0
+"""Seconds in which the scheduler has to answer."""
+
+_TIME_TO_CLOSE = 3.0
+"""Seconds in which it cancels running batches; one that has died does not answer."""
 
 
 class RunView(Protocol):
@@ -62,6 +68,30 @@ def run_on_ranks(
         else:
             code, end = _follow(session)
         session.end(code, end)
+
+
+@contextmanager
+def dask_executor(address: str) -> Iterator[Executor]:
+    """Connect to a scheduler, and cancel in the end the batches that its workers have not begun.
+
+    `LaunchError` if no scheduler answers at the address, or Dask is not installed.
+    """
+    try:
+        from distributed import Client  # noqa: PLC0415 - an extra of the package
+    except ImportError as error:
+        raise LaunchError(f"--dask {address}: Dask is missing ({error}); pip install 'calcidem[dask]'") from error
+    try:
+        client = Client(address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError) as error:  # a time-out is an OSError
+        raise LaunchError(
+            f"--dask {address}: no scheduler answers there ({error}); give the address that `dask scheduler` writes, "
+            "like tcp://host:8786"
+        ) from error
+    try:
+        yield client.get_executor(pure=False)
+    finally:
+        with suppress(Exception):  # whatever it was, the outcomes are stored and the client is no longer needed
+            client.close(timeout=_TIME_TO_CLOSE)
 
 
 def _lead(

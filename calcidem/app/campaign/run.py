@@ -3,7 +3,7 @@
 import os
 import socket
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import replace
@@ -24,10 +24,11 @@ from calcidem.app.campaign.workers import describe_unlike, describe_worker, grou
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import PackingStage
-from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError
-from calcidem.storage.records import CellKey, PackedResult, WorkerRecord
+from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError, StoreUnavailableError
+from calcidem.storage.records import CellKey, CellStatus, PackedResult, WorkerRecord
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import BatchOutcome
@@ -302,6 +303,34 @@ def _refuse_before_writing(configuration: Configuration) -> None:
     with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as store:
         if choose_campaign(store, configuration) and store.packing_indices():
             check_against_packing(configuration, readable_packing(store, 0))
+
+
+def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) -> tuple[CellKey, ...]:
+    """Make the cells of a configuration that have these outcomes pending again, and give them.
+
+    Their history is kept, but workers that were lost to them no longer count against them. `LeaseHeldError` while a run
+    writes the campaign, since it would not notice; `StoreUnavailableError` if the database or the campaign does not
+    exist; `CampaignMismatchError` if it is another one; `DamagedStoreError` if nothing can be changed in the file.
+    """
+    cure = "There is nothing to retry; leave --retry out."
+    if not _exists(configuration.database):
+        raise StoreUnavailableError(f"{configuration.database} does not exist.", cure)
+    with Store(configuration.database) as store:
+        if not choose_campaign(store, configuration):
+            missing = f"{configuration.database} has no campaign '{configuration.campaign.name}'."
+            raise StoreUnavailableError(missing, cure)
+        store.acquire_lease()
+        plan = configuration.campaign
+        found = store.statuses(Selection(plan.seed_numbers))
+        planned = [key for key in found if key.content in plan.contents]
+        settled = [outcome for outcome in outcomes if outcome is not CellStatus.DAMAGED]
+        pending = list(store.retry(settled, planned)) if settled else []
+        if CellStatus.DAMAGED in outcomes:
+            found_damaged, _ = store.integrity()
+            damaged = [key for key in found_damaged if key in set(planned)]
+            store.retry_damaged(damaged)
+            pending += damaged
+    return tuple(pending)
 
 
 def _exists(database: str) -> bool:

@@ -3,16 +3,19 @@
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.text import Text
 
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
-from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding, FindingLevel
 
-_STYLES = {OK: "green", WARNING: "yellow", PROBLEM: "bold red"}
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.doctor.checkup import Finding
+
+_STYLES = {"ok": "green", "warning": "yellow", "problem": "bold red"}
+"""Of the levels of a finding."""
 
 
 def doctor_command(
@@ -26,7 +29,7 @@ def doctor_command(
     from calcidem.app.doctor.checkup import findings
 
     console = Console(highlight=False)
-    levels: Counter[FindingLevel] = Counter()
+    levels: Counter[str] = Counter()
     found = []
     for finding in findings(folder):
         found.append(asdict(finding))
@@ -34,15 +37,15 @@ def doctor_command(
             console.print(_finding_line(finding), soft_wrap=True)
         levels[finding.level] += 1
     if layout is Format.TABLE:
-        all_well = levels.keys() == {OK}
-        console.print("All is well." if all_well else ", ".join(f"{levels[level]} {level}" for level in FindingLevel))
+        all_well = levels.keys() == {"ok"}
+        console.print("All is well." if all_well else ", ".join(f"{levels[level]} {level}" for level in _STYLES))
     else:
         tell_rows(found, layout)
-    if levels[PROBLEM]:
+    if levels["problem"]:
         raise typer.Exit(1)
 
 
-def _finding_line(finding: Finding) -> Text:
+def _finding_line(finding: "Finding") -> Text:
     """One line about a finding, the cure on one of its own."""
     line = Text(f"{finding.level:<8}", _STYLES[finding.level]).append(f" {finding.subject}: {finding.fact}", "")
     return line.append(f"\n{'':>8} -> {finding.cure}", "bold") if finding.cure else line

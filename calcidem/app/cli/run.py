@@ -105,8 +105,7 @@ def run_command(
             arguments += ["--verbose"] if IS_VERBOSE.get() else []
             launch = Launch(arguments, ranks, 3 if restarts is None else restarts, start_timeout, silence_timeout)
             raise typer.Exit(launch.run())
-        from calcidem.app.campaign.dask_cluster import dask_executor
-        from calcidem.app.campaign.ranks import run_on_ranks
+        from calcidem.app.campaign.ranks import dask_executor, run_on_ranks
 
         run_on_ranks(
             partial(_read_overridden, configuration, overrides, retry or ()),
@@ -136,7 +135,7 @@ def _make_packing_alone(configuration: "Configuration") -> None:
 
 def _live_page(configuration: Path, overrides: dict[str, str | None]) -> AbstractContextManager[None]:
     """The live page of the campaign, for as long as the command runs."""
-    from calcidem.app.serve.beside_run import page_beside_run
+    from calcidem.app.serve.address import page_beside_run
     from calcidem.sweep.environment import launcher
 
     if launcher() is not None:
@@ -155,7 +154,7 @@ def _read_overridden(
 
     loaded = load_configuration(configuration, overrides)
     if retry:
-        from calcidem.app.campaign.retry import retry_cells
+        from calcidem.app.campaign.run import retry_cells
         from calcidem.storage.records import CellStatus
 
         pending = retry_cells(loaded, [CellStatus(outcome.value) for outcome in retry])

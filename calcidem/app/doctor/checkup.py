@@ -14,13 +14,13 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
 from calcidem.app.campaign.launch import FIRST_WITH_ULFM, find_mpirun, launcher_options
 from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.workers import PORTABLE_ARCHITECTURES, describe_worker
 from calcidem.app.config.checks import can_make_files
-from calcidem.app.doctor import OK, PROBLEM, WARNING, Finding
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import measure_commits
 from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem
@@ -55,6 +55,29 @@ print(json.dumps([MPI.COMM_WORLD.Get_size(), available_cores(), fault_tolerance_
 """What each of the two ranks does: tell how many they are, how many cores it may use, whether ULFM is on."""
 
 
+class FindingLevel(StrEnum):
+    """How good a finding is: with a warning a campaign runs slower or less safely, with a problem not as it should."""
+
+    OK = "ok"
+    WARNING = "warning"
+    PROBLEM = "problem"
+
+
+_OK, _WARNING, _PROBLEM = FindingLevel
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a check of the machine found: one line of the report."""
+
+    level: FindingLevel
+    subject: str
+    fact: str
+    """How good it is, what was looked at, and what was found."""
+    cure: str = ""
+    """What to do about it; empty if all is well."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Rank:
     """Report of a rank on itself."""
@@ -72,17 +95,17 @@ def _mpi_findings() -> Iterator[Finding]:
         refuse_ranks_off_linux()
     except LaunchError as error:
         fact, _, cure = str(error).partition(": ")
-        yield Finding(WARNING, "MPI ranks", fact, cure)
+        yield Finding(_WARNING, "MPI ranks", fact, cure)
         return
     library = mpi_library_version()
     if library is None:
-        yield Finding(WARNING, "MPI library", "none can be loaded, so only one core can be used", _INSTALL)
+        yield Finding(_WARNING, "MPI library", "none can be loaded, so only one core can be used", _INSTALL)
         return
-    yield Finding(OK, "MPI library", library)
+    yield Finding(_OK, "MPI library", library)
     try:
         mpirun = find_mpirun()
     except LaunchError as error:
-        yield Finding(PROBLEM, "MPI launcher", str(error), _INSTALL)
+        yield Finding(_PROBLEM, "MPI launcher", str(error), _INSTALL)
         return
     yield _launcher_finding(mpirun, library)
     yield from _rank_findings(mpirun)
@@ -95,10 +118,10 @@ def _launcher_finding(mpirun: str, library: str) -> Finding:
     versions = [re.search(r"\d+\.\d+(\.\d+)?", line) for line in (said, library)]
     own, of_library = (None if found is None else found.group() for found in versions)
     if "Open MPI" not in library or own == of_library:
-        return Finding(OK, "MPI launcher", f"{mpirun}: {said}")
+        return Finding(_OK, "MPI launcher", f"{mpirun}: {said}")
     fact = f"{mpirun}: {said}, but the library is version {of_library}"
     cure = "set MPIRUN to the launcher of the same installation; mixed versions work only by luck"
-    return Finding(WARNING, "MPI launcher", fact, cure)
+    return Finding(_WARNING, "MPI launcher", fact, cure)
 
 
 def _rank_findings(mpirun: str) -> Iterator[Finding]:
@@ -107,15 +130,15 @@ def _rank_findings(mpirun: str) -> Iterator[Finding]:
         ranks = _start_ranks(mpirun)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         cure = "read the launcher's message; in a container or on an unusual network OMPI_MCA_btl=self,sm,tcp may help"
-        yield Finding(PROBLEM, "two ranks", f"did not start: {_failure_text(error)}", cure)
+        yield Finding(_PROBLEM, "two ranks", f"did not start: {_failure_text(error)}", cure)
         return
     sizes = [rank.world_size for rank in ranks]
     if sizes != [2, 2]:
         fact = f"don't know about each other (world sizes: {', '.join(map(str, sizes))})"
         cure = "use the launcher of the MPI library that mpi4py loads (MPIRUN)"
-        yield Finding(PROBLEM, "two ranks", f"{fact}: each would compute the whole campaign", cure)
+        yield Finding(_PROBLEM, "two ranks", f"{fact}: each would compute the whole campaign", cure)
         return
-    yield Finding(OK, "two ranks", "start and know about each other")
+    yield Finding(_OK, "two ranks", "start and know about each other")
     yield _fault_tolerance_finding(ranks)
     yield _binding_finding(ranks, available_cores())
 
@@ -147,19 +170,19 @@ def _failure_text(error: Exception) -> str:
 def _fault_tolerance_finding(ranks: list[_Rank]) -> Finding:
     """Whether a lost rank leaves the others running."""
     if all(rank.fault_tolerant for rank in ranks):
-        return Finding(OK, "lost ranks", "cost only what they were computing (ULFM)")
+        return Finding(_OK, "lost ranks", "cost only what they were computing (ULFM)")
     fact = "end the run: only Open MPI 5 and later can continue without them (ULFM)"
     cure = f"use Open MPI {FIRST_WITH_ULFM} or later; nothing stored is lost, and the same command continues"
-    return Finding(WARNING, "lost ranks", fact, cure)
+    return Finding(_WARNING, "lost ranks", fact, cure)
 
 
 def _binding_finding(ranks: list[_Rank], cores: int) -> Finding:
     """Whether the ranks may use all cores."""
     fewest = min(rank.cores for rank in ranks)
     if fewest == cores:
-        return Finding(OK, "binding", f"ranks may use all {cores} cores of this process")
+        return Finding(_OK, "binding", f"ranks may use all {cores} cores of this process")
     fact = f"a rank may use {fewest} of {cores} cores, so rank 0, which mostly sleeps, may share one with a worker"
-    return Finding(WARNING, "binding", fact, "start with 'calcidem run --ranks 0', or give mpirun --bind-to none")
+    return Finding(_WARNING, "binding", fact, "start with 'calcidem run --ranks 0', or give mpirun --bind-to none")
 
 
 _COMMITS = 20
@@ -177,7 +200,7 @@ _CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")
 
 def findings(folder: Path) -> Iterator[Finding]:
     """Check everything, quick things first; the database is to be in this folder."""
-    yield Finding(OK, "program", f"calcidem {__version__} on Python {platform.python_version()}")
+    yield Finding(_OK, "program", f"calcidem {__version__} on Python {platform.python_version()}")
     yield _processor_finding()
     if sys.platform == "linux":  # elsewhere a campaign takes one
         quota = _CPU_QUOTA.read_text(encoding="ascii") if _CPU_QUOTA.exists() else ""
@@ -194,9 +217,9 @@ def _processor_finding() -> Finding:
     """What a worker on this machine is, and whether all machines of its kind compute the same bits."""
     worker = describe_worker(rank=0)
     if worker.architecture in PORTABLE_ARCHITECTURES:
-        return Finding(OK, "processor", f"{worker.kind}; no bit of a result depends on it")
+        return Finding(_OK, "processor", f"{worker.kind}; no bit of a result depends on it")
     fact = f"{worker.kind}; there is no comparison of the bits of such processors"
-    return Finding(WARNING, "processor", fact, "compute a campaign on machines of one kind")
+    return Finding(_WARNING, "processor", fact, "compute a campaign on machines of one kind")
 
 
 def _cores_finding(cores: int, quota: str) -> Finding:
@@ -205,44 +228,44 @@ def _cores_finding(cores: int, quota: str) -> Finding:
     allowed = int(words[0]) / int(words[1]) if words and words[0] != "max" else math.inf
     if allowed < cores:
         fact = f"{cores} are visible, but this container gets the CPU time of {allowed:g}"
-        return Finding(WARNING, "cores", fact, f"start with --ranks {max(1, math.floor(allowed)) + 1}")
+        return Finding(_WARNING, "cores", fact, f"start with --ranks {max(1, math.floor(allowed)) + 1}")
     ranks = f"'calcidem run --ranks 0' starts {cores + 1} ranks (rank 0 only coordinates)"
-    return Finding(OK, "cores", f"{cores} of {os.cpu_count()} can be used, so {ranks}")
+    return Finding(_OK, "cores", f"{cores} of {os.cpu_count()} can be used, so {ranks}")
 
 
 def _thread_finding(variables: Mapping[str, str]) -> Finding:
     """Look for thread counts other than 1; calcidem sets those that are not set."""
     wrong = {name: variables[name] for name in THREAD_VARIABLES if variables.get(name, "1") != "1"}
     if not wrong:
-        return Finding(OK, "threads", "one per rank")
+        return Finding(_OK, "threads", "one per rank")
     found = ", ".join(f"{name}={value}" for name, value in wrong.items())
-    return Finding(WARNING, "threads", f"{found}: the threads of the ranks compete", f"unset {' '.join(wrong)}")
+    return Finding(_WARNING, "threads", f"{found}: the threads of the ranks compete", f"unset {' '.join(wrong)}")
 
 
 def _slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
     """Look at the Slurm job this runs in, or describe how to start one."""
     if "SLURM_JOB_ID" not in variables:
         template = "installed, but this is no job; in the script of one, 'calcidem run --ranks 0' uses all tasks"
-        yield Finding(OK, "Slurm", template if shutil.which("sbatch") else "not installed here, and not needed")
+        yield Finding(_OK, "Slurm", template if shutil.which("sbatch") else "not installed here, and not needed")
         return
     tasks, job = variables.get("SLURM_NTASKS", "1"), variables["SLURM_JOB_ID"]
     if variables.get("SLURM_STEP_ID", "batch").isdigit() and tasks != "1" and launcher(variables) is None:
         fact = f"job {job}: 'srun' started {tasks} programs that don't know about each other"
         cure = "start calcidem once, with 'calcidem run --ranks 0' in the batch script, without srun"
-        yield Finding(PROBLEM, "Slurm", fact, cure)
+        yield Finding(_PROBLEM, "Slurm", fact, cure)
         return
     restarts = variables.get("SLURM_RESTART_COUNT", "0")
-    yield Finding(OK, "Slurm", f"job {job} with {tasks} tasks, restarted {restarts} times")
+    yield Finding(_OK, "Slurm", f"job {job} with {tasks} tasks, restarted {restarts} times")
     if variables.get("SLURM_JOB_NUM_NODES", "1") != "1" and shutil.which("srun") is None:
         fact = f"job {job} spans several nodes, but mpirun can't reach them without srun"
-        yield Finding(PROBLEM, "Slurm", fact, "add Slurm's programs to PATH")
+        yield Finding(_PROBLEM, "Slurm", fact, "add Slurm's programs to PATH")
 
 
 def _folder_findings(folder: Path) -> Iterator[Finding]:
     """Try a database in a folder: whether it can be written, its journal mode, its speed, and whether locks work."""
     where = folder.absolute()
     if not where.is_dir():
-        yield Finding(PROBLEM, "folder", f"{where} is not a folder", "create it, or choose another one")
+        yield Finding(_PROBLEM, "folder", f"{where} is not a folder", "create it, or choose another one")
         return
     try:
         with tempfile.TemporaryDirectory(prefix=".calcidem-doctor-", dir=where) as trial:
@@ -252,32 +275,32 @@ def _folder_findings(folder: Path) -> Iterator[Finding]:
             lock.release()
     except (OSError, StoreError) as error:
         cure = "free some space, change the permissions, or choose another folder"
-        yield Finding(PROBLEM, "folder", f"no database can be created in {where}: {error}", cure)
+        yield Finding(_PROBLEM, "folder", f"no database can be created in {where}: {error}", cure)
         return
     kind = filesystem_type(where) or "an unknown file system"
     yield _network_finding(where, kind, network=is_network_filesystem(where), locks=locks)
     speed = f"journal mode {journal.upper()}, {rate:.0f} commits a second, each safe on disk before it counts"
     yield (
-        Finding(OK, "SQLite", speed)
+        Finding(_OK, "SQLite", speed)
         if rate >= _SLOW_COMMITS
-        else Finding(WARNING, "SQLite", speed, "use a faster disk, or --db with the URL of a server")
+        else Finding(_WARNING, "SQLite", speed, "use a faster disk, or --db with the URL of a server")
     )
     free = shutil.disk_usage(where).free
     space = f"{free / 1e9:.1f} GB free in {where}"
     yield (
-        Finding(OK, "space", space)
+        Finding(_OK, "space", space)
         if free > _LITTLE_SPACE
-        else Finding(WARNING, "space", space, "free some space, or choose another folder")
+        else Finding(_WARNING, "space", space, "free some space, or choose another folder")
     )
 
 
 def _network_finding(where: Path, kind: str, *, network: bool, locks: bool) -> Finding:
     """What the file system of the database means for it."""
     if not network:
-        return Finding(OK, "file system", f"{where} is on {kind}, which counts as local")
+        return Finding(_OK, "file system", f"{where} is on {kind}, which counts as local")
     locked = "locks work" if locks else "locks don't work, so only its heartbeat reveals a second master"
     cure = "works, but commits are slower; a folder on a local disk is faster, if results can be copied back afterwards"
-    return Finding(WARNING, "file system", f"{where} is on {kind}, shared between machines; {locked}", cure)
+    return Finding(_WARNING, "file system", f"{where} is on {kind}, shared between machines; {locked}", cure)
 
 
 def _packing_cache_finding() -> Finding:
@@ -285,9 +308,9 @@ def _packing_cache_finding() -> Finding:
     folder = cache_folder()
     if not can_make_files(folder):
         fact = f"{folder} is not writable: each campaign makes its packing again"
-        return Finding(WARNING, "packing cache", fact, f"set {CACHE_VARIABLE} to a writable folder")
+        return Finding(_WARNING, "packing cache", fact, f"set {CACHE_VARIABLE} to a writable folder")
     number = len(list(folder.glob("packing-*.npz")))
-    return Finding(OK, "packing cache", f"{folder} holds {pluralize(number, 'packing')}")
+    return Finding(_OK, "packing cache", f"{folder} holds {pluralize(number, 'packing')}")
 
 
 def _compile_cache_finding() -> Finding:
@@ -296,16 +319,16 @@ def _compile_cache_finding() -> Finding:
 
     stats = getattr(advance_steps, "stats", None)
     if stats is None or stats.cache_path is None:
-        return Finding(WARNING, "compile cache", "none, since nothing is compiled", "unset NUMBA_DISABLE_JIT")
+        return Finding(_WARNING, "compile cache", "none, since nothing is compiled", "unset NUMBA_DISABLE_JIT")
     folder, module = Path(stats.cache_path), advance_steps.__module__.rpartition(".")[2]
     cure = "set NUMBA_CACHE_DIR to a folder on a disk of the node"
     if not can_make_files(folder):
-        return Finding(WARNING, "compile cache", f"{folder} is not writable: every rank compiles for itself", cure)
+        return Finding(_WARNING, "compile cache", f"{folder} is not writable: every rank compiles for itself", cure)
     compiled = len(list(folder.glob(f"{module}.{advance_steps.__name__}*.nbc")))
     first = "" if compiled else " (the first run compiles for 5 to 25 s)"
     fact = f"{folder} holds {pluralize(compiled, 'kernel')}{first}"
     if is_network_filesystem(folder):
         return Finding(
-            WARNING, "compile cache", f"{fact}; on a network file system", f"{cure}, such as $TMPDIR in a job script"
+            _WARNING, "compile cache", f"{fact}; on a network file system", f"{cure}, such as $TMPDIR in a job script"
         )
-    return Finding(OK, "compile cache", fact)
+    return Finding(_OK, "compile cache", fact)

@@ -1,5 +1,6 @@
-"""The report: one HTML page that needs nothing else."""
+"""The report: one HTML page that needs nothing else, and the same figures, tables and numbers as files."""
 
+import csv
 import os
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping
@@ -13,19 +14,20 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.doubt import is_in_doubt
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
-from calcidem.analysis.figures.style import render
+from calcidem.analysis.figures.style import render, save
 from calcidem.analysis.measured import Target
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
-from calcidem.app.report.folder import write_files
 from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
-from calcidem.app.report.wording import Table, decimal, time_span
+from calcidem.app.report.wording import ABSENT, Table, decimal, time_span
 from calcidem.storage.errors import OutputRefusedError
-from calcidem.storage.files import write_text_atomically
+from calcidem.storage.files import spreadsheet_value, write_text_atomically
+from calcidem.storage.netcdf.export import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.sweep.progress import pluralize
 
@@ -77,6 +79,15 @@ _MEANINGS: Mapping[str, str] = {
     "porosity": "Area of the voids over area of the box.",
 }
 """Meanings by the words of headers and of first columns, units left out."""
+
+_NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
+    "distributions": lambda analysis: tabulate(analysis.distributions),
+    "features": lambda analysis: analysis.table,
+    "correlations_overall": lambda analysis: analysis.correlations.overall,
+    "correlations_within_content": lambda analysis: analysis.correlations.within,
+    "correlations_by_content": lambda analysis: analysis.content_correlations,
+}
+"""What NetCDF files hold, by their names."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,3 +312,40 @@ def _explained_terms(table: Table) -> tuple[tuple[str, str], ...]:
     words = (*table.header, *(row[0] for row in table.rows))
     found = dict.fromkeys(word.partition(" (")[0] for word in words)
     return tuple((word, _MEANINGS[word]) for word in found if word in _MEANINGS)
+
+
+def write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
+    """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
+
+    It is made if missing; files of the same names are replaced. Given is what could not be made, by name, with the
+    reason. `OSError` if the folder can't be written.
+    """
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    reasons: dict[str, str] = {}
+    for entry in CAMPAIGN_FIGURES:
+        figure, reasons[entry.name] = make_or_explain(entry.draw, analysis)
+        if figure is not None:
+            save(figure, folder, entry.name)
+    for name, make in TABLES.items():
+        table, reasons[f"table_{name}"] = make_or_explain(make, analysis)
+        if table is not None:
+            _write_table(table, folder / f"table_{name}.csv")
+    for name, gather in _NUMBERS.items():
+        numbers, reasons[name] = make_or_explain(gather, analysis)
+        if numbers is not None:
+            write_netcdf(numbers, folder / f"{name}.nc")
+    return {name: reason for name, reason in reasons.items() if reason}
+
+
+def _write_table(table: Table, file: Path) -> None:
+    """Write a table as CSV, with the numbers as they stand in the report; the exact ones are in the NetCDF files."""
+    with file.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(table.header)
+        writer.writerows([spreadsheet_value(_typed(value)) for value in row] for row in table.rows)
+
+
+def _typed(value: str) -> str:
+    """Value with the signs that programs read: the minus of a keyboard, and nothing where it is missing."""
+    return "" if value == ABSENT else value.replace("\N{MINUS SIGN}", "-")

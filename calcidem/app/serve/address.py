@@ -1,15 +1,27 @@
-"""Where the live page can be opened: a free port, and a token that cannot be guessed. It loads nothing large."""
+"""Where the live page can be opened: a free port, and a token that cannot be guessed; and the page beside a run.
+
+It loads nothing large.
+"""
 
 import errno
 import importlib.util
+import json
+import os
 import secrets
 import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Self
 
 _USUAL_HOST = "127.0.0.1"
 
 _NEEDED = ("starlette", "uvicorn")
+
+_TIME_TO_TELL = 3.0
+"""Seconds that the page has for telling browsers how the run has ended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,3 +76,37 @@ def _explained(error: OSError, host: str, port: int) -> str:
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
         return f"--host {host} is no address of this machine; give {_USUAL_HOST}, or one that 'hostname -I' lists"
     return f"--host {host} --port {port}: {error.strerror}; give others"
+
+
+@contextmanager
+def page_beside_run(database: str | os.PathLike[str], campaign: str, say: Callable[[str], None]) -> Iterator[None]:
+    """Show a campaign, which may not have begun, in the browser while the block runs; say the address.
+
+    The page is in a process of its own, of low priority.
+
+    `OSError` if the page can't be opened.
+    """
+    address = PageAddress.take()
+    descriptor = address.listener.fileno()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "calcidem.app.serve"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        pass_fds=[descriptor],
+        process_group=0,  # Ctrl-C is for the run, which ends in order
+    )
+    told = {"database": os.fspath(database), "campaign": campaign, "descriptor": descriptor}
+    assert process.stdin is not None  # noqa: S101 - it is a pipe
+    with suppress(BrokenPipeError), process.stdin as stream:
+        stream.write(json.dumps(told | {"host": address.host, "token": address.token}).encode())
+    address.listener.close()
+    say(f"Live page: {address.url}")
+    try:
+        yield
+    finally:
+        process.terminate()
+        try:
+            process.wait(_TIME_TO_TELL)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

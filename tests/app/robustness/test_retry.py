@@ -6,13 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.app.campaign.retry import _RETRIABLE, retry_cells
+from calcidem.app.campaign.run import retry_cells
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import LeaseHeldError, StoreUnavailableError
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.store import Store
 
 PENDING_BEFORE = 6
+
+RETRIABLE = (CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.QUARANTINED, CellStatus.DAMAGED)
+"""Outcomes that another attempt may change."""
 
 AsConfigured = Callable[[Path], Configuration]
 
@@ -62,7 +65,7 @@ def test_only_cells_of_the_configuration_are_retried(troubled: Path, as_configur
     """What the configuration does not plan stays as it is."""
     whole = as_configured(troubled)
     part = replace(whole, campaign=replace(whole.campaign, seeds=(1, 9), contents=(0.66, 5.0)))
-    assert retry_cells(part, _RETRIABLE) == (CellKey(9, 0.66),)
+    assert retry_cells(part, RETRIABLE) == (CellKey(9, 0.66),)
 
 
 @pytest.mark.parametrize("outcome", ["done", "pending", "no_arrival", "nonsense"])
@@ -79,7 +82,7 @@ def test_what_cannot_be_retried_is_refused(
 def test_a_missing_database_is_not_made(tmp_path: Path, as_configured: AsConfigured) -> None:
     """A file name with a typing error makes no empty database."""
     with pytest.raises(StoreUnavailableError, match="does not exist"):
-        retry_cells(as_configured(tmp_path / "no.db"), _RETRIABLE)
+        retry_cells(as_configured(tmp_path / "no.db"), RETRIABLE)
     assert {path.name for path in tmp_path.iterdir()} == {"c.toml"}
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from calcidem.app.campaign.launch import find_mpirun
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import _cached_name
-from calcidem.app.campaign.retry import retry_cells
+from calcidem.app.campaign.run import retry_cells
 from calcidem.app.config.reader import load_configuration
 from calcidem.storage.records import CellStatus
 
