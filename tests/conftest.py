@@ -23,7 +23,7 @@ from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_rec
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration, Excitation, FrequencyTable
-from calcidem.app.report.page import write_files, write_report
+from calcidem.app.report.page import _write_files, write_report
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.measurement import measure
@@ -174,7 +174,7 @@ def small_folder(small_database: Path, make_once: MakeOnce) -> tuple[Path, dict[
 
     def fill(path: Path) -> None:
         with open_campaign(small_database) as campaign:
-            missing = write_files(campaign.analyse(), path / "out")
+            missing = _write_files(campaign.analyse(), path / "out")
         (path / "missing.json").write_text(json.dumps(missing), encoding="utf-8")
 
     folder = make_once("analysis", fill)

@@ -46,6 +46,12 @@ def duration(seconds: float | None) -> str:
     return f"{days} d {hours} h"
 
 
+def first_of(texts: Sequence[str], most: int = 10) -> list[str]:
+    """Return the first of some texts, followed by how many more there are."""
+    more = len(texts) - most
+    return [*texts[:most], f"and {more} more"] if more > 0 else list(texts)
+
+
 def pluralize(number: int, noun: str, plural: str = "") -> str:
     """Return a number with its noun: `1 worker`, `2 workers`."""
     return f"{number} {noun}" if number == 1 else f"{number} {plural or f'{noun}s'}"

@@ -1,5 +1,7 @@
 """The time left of a run: from the expected costs of cells, and the seconds that some of them took."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress
@@ -26,7 +28,7 @@ def seconds_left(batches: list[Batch[Cell]], seconds: list[float], workers: int 
     reporter = ProgressReporter(shown)
     reporter.on_start(batches, workers)
     for batch, took in zip(batches, seconds, strict=False):
-        reporter.on_outcome(BatchOutcome(batch, PLACE, took, results=()))
+        reporter.on_outcome(BatchOutcome(batch, PLACE, took, results=[SimpleNamespace(status="done")]))
     reporter._tell_cells(workers, workers, at_once=True)
     assert (shown.last.finished, shown.last.total) == (len(seconds), len(batches))
     return shown.last.seconds_left

@@ -22,7 +22,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report import cell_data
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
-from calcidem.app.report.page import _MEANINGS, _explained_terms, unnamed_page, write_files, write_report
+from calcidem.app.report.page import _MEANINGS, _explained_terms, _write_files, unnamed_page, write_report
 from calcidem.app.report.results import _growth_table, _outcome_table, _velocity_table
 from calcidem.app.report.sections import (
     TABLES,
@@ -292,7 +292,7 @@ def test_no_table_of_the_folder_holds_a_formula(
         store.begin_run(replace(store.runs()[0][1], host=formulas[1]))
         store.record_results([CellResult(CellKey(6, 0.34), CellStatus.FAILED, formulas[0])])
     with open_campaign(database) as campaign:
-        write_files(campaign.analyse(), tmp_path / "analysis")
+        _write_files(campaign.analyse(), tmp_path / "analysis")
     tables = sorted((tmp_path / "analysis").glob("table_*.csv"))
     values = [value for file in tables for row in csv.reader(file.open(encoding="utf-8")) for value in row]
     assert {f"'{formulas[0]}"} == {value for value in values if formulas[0] in value}

@@ -16,15 +16,10 @@ from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, C
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
+from calcidem.sweep.progress import first_of
 
 _OUTCOMES_AT_ONCE = 200
 """Outcomes written in one transaction; with signals they take a few megabytes of memory."""
-
-_MOST_CONFLICTS = 10
-"""Conflicts that are named one by one; more are only counted."""
-
-_MOST_RANGES = 8
-"""Ranges of seeds that are named of a content with pending cells."""
 
 _Values: TypeAlias = tuple[float | None, ...] | None
 """`EXACT_QUANTITIES` of a done cell, None for one that is not done."""
@@ -71,15 +66,14 @@ class Merged:
     def conflict_lines(self, sources: list[str]) -> list[str]:
         """One line for each conflict, up to a number."""
         lines = [
-            f"  seed {conflict.key.seed}, {conflict.key.content:g} %: "
+            f"{conflict.key}: "
             + ", ".join(
                 f"Vs {velocity:.9g} m/s in {sources[source]}" for source, velocity in conflict.velocities.items()
             )
             + f" (different: {', '.join(conflict.quantities)})"
-            for conflict in self.conflicts[:_MOST_CONFLICTS]
+            for conflict in self.conflicts
         ]
-        more = len(self.conflicts) - _MOST_CONFLICTS
-        return [*lines, f"  and {more} more"] if more > 0 else lines
+        return [f"  {line}" for line in first_of(lines)]
 
     def missing_lines(self) -> list[str]:
         """One line for each content that has pending cells, with their seeds as ranges."""
@@ -89,8 +83,7 @@ class Merged:
             begins = [seed for seed, before in zip(seeds, [None, *seeds], strict=False) if before != seed - 1]
             ends = [seed for seed, after in zip(seeds, [*seeds[1:], None], strict=True) if after != seed + 1]
             ranges = [str(a) if a == b else f"{a}-{b}" for a, b in zip(begins, ends, strict=True)]
-            more = f" and {len(ranges) - _MOST_RANGES} more ranges" if len(ranges) > _MOST_RANGES else ""
-            lines.append(f"  {content:g} %: {len(seeds)} cells, seeds {', '.join(ranges[:_MOST_RANGES])}{more}")
+            lines.append(f"  {content:g} %: {len(seeds)} cells, seeds {', '.join(first_of(ranges))}")
         return lines
 
 

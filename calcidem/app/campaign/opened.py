@@ -320,7 +320,7 @@ class Campaign(Closable):
         counts: Counter[str] = Counter()
         with suppress(StoreError):  # it is closed
             for (_, status), number in self.status_counts().items():
-                counts[status.replace("_", " ")] += number
+                counts[status.words] += number
         size = f"{len(self.record.seeds)} seeds x {len(self.record.contents)} contents"
         cells = ", ".join(f"{number} {name}" for name, number in sorted(counts.items()))
         return f"<calcidem campaign '{self.record.name}': {size}; cells: {cells or 'not readable any more'}>"

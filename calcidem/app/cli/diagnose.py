@@ -41,7 +41,7 @@ def diagnose_command(
         words = ", ".join(f"{number} at {content:g} % ({status})" for (content, status), number in sorted(counts))
         typer.echo(f"Campaign {store.record.name}. Without velocity: {words or 'none'}. Repeating does not help.")
         for one in found:
-            head = f"\nseed {one.key.seed}, {one.key.content:g} %: {one.status.replace('_', ' ')}, {one.reason}"
+            head = f"\n{one.key}: {one.status.words}, {one.reason}"
             lines = head, *textwrap.wrap(one.finding, 110), *one.describe_remedies()
             typer.echo(printable("\n  ".join(lines)))
             if out is not None:

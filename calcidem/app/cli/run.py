@@ -11,16 +11,13 @@ import typer
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, parse_timeout
 from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable, tell
-from calcidem.sweep.progress import pluralize
+from calcidem.sweep.progress import first_of, pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.cli.run_view import TerminalView
     from calcidem.app.config.schema import Configuration
 
 _Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED", "DAMAGED"])
-
-_MOST_LISTED = 10
-"""Cells that are listed one by one; more are only counted."""
 
 
 def run_command(
@@ -158,10 +155,8 @@ def _read_overridden(
         from calcidem.storage.records import CellStatus
 
         pending = retry_cells(loaded, [CellStatus(outcome.value) for outcome in retry])
-        names = [f"  seed {key.seed}, {key.content:g} %" for key in pending[:_MOST_LISTED]]
-        more = [f"  and {len(pending) - _MOST_LISTED} more"] if len(pending) > _MOST_LISTED else []
         head = f"{pluralize(len(pending), 'cell')} to compute again:" if pending else "There is nothing to retry."
-        typer.echo("\n".join([head, *names, *more]))
+        typer.echo("\n  ".join([head, *first_of(list(map(str, pending)))]))
     return loaded
 
 

@@ -171,7 +171,5 @@ def _other_outcomes(statuses: NDArray[np.object_]) -> str:
     """How many cells have each outcome other than done."""
     counts = Counter(CellStatus(status) for status in statuses)
     return ", ".join(
-        f"{counts[status]} {status.replace('_', ' ')}"
-        for status in CellStatus
-        if counts[status] and status is not CellStatus.DONE
+        f"{counts[status]} {status.words}" for status in CellStatus if counts[status] and status is not CellStatus.DONE
     )

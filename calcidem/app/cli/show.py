@@ -39,7 +39,7 @@ def show_command(
         from calcidem.app.cli.tables import make_console, make_table
 
         table = make_table(f"Seed {seed} at {content:g} %.", "quantity", "value")
-        for meaning, value in _described(row):
+        for meaning, value in _cell_rows(row):
             table.add_row(meaning, Text(printable(value)))
         make_console().print(table)
     else:
@@ -57,7 +57,7 @@ def show_command(
             typer.echo(f"Wrote {movie}", err=layout is not Format.TABLE)
 
 
-def _described(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _cell_rows(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Meanings and values, with units, of the quantities of a cell that it has."""
     from calcidem.app.report.wording import ABSENT, EXCEPTIONAL, decimal, readable_unit, significant
     from calcidem.storage.records import QUANTITY_BY_NAME

@@ -13,7 +13,7 @@ from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, URGENCY, Campai
 from calcidem.app.cli.tables import format_number, marks_of, remarks_on
 from calcidem.app.cli.terminal import printable
 from calcidem.storage.records import CellStatus
-from calcidem.sweep.progress import duration, pluralize
+from calcidem.sweep.progress import duration, first_of, pluralize
 
 if TYPE_CHECKING:  # loaded at its first use
     from calcidem.analysis.planning import SeedPlan
@@ -40,9 +40,6 @@ _WIDTH_OF_NUMBERS = 78
 
 _NARROWEST_MATRIX = 10
 
-_MOST_TROUBLES = 12
-"""Cells that are named with their reason; more are only counted."""
-
 
 def status_view(status: CampaignStatus, width: int, half_width: float | None = None) -> RenderableType:
     """All there is to see, for a terminal of this many columns, and the seeds that a half-width (m/s) needs."""
@@ -67,7 +64,7 @@ def _head_lines(status: CampaignStatus) -> Iterator[str]:
     )
     total = sum(status.counts.values())
     finished = total - status.pending
-    counts = [f"{status.counts[kind]} {_words(kind)}" for kind in CellStatus if status.counts.get(kind)]
+    counts = [f"{status.counts[kind]} {kind.words}" for kind in CellStatus if status.counts.get(kind)]
     # Never 100 % before all is there.
     percent = f"{math.floor(100 * finished / total)} %" if total else "-"
     yield f"{finished} of {total} cells finished ({percent}): {', '.join(counts)}"
@@ -130,7 +127,7 @@ def _legend(status: CampaignStatus, columns: int) -> Text:
     text = Text("  ")
     for kind, (symbol, style) in _STATUS_CHARACTERS.items():
         if status.counts.get(kind):
-            text.append(symbol, style).append(f" {_words(kind)}   ")
+            text.append(symbol, style).append(f" {kind.words}   ")
     if len(status.seeds) > columns:
         text.append(f"{_PARTLY_DONE} partly done   one character for {_seeds_per_character(status, columns)} seeds")
     return text
@@ -142,16 +139,13 @@ def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
         return
     yield ""
     yield "Failed or repeated cells:"
-    for trouble in status.troubles[:_MOST_TROUBLES]:
-        yield f"  {_trouble_line(trouble)}"
-    if len(status.troubles) > _MOST_TROUBLES:
-        yield f"  and {len(status.troubles) - _MOST_TROUBLES} more; 'calcidem query DB --columns all' lists every cell"
+    yield from (f"  {line}" for line in first_of([_trouble_line(trouble) for trouble in status.troubles]))
     went_wrong = {trouble.status for trouble in status.troubles if trouble.reason}
     if went_wrong & {*UNREAD}:
-        kinds = " and ".join(_words(kind) for kind in UNREAD if kind in went_wrong)
+        kinds = " and ".join(kind.words for kind in UNREAD if kind in went_wrong)
         yield f"Cells with {kinds} give the same again; 'calcidem diagnose DB' explains why and proposes remedies."
     for kind in sorted(went_wrong - {*UNREAD}):
-        yield f"'calcidem run CONFIG --retry {kind}' computes cells that are {_words(kind)} again."
+        yield f"'calcidem run CONFIG --retry {kind}' computes cells that are {kind.words} again."
 
 
 def _trouble_line(trouble: Trouble) -> str:
@@ -162,12 +156,7 @@ def _trouble_line(trouble: Trouble) -> str:
     if trouble.retry:
         history += f", computed again with half the time step ({trouble.retry})"
     reason = f": {trouble.reason}" if trouble.reason else ""
-    return f"seed {trouble.key.seed}, {trouble.key.content:g} %: {_words(trouble.status)} after {history}{reason}"
-
-
-def _words(status: CellStatus) -> str:
-    """Name of a status as it is spoken."""
-    return status.value.replace("_", " ")
+    return f"{trouble.key}: {trouble.status.words} after {history}{reason}"
 
 
 def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":

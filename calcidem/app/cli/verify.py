@@ -98,7 +98,7 @@ def _verify_integrity(database: str, opened: "Campaign", layout: Format) -> None
         tell_rows(rows, layout, names=("seed", "content", "damage"))
         raise typer.Exit(EXIT_ERROR if rows else 0)
     for key, damage in damaged.items():
-        typer.echo(printable(f"seed {key.seed}, {key.content:g} %: {damage}"))
+        typer.echo(printable(f"{key}: {damage}"))
     for sentence in others:
         typer.echo(printable(sentence))
     typer.echo(f"{pluralize(cells, 'cell')}: {len(damaged)} damaged, {len(others)} other damages.")
@@ -130,7 +130,7 @@ def _verification_row(verification: "Verification") -> dict[str, Any]:
 def _verification_line(verification: "Verification") -> str:
     """What came of one cell, and which quantity differs most, by how much."""
     key, name = verification.stored.key, verification.most_different
-    text = f"seed {key.seed}, {key.content:g} %: {verification.agreement}"
+    text = f"{key}: {verification.agreement}"
     if not name:
         return text
     size = verification.differences[name]

@@ -153,7 +153,7 @@ def write_report(
         analysis = CampaignAnalysis(store, _MOST_SAMPLES, with_patterns, measured)
         write_text_atomically(target, _render_page(analysis, studies or {}, watch))
         if files is not None:
-            write_files(analysis, files)
+            _write_files(analysis, files)
     return target
 
 
@@ -314,7 +314,7 @@ def _explained_terms(table: Table) -> tuple[tuple[str, str], ...]:
     return tuple((word, _MEANINGS[word]) for word in found if word in _MEANINGS)
 
 
-def write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
+def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
     """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
     It is made if missing; files of the same names are replaced. Given is what could not be made, by name, with the

@@ -24,9 +24,9 @@ from calcidem.app.report.wording import (
     with_bounds,
 )
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95, departs
+from calcidem.sweep.progress import first_of
 
 _MOST_REASONS = 20
-_MOST_NAMED_SEEDS = 10
 _MEANING = ("wavelengths_on_path", "wavelength_over_d50", "content_of_contacts", "static_speed")
 
 
@@ -312,14 +312,13 @@ def _departure_table(analysis: CampaignAnalysis) -> Table | None:
     for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
         column = analysis.cells.sel(content=row.content)
         apart = column["seed"].to_numpy()[departs(column["path_departure"].to_numpy())].tolist()
-        more = f" and {len(apart) - _MOST_NAMED_SEEDS} more" if len(apart) > _MOST_NAMED_SEEDS else ""
         rows.append(
             (
                 f"{row.content:g}",
                 str(budget.compared),
                 decimal(median_known(column["path_vs"] / column["vs"]), 2),
                 str(budget.departing),
-                (", ".join(str(seed) for seed in apart[:_MOST_NAMED_SEEDS]) or ABSENT) + more,
+                ", ".join(first_of([str(seed) for seed in apart])) or ABSENT,
             )
         )
     return Table(

@@ -54,6 +54,11 @@ class CellStatus(StrEnum):
     QUARANTINED = "quarantined"
     DAMAGED = "damaged"
 
+    @property
+    def words(self) -> str:
+        """The status as messages name it."""
+        return self.value.replace("_", " ")
+
 
 STORED_STATUSES = tuple(s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DAMAGED})
 """The outcomes a cell can have in the database."""
@@ -100,6 +105,10 @@ class CellKey(Record):
     def __post_init__(self) -> None:
         object.__setattr__(self, "seed", checked_seed(self.seed))
         object.__setattr__(self, "content", canonical_content(self.content))
+
+    def __str__(self) -> str:
+        """The cell as messages name it."""
+        return f"seed {self.seed}, {self.content:g} %"
 
 
 @dataclass(frozen=True, slots=True)
