@@ -1,4 +1,4 @@
-"""Computes batches on MPI ranks, on an executor or in this process: it knows batches, a computation and a sink.
+"""Computes batches on MPI ranks, on an executor or in this process; needs only batches, a computation and a sink.
 
 with Session() as session:
     ...                                     # prepare, session.broadcast(...)

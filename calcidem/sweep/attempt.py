@@ -1,4 +1,4 @@
-"""One attempt at a batch, the same on a worker and in a serial run, within a time limit that it checks itself."""
+"""One attempt at a batch, on a worker or in a serial run, within a time limit."""
 
 import signal
 import threading
@@ -14,19 +14,18 @@ ResultT_co = TypeVar("ResultT_co", covariant=True)
 
 
 class _TimeLimitReached(Exception):  # noqa: N818 - an expected end of a computation, not an error of the program
-    """The batch has used up its time; becomes the failure `timed_out`."""
+    """The batch has exceeded its time limit; becomes the failure `timed_out`."""
 
 
 class SweepInterrupted(BaseException):
-    """The sweep ends now and drops the batch; not an Exception, so that a computation doesn't swallow it."""
+    """The sweep ends now and drops the batch; not an Exception, so that no computation catches it."""
 
 
 class Deadline:
-    """A check that a computation calls every 0.1 to 0.5 s, between chunks of compiled work.
+    """Check that a computation calls every 0.1 to 0.5 s, between chunks of compiled work.
 
-    A signal handler or a time limit written in Python cannot interrupt compiled code, so the computation has to
-    call it. Its limit is in seconds from now, None for none; ``interrupted`` tells whether the sweep has to end at
-    once.
+    Python signal handlers and timers cannot interrupt compiled code, so the computation has to call this check. The
+    limit is in seconds from now, None for none. ``interrupted`` returns whether the sweep has to end at once.
     """
 
     def __init__(self, time_limit: float | None, interrupted: Callable[[], bool]) -> None:
@@ -35,7 +34,7 @@ class Deadline:
         self._start = time.monotonic()
 
     def __call__(self) -> None:
-        """Return if there is time left.
+        """Return if time is left.
 
         `_TimeLimitReached` if the batch has used up its time; `SweepInterrupted` if the sweep has to end at once.
         """
@@ -49,21 +48,21 @@ class Deadline:
 
 
 class Compute(Protocol[CellT, ResultT_co]):
-    """The computation of a batch, given by the caller of a sweep."""
+    """Computation of a batch, given by the caller of a sweep."""
 
     def __call__(self, batch: Batch[CellT], deadline_check: Callable[[], None], /) -> Sequence[ResultT_co]:
         """Return one picklable result for each cell, in the order of `batch.cells`.
 
-        It must depend on the cells alone, not on rank, order or the other cells of the batch: a batch may be
-        computed again, in parts, elsewhere. `deadline_check` is to be called every 0.1 to 0.5 s and its
-        exceptions passed on. Any other exception of the computation becomes a failure of the batch.
+        A result must depend only on its cell, not on rank, order or the other cells of the batch, since a batch may be
+        computed again elsewhere or in parts. The computation calls `deadline_check` every 0.1 to 0.5 s and does not
+        catch its exceptions. Any other exception becomes a failure of the batch.
         """
 
 
 def attempt(
     batch: Batch[CellT], compute: Compute[CellT, ResultT], deadline: Deadline, place: Place
 ) -> BatchOutcome[CellT, ResultT]:
-    """Compute a batch and return results or failure as data.
+    """Compute a batch; return its results or its failure as data.
 
     `SweepInterrupted` if the sweep has to end at once; the batch is dropped.
     """
@@ -79,7 +78,7 @@ def attempt(
 
 
 _hard_stops: list[float] = []
-"""Times at which this process is to be killed, s on the monotonic clock; one for each thread that computes."""
+"""Times at which this process is killed, s on the monotonic clock; one for each computing thread."""
 
 _arming = threading.Lock()
 
@@ -88,8 +87,8 @@ _arming = threading.Lock()
 def hard_stop(limit: float | None) -> Iterator[None]:
     """Let the kernel kill this process if the block takes longer than `limit` seconds.
 
-    The default action of SIGALRM works inside compiled code too, where no Python handler would ever run. Windows has
-    no such signal, and a program that handles it itself is left alone: there the block may take longer.
+    The default action of SIGALRM also works inside compiled code, where no Python handler runs. On Windows, which lacks
+    this signal, and in programs that handle it themselves, the limit has no effect.
     """
     if limit is None or not hasattr(signal, "setitimer") or signal.getsignal(signal.SIGALRM) is not signal.SIG_DFL:
         yield
@@ -103,7 +102,7 @@ def hard_stop(limit: float | None) -> Iterator[None]:
 
 
 def _arm(change: Callable[[float], None], end: float) -> None:
-    """Change the list of hard stops, and set the timer to the next one."""
+    """Change the list of hard stops, and set the timer to the first of them."""
     with _arming:
         change(end)
         left = max(min(_hard_stops) - time.monotonic(), 1e-3) if _hard_stops else 0.0

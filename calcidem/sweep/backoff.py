@@ -1,4 +1,4 @@
-"""Waiting without a busy core."""
+"""Waiting without using a core."""
 
 import time
 from collections.abc import Callable
@@ -7,8 +7,7 @@ from collections.abc import Callable
 class Backoff:
     """Sleeps that get longer while nothing happens.
 
-    2 ms at most: that hardly delays a batch of seconds, and such polling costs between
-    1 and 2 % of a core.
+    At most 2 ms, which hardly delays a batch of seconds; such polling uses 1 to 2 % of a core.
     """
 
     SHORTEST = 20e-6
@@ -18,17 +17,17 @@ class Backoff:
         self._pause = self.SHORTEST
 
     def reset(self) -> None:
-        """Start again with the shortest sleep, because something has happened."""
+        """Start again with the shortest sleep, after an event."""
         self._pause = self.SHORTEST
 
     def sleep(self) -> None:
-        """Sleep, and twice as long the next time."""
+        """Sleep, the next time twice as long."""
         time.sleep(self._pause)
         self._pause = min(2.0 * self._pause, self.LONGEST)
 
 
 def wait_until(condition: Callable[[], bool], limit: float = float("inf")) -> bool:
-    """Poll with growing sleeps until `condition` holds or `limit` seconds have passed; return whether it holds."""
+    """Poll with increasing sleeps until `condition` holds or `limit` seconds have passed; return whether it holds."""
     backoff = Backoff()
     end = time.monotonic() + limit
     while not condition():

@@ -1,4 +1,4 @@
-"""The unit of work: cells that are computed side by side, and the order in which they are handed out."""
+"""Batches: cells that are computed side by side, and the order in which they are handed out."""
 
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Mapping
@@ -8,7 +8,7 @@ from typing import Generic, Self, TypeAlias, TypeVar
 CellT = TypeVar("CellT", bound=Hashable)
 
 Cell: TypeAlias = tuple[int, float]
-"""(seed, content in percent of the sand mass): the cell of a campaign as `plan_batches` knows it."""
+"""(seed, content in percent of the sand's mass) of a campaign's cell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,11 +26,11 @@ class Batch(Generic[CellT]):
     cells: tuple[CellT, ...]
     """At least one cell, each hashable and picklable."""
     cost: float = 1.0
-    """Expected effort in any unit, larger than zero; only ratios matter. Used for the time left."""
+    """Expected effort in any unit, larger than zero; only ratios matter. It serves to estimate the remaining time."""
     group: Hashable = None
-    """What the cells have in common (the content, in a campaign): cost is measured per group."""
+    """Common property of the cells (in a campaign the content); the time per cost is measured for each group."""
     losses: int = 0
-    """Number of workers that were lost over these cells, in this run and in earlier ones."""
+    """Number of workers that were lost while computing these cells, in this run and in earlier ones."""
 
     def __post_init__(self) -> None:
         if not self.cells:
@@ -41,13 +41,13 @@ class Batch(Generic[CellT]):
             raise ValueError(f"losses is {self.losses}: give the number of lost workers, zero or more")
 
     def with_another_loss(self) -> Self:
-        """Return the same batch with one more lost worker."""
+        """Return the batch with one more lost worker."""
         return replace(self, losses=self.losses + 1)
 
     def split(self, first_identifier: int) -> tuple[Self, ...]:
         """Return one batch for each cell, numbered from `first_identifier`; cost and losses are kept.
 
-        The cost is not divided: a batch fills SIMD lanes, so one cell takes about as long as all of them.
+        The cost is not divided: the cells fill SIMD lanes, so one cell takes about as long as the whole batch.
         """
         return tuple(
             replace(self, identifier=first_identifier + position, cells=(cell,))
@@ -61,12 +61,12 @@ def plan_batches(
     cost_of_content: Callable[[float], float],
     losses: Mapping[Cell, int] | None = None,
 ) -> tuple[Batch[Cell], ...]:
-    """Group the pending cells into batches and put them in the order in which to compute them.
+    """Group the pending cells into batches, in the order of computation.
 
-    All cells of a batch share the content. The batches form waves, one for every `lanes` seeds, so that whole seeds are
-    complete early and a campaign that is stopped at any time is usable; within a wave the expensive contents come
-    first, so that no long batch is left over at the end. Cells over which a worker was lost come last and alone, where
-    they harm no other cell. `ValueError` if `lanes` is smaller than one.
+    All cells of a batch have the same content. The batches form rounds, one for every `lanes` seeds: whole seeds are
+    complete early, so a stopped campaign is usable. Within a round the expensive contents come first, so that no long
+    batch remains at the end. Cells that have lost a worker come last and alone, so that they affect no other cell.
+    `ValueError` if `lanes` is smaller than one.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def plan_batches(
     cost_of_content
         Expected effort of one batch of the given content, in any unit.
     losses
-        Number of workers lost over each cell in earlier runs; cells not named have none.
+        Number of workers lost in earlier runs while computing each cell; zero for cells not named.
 
     Returns
     -------
@@ -93,12 +93,12 @@ def plan_batches(
     for cell in cells:
         if losses.get(cell, 0) == 0:
             groups[cell[1]].append(cell)  # by seed, as the cells are
-    wave_of_seed = {seed: rank // lanes for rank, seed in enumerate(sorted({seed for seed, _ in cells}))}
+    round_of_seed = {seed: rank // lanes for rank, seed in enumerate(sorted({seed for seed, _ in cells}))}
     cost = {content: cost_of_content(content) for content in {content for _, content in cells}}
 
     chunks = [tuple(group[start : start + lanes]) for group in groups.values() for start in range(0, len(group), lanes)]
-    # The wave of a batch is that of its first seed: that is the seed which waits for it the longest.
-    chunks.sort(key=lambda chunk: (wave_of_seed[chunk[0][0]], -cost[chunk[0][1]], chunk[0]))
+    # The first seed of a batch determines its round, since this seed has waited longest.
+    chunks.sort(key=lambda chunk: (round_of_seed[chunk[0][0]], -cost[chunk[0][1]], chunk[0]))
     chunks.extend((cell,) for cell in sorted(suspects, key=lambda cell: (losses[cell], cell)))
     return tuple(
         Batch(

@@ -1,4 +1,4 @@
-"""Facts about how the program was launched: for refusals, for `doctor` and for the provenance of a run."""
+"""Facts about the launch of the program, for error messages, `doctor` and the provenance of a run."""
 
 import os
 import sys
@@ -15,14 +15,15 @@ LAUNCHER_VARIABLES = {
 """Environment variables that a launcher sets for its ranks; the first that is set counts."""
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""Must be 1 before numpy is imported: each rank has one core, threads would fight for it."""
+"""Must be 1 before numpy is imported: each rank has one core, for which threads would compete."""
 
 TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
-"""Tells the ranks the columns of the terminal that reads them; not set if none does."""
+"""Number of columns of the terminal that shows the output of the ranks; not set without one."""
 
 NO_DEVICE_SEARCH = {"OMPI_MCA_btl": "^ofi"}
-"""By default: Open MPI's search for devices for one-sided messages, of which there are none here, takes
-a second."""
+"""Settings of Open MPI by default: its search for devices for one-sided messages, which calcidem does not use, takes a
+second.
+"""
 
 
 def launcher(variables: Mapping[str, str] = os.environ) -> str | None:
@@ -31,19 +32,19 @@ def launcher(variables: Mapping[str, str] = os.environ) -> str | None:
 
 
 def fault_tolerance_enabled(variables: Mapping[str, str] = os.environ) -> bool:
-    """Return whether MPI continues when a rank is lost: Open MPI 5 under `mpirun --with-ft ulfm`."""
+    """Return whether MPI continues after the loss of a rank: Open MPI 5 under `mpirun --with-ft ulfm`."""
     return variables.get("OMPI_MCA_mpi_ft_enable", "0").lower() in {"1", "true", "yes"}
 
 
 def available_cores() -> int:
-    """Number of cores that this process may use; all of the machine's where the system does not report it."""
+    """Number of cores that this process may use; all cores of the machine if the system does not report it."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def refuse_ranks_off_linux(system: str | None = None) -> None:
-    """Refuse several ranks where the kernel offers no support against ranks that die, stop or outlive their launcher.
+    """Refuse several ranks on systems without support against ranks that die, stop or outlive their launcher.
 
     `LaunchError` unless it is Linux.
     """

@@ -1,11 +1,11 @@
 """The workers of a `concurrent.futures.Executor`, in other processes and on other machines.
 
-An executor does not report how many workers it has, who they are, or when one begins with a batch. So each outcome
-names its worker, and more batches are in flight than workers were seen: a worker that joins finds one waiting, answers,
-and counts from then on.
+An executor does not report the number or names of its workers, nor when one begins a batch. So each outcome names its
+worker, and more batches are submitted than there are known workers. A new worker computes one of these and counts from
+its first outcome.
 
-The computation, with the packing, is pickled once. It goes with the first batches. A process keeps it by its hash; a
-process that joins later and lacks it reports so, and the batch is submitted again with it.
+The computation, with the packing, is pickled once and sent with the first batches. A process keeps it by its hash. A
+process that lacks it reports this, and the batch is submitted again with the computation.
 """
 
 import os
@@ -28,10 +28,10 @@ from calcidem.sweep.sweep_end import SweepEnd, SweepError
 from calcidem.sweep.workers import Loss
 
 _BEFORE_IN_QUEUE = 2
-"""Batches that a worker may have to finish first: see `ExecutorWorkers.wants_batch`."""
+"""Batches that a worker may have to finish before a new one, see `ExecutorWorkers.wants_batch`."""
 
 _MEMORY = 60.0
-"""Seconds without an answer after which a worker no longer counts, or ten batches if these take longer."""
+"""Seconds without an outcome after which a worker no longer counts; ten batches if these take longer."""
 
 _Identity: TypeAlias = tuple[str, int, int]
 """Host, process and thread."""
@@ -43,23 +43,22 @@ class _Flight(Generic[CellT]):
 
     batch: Batch[CellT]
     since: float
-    """Time of its submission, s on the monotonic clock."""
+    """Time of submission, s on the monotonic clock."""
     alone: bool
     """Whether no other batch was in flight."""
 
 
 class ExecutorWorkers(Generic[CellT]):
-    """The workers of an executor, which stays open.
+    """Workers of an executor, which stays open.
 
-    A batch that has lost a worker before is computed alone. Many an executor ends with its first lost process
-    (`ProcessPoolExecutor`): all batches in flight count as lost then, and computing them alone isolates the bad
-    cell. Dask tries a batch on four workers before it gives it up as `KilledWorker`. The computation must be
-    picklable.
+    A batch that has lost a worker is computed alone. Some executors end with their first lost process
+    (`ProcessPoolExecutor`). Then all submitted batches count a loss, and computing them alone isolates the bad cell.
+    Dask tries a batch on four workers before it raises `KilledWorker`. The computation must be picklable.
 
     Attributes
     ----------
     exhausted
-        Reason why the executor takes no more batches; else empty.
+        Reason why the executor accepts no more batches; else empty.
     """
 
     def __init__(self, executor: Executor, compute: Compute[CellT, Any], options: SweepOptions) -> None:
@@ -75,31 +74,31 @@ class ExecutorWorkers(Generic[CellT]):
         self._slowest = 0.0  # seconds for a unit of cost
         self._longest = 0.0  # seconds of a batch
         self._start = time.monotonic()
-        self._stranded = 0  # batches that the executor neither computed nor lost before its end
-        self._blamed = 0  # batches that may have lost the process with which the executor ended
+        self._stranded = 0  # batches neither computed nor lost when the executor ended
+        self._blamed = 0  # batches that may have caused the loss of the process with which the executor ended
         self.exhausted = ""
 
     @property
     def count(self) -> int:
-        """Number of workers that have answered recently."""
+        """Number of workers with a recent outcome."""
         oldest = time.monotonic() - max(_MEMORY, 10.0 * self._longest)
         return sum(answer > oldest for answer in self._last_answer.values())
 
     @property
     def running(self) -> int:
-        """Number of batches in flight or held, or left behind by the executor."""
+        """Number of batches submitted, held back, or not computed by an executor that ended."""
         return len(self._under_way) + (self._held is not None) + self._stranded
 
     @property
     def wants_batch(self) -> bool:
-        """Whether fewer batches are in flight than two for each worker and some for those that may join."""
+        """Whether fewer batches are submitted than two for each worker and some for workers that may join."""
         if self.exhausted or self._held is not None or any(flight.batch.losses for flight in self._under_way.values()):
             return False
         enough = _BEFORE_IN_QUEUE * self.count + 2 if self._rank_of else available_cores() + 2
         return len(self._under_way) + len(self._given_up) < enough
 
     def submit(self, batch: Batch[CellT]) -> None:
-        """Submit a batch; a suspect one waits until no other is in flight."""
+        """Submit a batch; one that has lost a worker waits until no other is running."""
         if batch.losses and self._under_way:
             self._held = batch
         else:
@@ -130,7 +129,7 @@ class ExecutorWorkers(Generic[CellT]):
         return outcomes, losses
 
     def stop(self, _end: SweepEnd, _grace: float) -> frozenset[int]:
-        """Cancel batches that no worker has begun; running ones are dropped when they end."""
+        """Cancel batches not yet begun; the results of running ones are ignored."""
         for future in self._under_way:
             future.cancel()
         return frozenset()
@@ -148,7 +147,7 @@ class ExecutorWorkers(Generic[CellT]):
             future.add_done_callback(self._done.put)
 
     def _answer(self, answer: bytes, flight: _Flight[CellT]) -> BatchOutcome[CellT, Any] | None:
-        """Outcome in a worker's answer, None if it lacks the computation."""
+        """Outcome returned by a worker; None if the worker lacks the computation."""
         worker: _Identity
         worker, packed = pickle.loads(answer)  # noqa: S301 - written by a worker of the same program
         self._last_answer[worker] = time.monotonic()
@@ -167,17 +166,17 @@ class ExecutorWorkers(Generic[CellT]):
         return BatchOutcome(flight.batch, place, seconds, results, failure)
 
     def _losses(self, error: Exception, flight: _Flight[CellT]) -> list[Loss[CellT]]:
-        """Interpret a batch without an answer: a loss, or the end of the executor.
+        """Interpret the exception of a batch: a loss, or the end of the executor.
 
         `SweepError` if the worker could not load the computation.
         """
         reason, workers = f"{type(error).__name__}: {error}", 1
-        if type(error).__name__ == "KilledWorker":  # of Dask, which is not imported for this
-            # A single cell in company may only have waited on the same workers as the cell that killed them.
+        if type(error).__name__ == "KilledWorker":  # an exception of Dask, which is not imported for this
+            # A single cell may only have waited on the same workers as the cell that killed them.
             if flight.alone or len(flight.batch.cells) > 1:
                 workers = int(getattr(error, "allowed_failures", 0)) + 1
         elif isinstance(error, BrokenExecutor):
-            if not self.exhausted:  # batches are computed in the order of their submission: later ones had not begun
+            if not self.exhausted:  # batches are computed in order of submission: later ones had not begun
                 self._blamed = self.count + 1 if self._rank_of else available_cores() + 2
             self._end(f"a process of the executor was lost ({error})")
             self._blamed -= 1
@@ -196,7 +195,7 @@ class ExecutorWorkers(Generic[CellT]):
         return [Loss(Place(0, "unknown host"), flight.batch, reason, time.monotonic() - flight.since, workers)]
 
     def _find_silent(self) -> list[Loss[CellT]]:
-        """Give up batches without an answer for long, and then the executor."""
+        """Give up batches without an outcome for long, and then the executor."""
         now = time.monotonic()
         if not self._rank_of:
             limit = 10.0 * self._options.silence_floor
@@ -206,7 +205,7 @@ class ExecutorWorkers(Generic[CellT]):
         late = [
             future
             for future, flight in self._under_way.items()
-            # Others of the queue may have come before it.
+            # Other batches may have been ahead of it in the queue.
             if now - flight.since > (1 + _BEFORE_IN_QUEUE) * self._options.patience(flight.batch.cost, self._slowest)
         ]
         losses = []
@@ -231,7 +230,10 @@ _loading = threading.Lock()
 
 
 def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], options: SweepOptions) -> bytes:
-    """Compute a batch in a worker; return its identity and, if it has the computation, seconds, results and failure."""
+    """Compute a batch in a worker.
+
+    Return the worker's identity and, if it has the computation, seconds, results and failure.
+    """
     worker: _Identity = (platform.node(), os.getpid(), threading.get_ident())
     with _loading:
         if key not in _computations:
@@ -240,7 +242,7 @@ def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], optio
             _computations.clear()
             _computations[key] = pickle.loads(computation)  # noqa: S301 - written by the master of the same program
         compute = _computations[key]
-    place = Place(0, worker[0])  # the master knows the rank
+    place = Place(0, worker[0])  # the master sets the rank
     with hard_stop(options.hard_limit):
         outcome = attempt(batch, compute, Deadline(options.time_limit, lambda: False), place)
     results, failure = None, outcome.failure

@@ -1,4 +1,4 @@
-"""Outcomes are stored in groups, beside the exchange of messages: no worker waits for the disk."""
+"""Outcomes are stored in groups by a separate thread, so that no worker waits for the disk."""
 
 import time
 from collections import deque
@@ -13,38 +13,38 @@ from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.progress import Progress
 
 _INTERVAL = 0.1
-"""Seconds between the beginnings of two groups: a transaction costs as much as the rows of two or three batches."""
+"""Seconds between the starts of two groups; a transaction costs as much as the rows of two or three batches."""
 
 _MOST_WAITING = 512
-"""Outcomes that may wait for the store before no more batches are handed out; some 200 kB each."""
+"""Number of waiting outcomes, some 200 kB each, above which no more batches are handed out."""
 
 
 class Sink(Protocol):
-    """Receiver of the outcomes of a sweep, given by its caller; its storing methods run on one thread of their own.
+    """Receiver of the outcomes of a sweep, given by its caller; its storing methods run on a separate thread.
 
-    An outcome is acknowledged once `store` has returned, so it must be on disk by then. A sweep that was
-    killed may have stored a batch that it computes again later: storing twice must equal storing once.
-    An exception of the sink ends the sweep and is passed on.
+    An outcome counts as stored once `store` has returned, so it must be on disk by then. After a kill a stored batch
+    may be computed again, so storing twice must have the same effect as storing once. An exception of the sink ends the
+    sweep and is raised again.
     """
 
     def store(self, outcomes: Sequence[BatchOutcome[Any, Any]], /) -> None:
-        """Keep final outcomes, one or several."""
+        """Store one or several final outcomes."""
 
     def store_loss(self, batch: Batch[Any], reason: str, /) -> None:
-        """Store that a worker was lost over a batch; `batch.losses` counts this loss already.
+        """Store the loss of a worker during a batch; `batch.losses` already includes it.
 
-        To be given back as `losses` when the same cells are planned again after a restart.
+        After a restart the caller passes these numbers as `losses` when it plans the same cells again.
         """
 
     def keep_alive(self) -> None:
-        """Called on the main thread twice a second while the sweep runs; returns at once."""
+        """Called on the main thread twice a second during the sweep; returns at once."""
 
 
 class GroupCommit(Generic[CellT]):
-    """Stores final outcomes on a thread of its own, in the order given, and acknowledges them once they are stored.
+    """Stores final outcomes on a separate thread, in the order given, and shows them once they are stored.
 
-    While a group is stored the next one gathers. As a context manager it stores the remaining outcomes on exit,
-    unless the sink has failed. The display receives stored outcomes only.
+    Outcomes that arrive while a group is stored form the next group. As a context manager it stores the remaining
+    outcomes on exit, unless the sink has failed. The display receives only stored outcomes.
     """
 
     def __init__(self, sink: Sink, progress: Progress) -> None:
@@ -56,20 +56,20 @@ class GroupCommit(Generic[CellT]):
 
     @property
     def is_full(self) -> bool:
-        """Whether too many outcomes wait to hand out more batches."""
+        """Whether so many outcomes wait that no more batches should be handed out."""
         return len(self._waiting) > _MOST_WAITING
 
     def add(self, *outcomes: BatchOutcome[CellT, Any]) -> None:
-        """Queue outcomes, which are stored soon in a group."""
+        """Queue outcomes for the next group."""
         self._waiting.extend(outcomes)
 
     def add_loss(self, batch: Batch[CellT], reason: str) -> None:
-        """Queue the loss of a worker, after all outcomes so far."""
+        """Queue the loss of a worker, behind all outcomes so far."""
         self._begin()
         self._groups.append((self._thread.submit(self._sink.store_loss, batch, reason), []))
 
     def advance(self) -> None:
-        """Acknowledge stored outcomes, and begin the next group if it is due; does not wait.
+        """Show stored outcomes, and begin the next group if it is due; does not wait.
 
         Raises
         ------
@@ -82,20 +82,20 @@ class GroupCommit(Generic[CellT]):
             self._begin()
 
     def flush(self) -> None:
-        """Return once all is stored and acknowledged; raises what `advance` does."""
+        """Return once all outcomes are stored and shown; raises the exceptions of `advance`."""
         self._begin()
         while self._groups:
             self._acknowledge()
 
     def _begin(self) -> None:
-        """Let the thread store the waiting outcomes after the group before."""
+        """Let the thread store the waiting outcomes after the previous group."""
         if self._waiting:
             self._next_begin = time.monotonic() + _INTERVAL
             group, self._waiting = self._waiting, []
             self._groups.append((self._thread.submit(self._sink.store, group), group))
 
     def _acknowledge(self) -> None:
-        """Wait for the oldest group, and show its outcomes."""
+        """Wait for the oldest group; show its outcomes."""
         stored, group = self._groups.popleft()
         try:
             stored.result()

@@ -1,4 +1,4 @@
-"""A sweep under MPI: the other ranks as rank 0 sees them, idle, computing or lost, and a rank that computes."""
+"""A sweep under MPI: state of the other ranks on rank 0 (idle, computing or lost), and the loop of a computing rank."""
 
 import time
 from collections import deque
@@ -21,13 +21,13 @@ from calcidem.sweep.sweep_end import MasterLostError, SweepEnd
 from calcidem.sweep.workers import Loss
 
 _WATCHDOG_INTERVAL = 0.25
-"""Seconds between looks for workers past their limit; going through all of them takes time."""
+"""Seconds between two checks for workers past their limit; a check of all of them takes time."""
 
 _KILL_PATIENCE = 1.0
-"""Seconds within which a killed process must be gone."""
+"""Seconds within which a killed process must end."""
 
 _LAST_WORD = 0.5
-"""Seconds in which the command has to report how a lost process ended: only its starter knows."""
+"""Seconds in which the command has to report how a lost process ended, which only its starter can observe."""
 
 
 @dataclass(slots=True)
@@ -37,15 +37,15 @@ class _Worker(Generic[CellT]):
     place: Place
     """Its rank and host."""
     batch: Batch[CellT] | None = None
-    """What it computes; None while it waits."""
+    """Batch that it computes; None while it waits."""
     since: float = 0.0
     """Time at which the batch was handed out, s on the monotonic clock."""
     task: MPI.Request | None = None
-    """The request that sends the batch."""
+    """Request that sends the batch."""
 
 
 class MPIWorkers(Generic[CellT]):
-    """All other ranks of a communicator; they join the running sweep when they are ready.
+    """All other ranks of a communicator; they join the running sweep once they are ready.
 
     With ``fault_tolerant`` the MPI library continues when a rank is lost (ULFM).
     """
@@ -64,7 +64,7 @@ class MPIWorkers(Generic[CellT]):
         self._known_failed: frozenset[int] = frozenset()
         self._given_up: set[int] = set()
         self._first_missed: dict[int, float] = {}
-        self._expected = set(range(self._size)) - {MASTER}  # ranks not lost so far, whether they have reported or not
+        self._expected = set(range(self._size)) - {MASTER}  # ranks not lost, whether they have reported or not
 
     @property
     def count(self) -> int:
@@ -73,7 +73,7 @@ class MPIWorkers(Generic[CellT]):
 
     @property
     def exhausted(self) -> str:
-        """Whether all are lost, or one is and the MPI library cannot continue without it."""
+        """Reason to stop: all workers are lost, or one is and MPI cannot continue without it; else empty."""
         if not self._expected:
             return "all workers are lost"
         broken = not self._fault_tolerant and self.count < self._size - 1
@@ -81,7 +81,7 @@ class MPIWorkers(Generic[CellT]):
 
     @property
     def running(self) -> int:
-        """Number of workers that have a batch."""
+        """Number of computing workers."""
         return len(self._workers) - len(self._idle)
 
     @property
@@ -98,13 +98,13 @@ class MPIWorkers(Generic[CellT]):
         worker.task = self._send(batch, rank, Tag.TASK)
 
     def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
-        """Return the outcomes that have come and the workers that are lost."""
-        lost = self._find_lost()  # before the outcomes: an outcome from before the death counts
+        """Return new outcomes and lost workers."""
+        lost = self._find_lost()  # before the outcomes, since an outcome sent before the death counts
         outcomes = self._receive()
         return outcomes, self._remove(lost)
 
     def _receive(self) -> list[BatchOutcome[CellT, Any]]:
-        """Receive messages: note new workers, return the outcomes."""
+        """Receive messages: register new workers, return the outcomes."""
         while (message := self._probe()) is not None:
             self._incoming.append(message)
         outcomes: list[BatchOutcome[CellT, Any]] = []
@@ -113,18 +113,18 @@ class MPIWorkers(Generic[CellT]):
             try:
                 arrived = message.arrived()
             except MPI.Exception:
-                continue  # the sender died half-way; it is removed soon
+                continue  # the sender died while sending; it is removed soon
             if not arrived:
                 on_their_way.append(message)
             elif message.tag is Tag.HELLO:
                 self._join(message)
-            elif message.source in self._workers:  # else it was given up, and its batch handed out again
+            elif message.source in self._workers:  # else it was given up and its batch handed out again
                 outcomes.append(self._outcome(message))
         self._incoming = on_their_way
         return outcomes
 
     def _find_lost(self) -> dict[int, str]:
-        """Return the ranks that are lost, each with the reason; they stay among the workers until `_remove`."""
+        """Return lost ranks with reasons; they stay among the workers until `_remove`."""
         told = lost_according_to_command()
         reasons = {rank: reason for rank, reason in told.items() if rank in self._expected}
         failed = self._failed()
@@ -148,17 +148,17 @@ class MPIWorkers(Generic[CellT]):
         return reasons
 
     def _remove(self, lost: dict[int, str]) -> list[Loss[CellT]]:
-        """Remove lost workers, kill those that still run, and return their losses."""
+        """Remove lost workers and kill those that still run; return their losses."""
         losses: list[Loss[CellT]] = []
         for rank, reason in lost.items():
             self._expected.discard(rank)
             worker = self._workers.pop(rank, None)
-            # Without ULFM a kill would end the master as well; the session aborts all ranks instead.
+            # Without ULFM a kill would also end the master; the session aborts all ranks instead.
             gone = rank in self._gone() or (self._fault_tolerant and self._watch.kill(rank))
             if not gone:
                 self._given_up.add(rank)
             self._watch.remove(rank)
-            if worker is None:  # it died before it had reported
+            if worker is None:  # it died before reporting
                 losses.append(Loss(Place(rank, "unknown host"), None, reason, 0.0))
                 continue
             if worker.batch is None:
@@ -168,12 +168,12 @@ class MPIWorkers(Generic[CellT]):
         return losses
 
     def stop(self, end: SweepEnd, grace: float) -> frozenset[int]:
-        """Send the end of the sweep to all workers; return those that do not answer and may still run."""
+        """Send the end of the sweep to all workers; return those that do not answer and may still be running."""
         sends = {rank: self._send(end, rank, Tag.STOP) for rank in self._expected}
         requests = {rank: request for rank, request in sends.items() if request is not None}
 
         def all_stopped() -> bool:
-            self._receive()  # a worker that joins only now waits to be heard before it listens
+            self._receive()  # a worker that joins only now first waits until its message is received
             for rank in [rank for rank, request in requests.items() if self._ranks.is_over(request)]:
                 del requests[rank]
             return requests.keys() <= self._gone()
@@ -188,7 +188,7 @@ class MPIWorkers(Generic[CellT]):
         return frozenset(silent)
 
     def _explain(self, reason: str, seconds: float) -> str:
-        """Add to the reason of a loss that the worker's own hard stop was due."""
+        """Add to the reason of a loss that the hard limit of the worker was reached."""
         hard, watchdog = self._options.hard_limit, self._options.watchdog_limit
         if hard is None or watchdog is None or not hard <= seconds < watchdog:
             return reason
@@ -198,11 +198,11 @@ class MPIWorkers(Generic[CellT]):
         return self._watch.find_ended() | self._failed()
 
     def _failed(self) -> frozenset[int]:
-        # Without ULFM there are never any, and many an MPI library does not even have the call.
+        # Without ULFM there are none, and some MPI libraries lack the call.
         return self._ranks.failed() if self._fault_tolerant else frozenset()
 
     def _send(self, value: Any, rank: int, tag: Tag) -> MPI.Request | None:  # noqa: ANN401 - any picklable
-        """Begin to send; return None if the receiver has just died, which `_find_lost` reports."""
+        """Begin to send; return None if the receiver has just died, as `_find_lost` will report."""
         try:
             return self._ranks.send(value, rank, tag)
         except MPI.Exception as error:
@@ -235,7 +235,7 @@ class MPIWorkers(Generic[CellT]):
         batch, worker.batch = worker.batch, None
         if batch is None or worker.task is None:
             raise RuntimeError(f"rank {message.source} sent an outcome without having a batch")
-        worker.task.Wait()  # complete, since the batch has been computed; this only frees the request
+        worker.task.Wait()  # complete, since the batch was computed; this only frees the request
         self._idle.append(message.source)
         try:
             outcome: BatchOutcome[CellT, Any] = message.value()
@@ -248,7 +248,7 @@ class MPIWorkers(Generic[CellT]):
 
 
 def run_worker(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: SweepOptions) -> SweepEnd:
-    """Compute batches for the master until it says stop; return how the sweep ended.
+    """Compute batches for the master until it sends STOP; return how the sweep ended.
 
     `MasterLostError` if rank 0 has died (with ULFM; else the launcher ends the job).
     """
@@ -264,7 +264,7 @@ def run_worker(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: SweepO
         while message.tag is not Tag.STOP:
             batch: Batch[CellT] = message.value()
             deadline = Deadline(options.time_limit, is_stopped)
-            with suppress(SweepInterrupted):  # by the STOP, which comes next
+            with suppress(SweepInterrupted):  # by the STOP that follows
                 with hard_stop(options.hard_limit):
                     outcome = attempt(batch, compute, deadline, place)
                 request = _send_outcome(ranks, outcome)
@@ -277,7 +277,7 @@ def run_worker(comm: MPI.Comm, compute: Compute[CellT, ResultT], options: SweepO
 
 
 def _next_message(ranks: Ranks) -> Incoming:
-    """Wait for the next message of the master and receive it."""
+    """Wait for the next message of the master, and receive it."""
     backoff = Backoff()
     while (message := ranks.receive(MASTER)) is None:
         backoff.sleep()
@@ -286,7 +286,7 @@ def _next_message(ranks: Ranks) -> Incoming:
 
 
 def _send_outcome(ranks: Ranks, outcome: BatchOutcome[CellT, ResultT]) -> MPI.Request:
-    """Begin to send the outcome, or the failure to pickle it."""
+    """Begin to send the outcome; if it cannot be pickled, this failure."""
     start = time.monotonic()
     try:
         return ranks.send(outcome, MASTER, Tag.OUTCOME)

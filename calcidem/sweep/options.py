@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class SweepOptions:
-    """Limits of a sweep, the same on all ranks.
+    """Limits of a sweep, equal on all ranks.
 
-    Three nested limits guard a batch. Past `time_limit` the computation's own check ends it, which costs the
-    batch only. Past `hard_limit` the kernel kills the worker, which works in compiled code too. Past
-    `watchdog_limit` the master gives the worker up, which works even if it is stopped or its node is gone.
+    Three successive limits guard a batch. After `time_limit` the check of the computation ends it; only the batch is
+    lost. After `hard_limit` the operating system kills the worker, also inside compiled code. After `watchdog_limit`
+    the master gives the worker up, even if it is stopped or its node is down.
 
     Raises
     ------
@@ -18,20 +18,20 @@ class SweepOptions:
     """
 
     time_limit: float | None = None
-    """Seconds that a batch may take, including compilation, or None for no limit but the next."""
+    """Seconds that a batch may take, including compilation; with None only the next limit applies."""
     silence_factor: float = 20.0
     silence_floor: float = 300.0
-    """Without a time limit the master gives a worker up that takes this many times as long as the slowest batch so far,
-    in proportion to their costs, and not before this number of seconds; ten times as many before any batch is done.
+    """Without a time limit the master gives up a worker after this multiple of the time of the slowest batch so far,
+    scaled by cost. The second number is the least time, s; ten times as long before any batch is done.
     """
     hard_limit_factor: float = 1.5
     """The hard limit as a multiple of the time limit, larger than 1."""
     watchdog_margin: float = 5.0
-    """Seconds that the master waits past the hard limit."""
+    """Seconds that the master waits after the hard limit."""
     stop_grace: float = 60.0
-    """Seconds that the master waits for its workers when the sweep ends in order; some may be starting."""
+    """Seconds that the master waits for its workers at a regular end; some may be starting."""
     hurry_grace: float = 2.0
-    """The same when the sweep ends at a signal or by an error."""
+    """The same at an end by a signal or an error."""
 
     def __post_init__(self) -> None:
         if self.time_limit is not None and not self.time_limit > 0.0:
@@ -58,7 +58,7 @@ class SweepOptions:
     def patience(self, cost: float, slowest: float) -> float:
         """Seconds after which a worker that computes a batch of this cost is given up.
 
-        `slowest` is the most that batches so far took, in seconds for a unit of cost; 0 before any is done.
+        `slowest` is the longest time of a batch so far, in seconds per unit of cost; 0 before any is done.
         """
         if self.watchdog_limit is not None:
             return self.watchdog_limit

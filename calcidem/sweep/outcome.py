@@ -1,4 +1,4 @@
-"""What became of a batch: results, or a failure that is data like any other."""
+"""Outcome of a batch: results, or a failure as data."""
 
 import platform
 import traceback
@@ -12,19 +12,19 @@ ResultT = TypeVar("ResultT")
 
 
 class FailureKind(StrEnum):
-    """Why a batch has no results; the values are the names under which cells are stored."""
+    """Kind of failure of a batch; the values are the stored status of its cells."""
 
     FAILED = "failed"
     """The computation raised an exception."""
     TIMED_OUT = "timed_out"
     """The computation reached the time limit of a batch."""
     QUARANTINED = "quarantined"
-    """The cell took its worker down so often that it is not tried again."""
+    """Workers were lost so often while computing the cell that it is not tried again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where something was computed."""
+    """Place of a computation."""
 
     rank: int
     host: str
@@ -38,18 +38,18 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why a batch has no results."""
+    """Failure of a batch."""
 
     kind: FailureKind
     """Class of the failure."""
     message: str
-    """One sentence for a person."""
+    """One sentence for the user."""
     traceback: str = ""
-    """Python traceback of the exception, or an empty text."""
+    """Python traceback of the exception; may be empty."""
 
     @classmethod
     def from_exception(cls, kind: FailureKind, error: BaseException) -> Self:
-        """Return an exception as data, since the exception itself might not survive pickling."""
+        """Return an exception as data, since it might not be picklable itself."""
         return cls(
             kind=kind,
             message=f"{type(error).__name__}: {error}",
@@ -59,7 +59,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class BatchOutcome(Generic[CellT, ResultT]):
-    """What became of a batch.
+    """Outcome of a batch.
 
     Raises
     ------
@@ -75,10 +75,10 @@ class BatchOutcome(Generic[CellT, ResultT]):
     results: tuple[ResultT, ...] | None = None
     """One result for each cell in the order of `batch.cells`, or None."""
     failure: Failure | None = None
-    """Why there are no results, or None."""
+    """Reason for missing results, or None."""
 
     def __post_init__(self) -> None:
-        """Check that the outcome is one or the other."""
+        """Check that exactly one of both is given."""
         if (self.results is None) == (self.failure is None):
             raise ValueError(f"batch {self.batch.identifier}: give either results or failure")
         if self.results is not None and len(self.results) != len(self.batch.cells):

@@ -13,13 +13,13 @@ from typing import Self
 
 @dataclass(frozen=True, slots=True)
 class ProcessIdentity:
-    """What names a process for others on the same machine."""
+    """Identity of a process for other processes on the same machine."""
 
     process: int
     """Its number."""
     machine: str
-    """Equal for two processes exactly if their numbers mean the same: same boot of the same kernel, same namespace
-    (containers).
+    """Equal for two processes if and only if process numbers have the same meaning for both: same boot of the same
+    kernel, same namespace (containers).
     """
     host: str
     """Name of the machine."""
@@ -33,14 +33,14 @@ class ProcessIdentity:
 
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-_MEMORY_KEPT, _LARGEST_BLOCK_KEPT = 1 << 27, 1 << 25  # bytes; more than the second is refused by some versions of glibc
+_MEMORY_KEPT, _LARGEST_BLOCK_KEPT = 1 << 27, 1 << 25  # bytes; some versions of glibc refuse more than the second
 
 
 def keep_freed_memory() -> None:
-    """Let the C library keep the memory of arrays that are freed, for the next ones (glibc; elsewhere nothing happens).
+    """Let the C library keep the memory of freed arrays for later ones (glibc; elsewhere without effect).
 
-    By default it gives memory back to the kernel at once and asks for it again, which has to be filled with zeros each
-    time: of arrays of some hundred kilobytes that is half of what NumPy takes.
+    By default it returns memory to the kernel at once, and the kernel fills it with zeros at each new request. For
+    arrays of some hundred kilobytes this takes half of NumPy's time.
     """
     with contextlib.suppress(OSError, AttributeError):
         library = ctypes.CDLL(None)
@@ -49,11 +49,11 @@ def keep_freed_memory() -> None:
 
 
 class ProcessWatch:
-    """Processes on this machine, each known to the caller by a key.
+    """Processes on this machine, each identified by a key of the caller.
 
-    They are held by file descriptors, so that their numbers can't come to mean other processes, and asked for
-    all at once. Processes on other machines, or on a kernel without such descriptors (before Linux 5.3),
-    can't be watched: they are never found to have ended, and `kill` returns False.
+    File descriptors refer to them, so reused process numbers cannot be confused, and one call checks all of them.
+    Processes on other machines or on a kernel before Linux 5.3 cannot be watched: they are never reported as ended, and
+    `kill` returns False.
     """
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class ProcessWatch:
         self._machine = ProcessIdentity.of_this_process().machine
 
     def add(self, key: int, identity: ProcessIdentity) -> None:
-        """Begin to watch a process, if it can be watched from here."""
+        """Begin to watch a process, if this machine can watch it."""
         if identity.machine != self._machine:
             return
         with contextlib.suppress(OSError):
@@ -73,11 +73,11 @@ class ProcessWatch:
             self._key_of[descriptor] = key
 
     def find_ended(self) -> set[int]:
-        """Return the keys of all watched processes that are gone, however they ended."""
+        """Return the keys of all watched processes that have ended."""
         return {self._key_of[descriptor] for descriptor, _ in self._poll.poll(0)}
 
     def kill(self, key: int) -> bool:
-        """Kill a process, also one that is stopped or deep in compiled code; tell whether it is watched."""
+        """Kill a process, even a stopped one or one in compiled code; return whether it is watched."""
         if key not in self._descriptor_of:
             return False
         with contextlib.suppress(ProcessLookupError):
@@ -85,7 +85,7 @@ class ProcessWatch:
         return True
 
     def remove(self, key: int) -> None:
-        """Stop to watch a process."""
+        """Stop watching a process."""
         descriptor = self._descriptor_of.pop(key, None)
         if descriptor is not None:
             self._poll.unregister(descriptor)

@@ -1,4 +1,4 @@
-"""What a sweep tells about itself while it runs, and words for durations, numbers and ends."""
+"""Progress of a running sweep, and texts for durations and numbers."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,29 +9,29 @@ from calcidem.sweep.sweep_end import SweepEnd
 
 
 class Progress:
-    """What a sweep tells about itself, on rank 0 only; this one takes it and shows nothing."""
+    """Receiver of the progress of a sweep, on rank 0 only; this base class shows nothing."""
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
-        """Receive the batches that are about to be handed out, and the number of workers."""
+        """Receive the batches of the sweep and the number of workers, before the first is handed out."""
 
     def on_further(self, batches: Sequence[Batch[Any]]) -> None:
-        """Take note of batches that are handed out after those so far."""
+        """Receive batches that were added to the sweep."""
 
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """Take note that an outcome is stored."""
+        """Receive a stored outcome."""
 
     def on_loss(self, place: Place, reason: str) -> None:
-        """Take note that a worker is lost."""
+        """Receive the loss of a worker."""
 
     def on_heartbeat(self, workers: int, running: int) -> None:
-        """Called twice a second while rank 0 works, with the numbers of workers alive and computing."""
+        """Called twice a second during the sweep, with the numbers of living and of computing workers."""
 
     def on_end(self, end: SweepEnd) -> None:
-        """Take note that the sweep has ended."""
+        """Receive the end of the sweep."""
 
 
 def duration(seconds: float | None) -> str:
-    """Return a duration for a person: `42 s`, `7 min`, `3 h 20 min`, `2 d 4 h`, or `?` if it is unknown."""
+    """Return a duration as text: `42 s`, `7 min`, `3 h 20 min`, `2 d 4 h`, or `?` if it is unknown."""
     if seconds is None:
         return "?"
     if seconds < 100:  # noqa: PLR2004 - two digits are enough for a person

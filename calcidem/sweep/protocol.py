@@ -1,4 +1,4 @@
-"""The messages between master and workers, and operations of all ranks together.
+"""Messages between master and workers, and collective operations of all ranks.
 
     worker                              master (rank 0)
     HELLO    identity of its process ->
@@ -7,13 +7,12 @@
                                      <- STOP     how the sweep ended
                                      <- END      the program is over
 
-Nothing here blocks: messages are received and sent by requests that are tested between sleeps, so
-that an idle rank costs next to nothing and a dead or silent partner cannot hold up anyone. Sends are
-synchronous: once one has completed, the other side has begun to receive it. The tags are the sweep's own; the
-communicator may carry other traffic before and after a sweep, but not during one.
+Nothing here blocks. Messages are received and sent by requests that are tested between sleeps, so an idle rank uses
+hardly any time, and a dead or silent partner delays no one. Sends are synchronous: when one has completed, the other
+side has begun to receive it. The communicator may carry other messages before and after a sweep, but not during it.
 
-The collective operations of `Ranks` sleep while they wait, too: those of MPI
-that block keep a core busy on every rank that waits, which is most of them while rank 0 makes a packing.
+The collective operations of `Ranks` also sleep while they wait. Blocking ones of MPI keep a core busy on every waiting
+rank, for instance while rank 0 makes a packing.
 """
 
 import pickle
@@ -55,16 +54,16 @@ class Incoming:
     _request: MPI.Request
 
     def arrived(self) -> bool:
-        """Tell whether the message is complete; `mpi4py.MPI.Exception` if the sender has died half-way (ULFM)."""
+        """Return whether the message is complete; `mpi4py.MPI.Exception` if the sender has died meanwhile (ULFM)."""
         return self._request.Test()
 
     def value(self) -> Any:  # noqa: ANN401 - whatever was sent
-        """Return what was sent, once the message has arrived."""
+        """Return the value sent, once the message is complete."""
         return pickle.loads(self._buffer)  # noqa: S301 - written by another rank of the same program
 
 
 class Ranks:
-    """The ranks of a communicator: messages between two, and operations of all together."""
+    """Ranks of a communicator: messages between two, and collective operations."""
 
     def __init__(self, comm: MPI.Comm) -> None:
         self._comm = comm
@@ -89,14 +88,14 @@ class Ranks:
 
     @staticmethod
     def is_over(request: MPI.Request) -> bool:
-        """Tell whether a message has been received, or its receiver has died (ULFM)."""
+        """Return whether a message was received, or its receiver has died (ULFM)."""
         try:
             return request.Test()
         except MPI.Exception:
             return True
 
     def failed(self) -> frozenset[int]:
-        """Return the ranks that MPI knows to have failed; none without ULFM."""
+        """Return the ranks that MPI reports as failed; none without ULFM."""
         group = self._comm.Get_failed()
         try:
             if group.Get_size() == 0:
@@ -110,13 +109,13 @@ class Ranks:
             group.Free()
 
     def acknowledge_failures(self) -> None:
-        """Let probes for any source work again after ranks have failed."""
+        """Make probes for any source work again after ranks have failed."""
         group = self._comm.Get_failed()
         self._comm.Ack_failed(group.Get_size())
         group.Free()
 
     def release(self, ranks: Collection[int], limit: float) -> None:
-        """Let other ranks end, which wait for it; return once they know, or after ``limit`` seconds."""
+        """Let other ranks end, which wait for this; return once they have received it, or after ``limit`` seconds."""
         requests = []
         for rank in ranks:
             with suppress(MPI.Exception):  # it has died
@@ -129,7 +128,7 @@ class Ranks:
             wait_until(self._comm.Irecv([bytearray(), MPI.BYTE], MASTER, Tag.END).Test)
 
     def broadcast(self, value: ValueT | None) -> ValueT:
-        """Return on all ranks the picklable value that rank 0 gives; what the others give is ignored."""
+        """Return on all ranks the picklable value of rank 0; values of the others are ignored."""
         payload = (
             bytearray(pickle.dumps(value, pickle.HIGHEST_PROTOCOL)) if self._comm.Get_rank() == MASTER else bytearray()
         )
@@ -142,7 +141,7 @@ class Ranks:
         return received
 
     def gather(self, value: ValueT) -> list[ValueT]:
-        """Return on rank 0 the picklable values that all ranks give, in the order of the ranks, and none elsewhere."""
+        """Return on rank 0 the picklable values of all ranks, in the order of the ranks; on the others none."""
         payload = np.frombuffer(pickle.dumps(value, pickle.HIGHEST_PROTOCOL), dtype=np.uint8)
         sizes = np.zeros(self._comm.Get_size(), dtype=np.int64)
         wait_until(self._comm.Igather(np.array([payload.size], dtype=np.int64), sizes, MASTER).Test)
@@ -153,9 +152,9 @@ class Ranks:
         return [pickle.loads(part.tobytes()) for part in parts] if self._comm.Get_rank() == MASTER else []  # noqa: S301 - as above
 
     def share_on_node(self, actions: Sequence[Callable[[], object]]) -> None:
-        """Call each action on one rank of each node, and return on all ranks once all are done.
+        """Call each action on one rank of each node; return on all ranks once all are done.
 
-        Meant to fill a compile cache that the ranks of a node share.
+        For instance to fill a compile cache that the ranks of a node share.
         """
         node = self._comm.Split_type(MPI.COMM_TYPE_SHARED)
         for action in actions[node.Get_rank() :: node.Get_size()]:

@@ -1,4 +1,4 @@
-"""`run_sweep`: compute all batches, wherever, and store what becomes of them."""
+"""`run_sweep`: compute all batches and store their outcomes."""
 
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -23,7 +23,7 @@ from calcidem.sweep.sweep_end import SweepEnd, SweepState
 from calcidem.sweep.workers import Loss, SerialWorkers, Workers
 
 if TYPE_CHECKING:
-    from mpi4py import MPI  # importing it starts MPI, which a serial run must do without
+    from mpi4py import MPI  # importing it starts MPI, which a serial run must not need
 
 _HEARTBEAT_INTERVAL = 0.5
 """Seconds between two heartbeats, for the command that started the ranks and for the progress display."""
@@ -46,14 +46,14 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     stop_request: StopRequest | None = None,
     more: More[CellT] = _no_more,
 ) -> SweepEnd:
-    """Compute all batches and store what becomes of them.
+    """Compute all batches and store their outcomes.
 
-    Of a communicator, all ranks call this. Rank 0 hands out the batches and stores the outcomes; it sleeps most of the
-    time, so start one rank more than there are cores. All other ranks compute. With an executor its workers compute.
-    With one rank, or with None, this process does. `ValueError` on rank 0, if there is no sink or two batches have the
-    same identifier; `MasterLostError` on a worker, if rank 0 has died (with ULFM; without it the launcher ends the
-    job); `SweepError` if the workers of an executor cannot load the computation; `Exception` on rank 0, whatever the
-    sink raises, after the workers were stopped.
+    All ranks of a communicator call this. Rank 0 hands out the batches and stores the outcomes; it sleeps most of the
+    time, so start one rank more than there are cores. All other ranks compute. With an executor its workers compute;
+    with one rank or None this process computes. `ValueError` on rank 0 if there is no sink or two batches have the same
+    identifier. `MasterLostError` on a worker if rank 0 has died (with ULFM; without it the launcher ends the job).
+    `SweepError` if the workers of an executor cannot load the computation. Exceptions of the sink are raised on rank 0
+    after the workers were stopped.
 
     Parameters
     ----------
@@ -61,27 +61,27 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
         Communicator whose ranks take part, executor, or None. No other messages may use a communicator during the
         sweep. An executor is left open.
     batches
-        What to compute, in the order in which to hand it out; used on rank 0 only.
+        Batches in the order of computation; used on rank 0 only.
     compute
-        Computes a batch; used on the workers. See `Compute` for what it has to keep to. For an executor it is pickled
-        once, and unpickled once in each process.
+        Computes a batch; used on the workers. `Compute` states its conditions. For an executor it is pickled once, and
+        unpickled once in each process.
     sink
-        Keeps the outcomes; used on rank 0 only, may be None elsewhere.
+        Stores the outcomes; used on rank 0 only, may be None elsewhere.
     options
         Limits, the same on all ranks.
     progress
         Display, used on rank 0 only; silent by default.
     stop_request
-        Signals as noted since the start of the program (`Session` has one); by default they are noted during
-        the sweep only. Used on rank 0 only.
+        Signals received since the start of the program (`Session` has one); by default signals count only during the
+        sweep. Used on rank 0 only.
     more
-        Gives further batches for the final outcomes that have come; their identifiers do not count. Used on rank 0
-        only, on the main thread, before these outcomes are stored.
+        Returns further batches for new final outcomes; their identifiers are replaced. Used on rank 0 only, on the main
+        thread, before these outcomes are stored.
 
     Returns
     -------
     SweepEnd
-        How the sweep ended, on all ranks; `exit_code` is what the program should return.
+        How the sweep ended, on all ranks, with the `exit_code` of the program.
     """
     options = options or SweepOptions()
     comm = None if where is None or isinstance(where, Executor) or where.Get_size() == 1 else where
@@ -111,20 +111,20 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
 
 
 class _Master:
-    """Hands out batches and has stored what becomes of them, whoever computes.
+    """Hands out batches and stores their outcomes, for any kind of workers.
 
     Attributes
     ----------
     schedule
         Batches still to be handed out.
     sink, progress
-        Where outcomes are stored, and shown.
+        Receivers of the outcomes for storage and display.
     stop_request
-        Signals noted so far.
+        Signals received so far.
     options
         Limits.
     more
-        Gives further batches for final outcomes.
+        Returns further batches for final outcomes.
     """
 
     def __init__(
@@ -141,17 +141,17 @@ class _Master:
         self._next_heartbeat = 0.0
 
     def go_on_here(self) -> bool:
-        """Beat while this process computes; tell whether it is to end at once."""
+        """Send a heartbeat while this process computes; return whether it has to end at once."""
         self._beat(workers=1, running=1)
         return self._stop_request.hurry()
 
     def run(self, workers: Workers[CellT]) -> SweepEnd:
-        """Have the batches computed and store what becomes of them.
+        """Have the batches computed and store their outcomes.
 
         Raises
         ------
         Exception
-            Whatever the sink raises, after the workers were stopped.
+            Exceptions of the sink, after the workers were stopped.
         """
         start = time.monotonic()
         options = self._options
@@ -160,7 +160,7 @@ class _Master:
             commits: GroupCommit[CellT] = GroupCommit(self._sink, self._progress)
             with commits:
                 state, detail = self._hand_out_all(workers, commits)
-                tell_command("pause")  # what still waits is stored
+                tell_command("pause")  # stores waiting outcomes
         except BaseException as error:
             workers.stop(SweepEnd(SweepState.ERROR, detail=str(error)), options.hurry_grace)
             raise
@@ -169,28 +169,28 @@ class _Master:
         return replace(end, unresponsive_ranks=workers.stop(end, grace))
 
     def _hand_out_all(self, workers: Workers[CellT], commits: GroupCommit[CellT]) -> tuple[SweepState, str]:
-        """Hand out batches and take in outcomes until there is a reason to end; return it."""
+        """Hand out batches and receive outcomes until there is a reason to end; return it."""
         backoff = Backoff()
         while True:
-            level = self._stop_request.level  # taken first, so that the last round misses nothing
+            level = self._stop_request.level  # taken first, so that the last round includes everything
             outcomes, losses = workers.poll()
             settled = [self._schedule.settle(outcome) for outcome in outcomes]
             self._take_in([outcome for outcome in settled if outcome is not None], commits)
             if isinstance(workers, SerialWorkers):
-                commits.flush()  # the thread that stores would fight with this one, which computes, for the interpreter
+                commits.flush()  # the storing thread would compete with this computing one for the interpreter
             handed_out = not commits.is_full and self._hand_out(workers)
             commits.advance()
             self._account_for(losses, commits)
 
             if (end := self._reason_to_end(workers, level)) is not None:
                 return end
-            self._beat(workers.count, min(workers.running, workers.count))  # others wait in the queue of an executor
+            self._beat(workers.count, min(workers.running, workers.count))  # others wait in the executor's queue
             if outcomes or handed_out or losses:
                 backoff.reset()
             backoff.sleep()
 
     def _take_in(self, outcomes: Sequence[BatchOutcome[CellT, Any]], commits: GroupCommit[CellT]) -> None:
-        """Have final outcomes stored, and queue what they make necessary."""
+        """Queue final outcomes for storage, and the further batches that they need."""
         if further := self._schedule.extend(self._more(outcomes)):
             self._progress.on_further(further)
         commits.add(*outcomes)
@@ -203,7 +203,7 @@ class _Master:
             self._progress.on_heartbeat(workers=workers, running=running)
 
     def _hand_out(self, workers: Workers[CellT]) -> bool:
-        """Submit batches as long as there are some and workers accept them; return whether there were."""
+        """Submit batches as long as workers accept them; return whether any was submitted."""
         handed_out = False
         while self._stop_request.level is StopLevel.NONE and workers.wants_batch:
             batch = self._schedule.take()
@@ -214,11 +214,11 @@ class _Master:
         return handed_out
 
     def _account_for(self, losses: list[Loss[CellT]], commits: GroupCommit[CellT]) -> None:
-        """Store what the loss of workers means for the batches that they had."""
+        """Store the losses of workers and of their batches."""
         for loss in losses:
             self._progress.on_loss(loss.place, loss.reason)
             batch = loss.batch
-            # Once the sweep is to end at once, workers may be dying of the same signal: no cell is to blame.
+            # At an urgent end workers may die of the same signal, so their cells do not count a loss.
             if batch is None or self._stop_request.hurry():
                 continue
             for _ in range(loss.workers):

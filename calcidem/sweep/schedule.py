@@ -1,4 +1,4 @@
-"""Which batch comes next and what to do with each outcome: the decisions, without any communication."""
+"""Decisions about the next batch and about each outcome, without communication."""
 
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -9,38 +9,38 @@ from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place, ResultT
 
 _LOSSES_BEFORE_SPLIT = 2
-"""A batch that has lost this many workers is split into single cells, to isolate the bad one."""
+"""Number of lost workers after which a batch is split into single cells, to isolate the bad one."""
 
 _LOSSES_BEFORE_QUARANTINE = 3
-"""A cell that has taken down this many workers is not tried again."""
+"""Number of lost workers after which a cell is not tried again."""
 
 
 @dataclass(slots=True)
 class Tally:
-    """What has happened so far."""
+    """Counts of a sweep so far."""
 
     settled: int = 0
-    """Number of cells with a final outcome, of whatever kind."""
+    """Number of cells with a final outcome of any kind."""
     failed: int = 0
     timed_out: int = 0
     quarantined: int = 0
-    """Those of them that have no result."""
+    """Number of these cells without a result."""
     lost_workers: int = 0
 
 
 @dataclass
 class Schedule(Generic[CellT]):
-    """The batches still to be handed out.
+    """Batches still to be handed out.
 
-    Master and serial run share these rules:
+    Rules of parallel and serial runs:
 
     - Batches are handed out in the order given.
-    - A batch of several cells that raised is split and its cells are computed again one by one, next, so that
-      only the bad cell fails. One that timed out is not: its cells advance side by side, so that each alone
-      would take about as long.
-    - A batch that lost its worker is handed out again after all others, so that a bad cell finds little
-      left to harm; after `_LOSSES_BEFORE_SPLIT` losses as single cells.
-    - A single cell with `_LOSSES_BEFORE_QUARANTINE` losses is settled as quarantined.
+    - A batch of several cells that raised an exception is split, and its cells are computed next, one by one, so
+      that only the bad cell fails. A batch that timed out is not split: its cells advance side by side, so each
+      alone would take about as long.
+    - A batch that lost its worker is handed out again after all others, so that a bad cell affects few of them;
+      after `_LOSSES_BEFORE_SPLIT` losses as single cells.
+    - A single cell with `_LOSSES_BEFORE_QUARANTINE` losses is quarantined.
 
     Raises
     ------
@@ -49,7 +49,7 @@ class Schedule(Generic[CellT]):
     """
 
     batches: Sequence[Batch[CellT]]
-    """What to compute, in this order; the identifiers must differ."""
+    """Batches in the order of computation; the identifiers must differ."""
     tally: Tally = field(default_factory=Tally)
 
     def __post_init__(self) -> None:
@@ -62,11 +62,11 @@ class Schedule(Generic[CellT]):
         self._next_identifier = max(identifiers, default=-1) + 1
 
     def __len__(self) -> int:
-        """Return the number of batches that wait to be handed out."""
+        """Return the number of waiting batches."""
         return len(self._queue) + len(self._suspects)
 
     def extend(self, batches: Iterable[Batch[CellT]]) -> tuple[Batch[CellT], ...]:
-        """Queue further batches after the others; return them as they are numbered here."""
+        """Queue further batches after the others; return them with their new numbers."""
         further = tuple(
             replace(batch, identifier=number) for number, batch in enumerate(batches, self._next_identifier)
         )
@@ -82,7 +82,7 @@ class Schedule(Generic[CellT]):
         return None
 
     def settle(self, outcome: BatchOutcome[CellT, ResultT]) -> BatchOutcome[CellT, ResultT] | None:
-        """Judge the outcome of a batch: return it if it is final, None if its cells are computed again."""
+        """Return an outcome if it is final, None if its cells are computed again."""
         cells = len(outcome.batch.cells)
         if outcome.failure is not None and outcome.failure.kind is FailureKind.FAILED and cells > 1:
             self._queue.extendleft(reversed(self._split(outcome.batch)))
@@ -98,9 +98,9 @@ class Schedule(Generic[CellT]):
     def lose(
         self, batch: Batch[CellT], reason: str, place: Place, seconds: float
     ) -> BatchOutcome[CellT, ResultT] | None:
-        """Take a batch back whose worker was lost: return a final outcome if its only cell is quarantined.
+        """Take back a batch whose worker was lost; return a final outcome if its only cell is quarantined.
 
-        `batch.losses` counts this loss already.
+        `batch.losses` already includes this loss.
         """
         if len(batch.cells) > 1:
             self._suspects.extend(self._split(batch) if batch.losses >= _LOSSES_BEFORE_SPLIT else (batch,))

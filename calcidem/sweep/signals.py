@@ -1,4 +1,4 @@
-"""Signals as requests to stop: noted by the handler, obeyed by the loop that polls them."""
+"""Signals as requests to stop: recorded by the handler, followed by the loop that polls them."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
 
 def _known(*names: str) -> tuple[signal.Signals, ...]:
-    """Those of these signals that this system has: Windows lacks most."""
+    """Those of these signals that this system has; Windows lacks most."""
     return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
 
 
@@ -23,10 +23,10 @@ _DRAIN_SIGNALS = ("SIGUSR1",)
 # returns 1; so a launcher script that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
 _RELAYED_AS = "SIGUSR2"
 _HURRY_SIGNALS = ("SIGTERM", "SIGINT", _RELAYED_AS)
-"""Store what is done and stop now; the running batches are dropped."""
+"""Store finished batches and stop now; the running ones are dropped."""
 
 _REPEAT_IGNORED = 1.0
-"""Seconds within which a repeated signal is the same request: a batch system and mpirun may both relay it."""
+"""Seconds within which a repeated signal counts as the same request; a batch system and mpirun may both forward it."""
 
 
 class StopLevel(IntEnum):
@@ -38,7 +38,7 @@ class StopLevel(IntEnum):
 
 
 class SignalHandlers:
-    """Context manager that handles signals and puts the former handlers back; for the main thread only.
+    """Context manager that handles signals and restores the former handlers; for the main thread only.
 
     Signals are given by their names; those that this system lacks are left out.
     """
@@ -49,12 +49,12 @@ class SignalHandlers:
         }
 
     def __enter__(self) -> Self:
-        """Put the handlers in the place of the former ones."""
+        """Install the handlers."""
         self._swap()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Put the former handlers back."""
+        """Restore the former handlers."""
         self._swap()
 
     def _swap(self) -> None:
@@ -62,7 +62,7 @@ class SignalHandlers:
 
 
 class StopRequest(SignalHandlers):
-    """Context manager that turns signals into a level to be polled.
+    """Context manager that turns signals into a level of urgency to be polled.
 
     A second urgent signal, at least `_REPEAT_IGNORED` after the first, ends the process at once. Before that,
     ``end_at_once`` is called.
@@ -70,8 +70,7 @@ class StopRequest(SignalHandlers):
     Attributes
     ----------
     level
-        How urgently the sweep is to end.
-    reason
+        Urgency of a requested end.    reason
         Name of the signal that requested it, empty if none.
     """
 
@@ -84,12 +83,12 @@ class StopRequest(SignalHandlers):
 
     @property
     def explanation(self) -> str:
-        """The reason in words for the user, who has sent another signal where SIGUSR2 arrives."""
+        """Reason in words for the user; SIGUSR2 stands for another signal of the user."""
         relayed = self.reason == _RELAYED_AS
         return f"SIGTERM or Ctrl-C, passed on as {self.reason}" if relayed else self.reason
 
     def hurry(self) -> bool:
-        """Tell whether the running batches are to be dropped."""
+        """Whether the running batches have to be dropped."""
         return self.level is StopLevel.HURRY
 
     def _drain(self, number: int, _frame: FrameType | None) -> None:
@@ -110,6 +109,6 @@ class StopRequest(SignalHandlers):
 
 
 def leave_signals_to_master() -> None:
-    """Ignore all signals that mean stop: mpirun sends them to every rank, but rank 0 alone decides."""
+    """Ignore all signals that request a stop: mpirun sends them to every rank, but rank 0 alone decides."""
     for number in _known(*_DRAIN_SIGNALS, *_HURRY_SIGNALS):
         signal.signal(number, signal.SIG_IGN)

@@ -1,6 +1,6 @@
-"""The interface of a sweep to the processes that compute batches.
+"""Interface of a sweep to the processes that compute batches.
 
-Three things do: ranks of MPI (`mpi_workers`), the processes of an executor (`executor_workers`), and this process.
+These are MPI ranks (`mpi_workers`), the processes of an executor (`executor_workers`), or this process.
 """
 
 from collections.abc import Callable
@@ -15,18 +15,18 @@ from calcidem.sweep.sweep_end import SweepEnd
 
 @dataclass(frozen=True, slots=True)
 class Loss(Generic[CellT]):
-    """Workers that are gone."""
+    """Loss of one or several workers."""
 
     place: Place
-    """Rank and host of the worker, or of the last one."""
+    """Rank and host of the last worker."""
     batch: Batch[CellT] | None
-    """What it was computing, or None."""
+    """Batch that it was computing, or None."""
     reason: str
     """How the loss was noticed."""
     seconds: float
-    """Time that it had spent on the batch, s."""
+    """Time spent on the batch, s."""
     workers: int = 1
-    """Number of workers that the batch took down, one after the other."""
+    """Number of workers lost while computing the batch, one after the other."""
 
 
 class Workers(Protocol[CellT]):
@@ -38,7 +38,7 @@ class Workers(Protocol[CellT]):
 
     @property
     def running(self) -> int:
-        """Number of batches submitted that have no outcome yet and are not lost."""
+        """Number of submitted batches without an outcome that are not lost."""
 
     @property
     def wants_batch(self) -> bool:
@@ -46,26 +46,26 @@ class Workers(Protocol[CellT]):
 
     @property
     def exhausted(self) -> str:
-        """Reason why nothing more can be computed; else empty."""
+        """Reason why no more batches can be computed; else empty."""
 
     def submit(self, batch: Batch[CellT], /) -> None:
         """Submit a batch."""
 
     def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
-        """Return the outcomes that have come and the workers found lost since the last call.
+        """Return new outcomes and lost workers since the last call.
 
-        A batch occurs in one of them, at most once.
+        A batch occurs in one of both, at most once.
         """
 
     def stop(self, end: SweepEnd, grace: float, /) -> frozenset[int]:
-        """Drop what still runs within `grace` seconds; return the ranks that may still run."""
+        """Drop running batches within `grace` seconds; return the ranks that may still be running."""
 
 
 class SerialWorkers(Generic[CellT]):
-    """The calling process as the only worker: each poll computes the submitted batch.
+    """Calling process as the only worker: each poll computes the submitted batch.
 
-    The hard limit of a batch does not apply: the process that it would kill is the only one there is.
-    ``interrupted`` is called every 0.1 to 0.5 s while a batch is computed: whether to drop it.
+    The hard limit of a batch does not apply, since it would kill the only process. ``interrupted`` is called every 0.1
+    to 0.5 s during a batch and returns whether to drop it.
     """
 
     count = 1
@@ -77,16 +77,16 @@ class SerialWorkers(Generic[CellT]):
 
     @property
     def running(self) -> int:
-        """One from the submission of a batch to its outcome."""
+        """One between submission and outcome of a batch, else zero."""
         return int(self._batch is not None)
 
     @property
     def wants_batch(self) -> bool:
-        """Whether there is no batch."""
+        """Whether no batch is submitted."""
         return self._batch is None
 
     def submit(self, batch: Batch[CellT]) -> None:
-        """Take a batch for the next poll."""
+        """Keep a batch for the next poll."""
         self._batch = batch
 
     def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
