@@ -1,1 +1,1 @@
-"""How a command starts and monitors ranks, over sockets and on all hosts; knows neither batches nor MPI."""
+"""A command starts ranks and monitors them over sockets, on all hosts; independent of batches and MPI."""

@@ -1,4 +1,4 @@
-"""Addresses at which a command listens to ranks: loopback if all are on its host, else those that hosts can reach."""
+"""Addresses at which a command listens to ranks: loopback if all are on its host, else reachable ones."""
 
 import os
 import socket
@@ -14,19 +14,19 @@ _SIOCGIFADDR = 0x8915
 """Asks the kernel for the address of a network interface, man 7 netdevice."""
 
 _HOST_FILES = ("hostfile", "host_file", "nodefile", "machinefile")
-"""What names of variables contain whose value is a file with hosts: PBS_NODEFILE, PE_HOSTFILE, PRTE_MCA_..."""
+"""Parts of the names of variables whose value is a file with hosts: PBS_NODEFILE, PE_HOSTFILE, PRTE_MCA_..."""
 
 _RANK_FILE = "rankfile"
-"""Of variables whose value is a file in which hosts stand in another place."""
+"""The same, for files that name hosts elsewhere."""
 
 _DEFAULT_HOST_FILES = ("prte-default-hostfile", "openmpi-default-hostfile")
 """In the folder etc of a launcher."""
 
 
 def listening_addresses(mpirun: str, variables: Mapping[str, str] = os.environ) -> list[str]:
-    """Addresses of this host at which ranks that a launcher starts can reach it; loopback comes first.
+    """Addresses at which ranks of a launcher can reach this host, loopback first.
 
-    Given are path and environment of the launcher.
+    The arguments are path and environment of the launcher.
     """
     hosts = _hosts_of_launcher(mpirun, variables)
     if hosts is None:
@@ -35,7 +35,7 @@ def listening_addresses(mpirun: str, variables: Mapping[str, str] = os.environ) 
     for host in hosts:
         try:
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as route:
-                route.connect((host, 9))  # sends nothing: the kernel chooses the address from which it would
+                route.connect((host, 9))  # sends nothing; the kernel only chooses the source address
                 found.append(route.getsockname()[0])
         except OSError:
             return _own_addresses()
@@ -43,9 +43,9 @@ def listening_addresses(mpirun: str, variables: Mapping[str, str] = os.environ) 
 
 
 def _hosts_of_launcher(mpirun: str, variables: Mapping[str, str]) -> list[str] | None:
-    """Other hosts on which a launcher may start ranks; None if it may find hosts by other means."""
+    """Other hosts on which a launcher may start ranks; None if they cannot be known."""
     if variables.get("MPIRUN"):
-        return None  # maybe a script with options of its own
+        return None  # it may be a script with its own options
     found: set[str] = set()
     if variables.get("SLURM_JOB_NUM_NODES", "1") != "1":
         try:
@@ -71,7 +71,7 @@ def _hosts_of_launcher(mpirun: str, variables: Mapping[str, str]) -> list[str] |
 
 
 def _own_addresses() -> list[str]:
-    """Addresses of this host's network interfaces, one of itself first."""
+    """Addresses of the network interfaces of this host, a loopback address first."""
     import fcntl  # noqa: PLC0415 - Windows, which has no ranks, lacks it
 
     found = []

@@ -9,7 +9,7 @@ from functools import cache
 from calcidem.launch.starter import DESCRIPTOR_VARIABLE
 
 _MOST_UNHEARD = 4
-"""Snapshots of the progress that the command has not acknowledged; a busy or stopped command gets no more."""
+"""Number of unacknowledged snapshots of the progress above which the command gets no more: it is busy or stopped."""
 
 
 @dataclass(slots=True)
@@ -17,22 +17,22 @@ class _Command:
     """The command that listens to this process."""
 
     connection: socket.socket
-    """To it; the starter writes in the same end."""
+    """Connection to it; the starter writes to the same end."""
     buffer: bytes = b""
-    """What has come in of its next line."""
+    """Received part of its next line."""
     lost: dict[int, str] = field(default_factory=dict)
-    """Ranks that it has reported as lost and that were not read yet, with reasons."""
+    """Ranks that it has reported as lost, with reasons, and that were not read yet."""
     unheard: int = 0
     """Number of snapshots of the progress that it has not acknowledged yet."""
 
     def say(self, text: str) -> None:
         """Send it a line."""
-        with suppress(OSError):  # it is gone; the launcher or the starter will end this process
+        with suppress(OSError):  # it has ended; the launcher or the starter will end this process
             self.connection.sendall(f"{text}\n".encode())
 
     def listen(self) -> None:
         """Handle its messages: `lost RANK REASON`, or `heard` for each snapshot of the progress."""
-        with suppress(OSError):  # nothing new, or it is gone
+        with suppress(OSError):  # nothing new, or it has ended
             self.buffer += self.connection.recv(1 << 16, socket.MSG_DONTWAIT)
         *lines, self.buffer = self.buffer.split(b"\n")
         for line in lines:
@@ -62,14 +62,14 @@ def tell_command(text: str) -> None:
 
 
 def command_listens() -> bool:
-    """Whether this process was started by a command that listens, and ends what is left when rank 0 has ended."""
+    """Whether a command that listens started this process; it ends the remaining ranks after rank 0."""
     return _command() is not None
 
 
 def tell_progress(text: str) -> None:
-    """Send the progress to the command, unless it has not received the snapshot before: nothing waits for a display.
+    """Send the progress to the command, unless it has not acknowledged earlier snapshots.
 
-    Otherwise the socket of a stopped command would fill up, and it would count as lost.
+    Otherwise the socket of a stopped command would fill up, and the command would count as lost.
     """
     if (command := _command()) is None:
         return
@@ -80,7 +80,7 @@ def tell_progress(text: str) -> None:
 
 
 def lost_according_to_command() -> dict[int, str]:
-    """Ranks that their starters reported to the command as lost, with reasons, each returned once; for rank 0."""
+    """Ranks that their starters reported as lost, with reasons, each returned once; for rank 0."""
     if (command := _command()) is None:
         return {}
     command.listen()
@@ -90,6 +90,6 @@ def lost_according_to_command() -> dict[int, str]:
 
 @cache
 def _command() -> _Command | None:
-    """The command at the other end of the starter's connection; None if no starter started this process."""
+    """Command at the other end of the starter's connection; None if no starter started this process."""
     descriptor = os.environ.get(DESCRIPTOR_VARIABLE)
     return None if descriptor is None else _Command(socket.socket(fileno=int(descriptor)))

@@ -1,4 +1,4 @@
-"""Removal of session folders and shared memory that Open MPI leaves on a host when its processes are killed."""
+"""Removal of session folders and shared memory that killed processes of Open MPI leave on a host."""
 
 import os
 import re
@@ -13,14 +13,14 @@ from pathlib import Path
 _SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - where Open MPI has it, whatever TMPDIR says
 
 _SETTLED = 60.0
-"""Age in seconds from which an unused file belongs to no starting process."""
+"""Age in seconds above which an unused file belongs to no starting process."""
 
 
 def remove_leftovers() -> None:
     """Remove files of killed launches of this user from this host; files that may be in use are kept.
 
-    A session folder is removed if the mpirun of its number is dead, and was one of this host: containers may share the
-    folder. A segment of shared memory is removed if no process has it mapped.
+    A session folder is removed if the mpirun of its number ran on this host and has ended; containers may share the
+    folder. A segment of shared memory is removed if no process maps it.
     """
     host, user = socket.gethostname(), os.getuid()
     for folder in _settled(Path(tempfile.gettempdir()), "ompi.*", user):
@@ -40,7 +40,7 @@ def remove_leftovers() -> None:
 
 
 def _settled(folder: Path, pattern: str, user: int) -> Iterator[Path]:
-    """What a user has in a folder for some time."""
+    """Files of a user in a folder that are older than a limit."""
     for path in folder.glob(pattern):
         with suppress(OSError):
             found = path.lstat()
@@ -49,7 +49,7 @@ def _settled(folder: Path, pattern: str, user: int) -> Iterator[Path]:
 
 
 def _mapped_files() -> set[str]:
-    """Names of all files in shared memory that processes of this user have mapped."""
+    """Names of all files in shared memory that processes of this user map."""
     found: set[str] = set()
     for maps in Path("/proc").glob("[0-9]*/maps"):
         with suppress(OSError):

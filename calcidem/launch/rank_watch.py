@@ -1,4 +1,4 @@
-"""State of the ranks that the launcher started, on all hosts, as they and their starters report it."""
+"""State of the ranks of a launch on all hosts, as reported by them and their starters."""
 
 import hmac
 import secrets
@@ -18,22 +18,22 @@ _LONGEST_LINE = 4096
 """Largest length of a line in bytes; no rank sends more."""
 
 _TIME_TO_GREET = 10.0
-"""Seconds in which a connection must have authenticated as a rank."""
+"""Seconds within which a connection must authenticate as a rank."""
 
 _MOST_STRANGERS = 64
-"""Connections not authenticated yet, beyond one for each rank; more close the oldest."""
+"""Allowed number of unauthenticated connections, beyond one for each rank; more close the oldest."""
 
 _PAUSE_WITHOUT_DESCRIPTORS = 0.05
-"""Seconds until the next connection is accepted when this process has no file descriptor left."""
+"""Seconds until the next connection is accepted if this process has no free file descriptor."""
 
 _SETTLING = 1.0
-"""Seconds after the first death of a rank in which others, and the report of rank 0, may follow."""
+"""Seconds to wait after the first death of a rank for further ones and for the report of rank 0."""
 
 _LAST_WORDS = 10.0
-"""Seconds that the launcher has for its end after rank 0 has ended."""
+"""Seconds within which the launcher must end after rank 0."""
 
 _HEARTBEAT_TIMEOUT = 120.0
-"""Seconds without a heartbeat of rank 0 after which the user is informed; a working rank 0 beats every half second."""
+"""Seconds without a heartbeat of rank 0 after which the user is informed; the interval is half a second."""
 
 _MOST_SIGNALS, _LARGEST_EXIT_CODE = 64, 255
 
@@ -52,24 +52,24 @@ class _ReportedRank:
     number: int
     host: str
     process: int
-    """Which it is and where; the process is its starter's."""
+    """Number and host of the rank, and the process number of its starter."""
     connection: socket.socket
     buffer: bytes = b""
-    """To its starter, and what has come in of the next line."""
+    """Connection to its starter, and the received part of the next line."""
     loaded: bool = False
     joined: bool = False
-    """Whether it has loaded its program, and whether it has found the others."""
+    """Whether it has loaded its program, and whether it has joined the others."""
     silent: float = 0.0
     """Seconds since its last message."""
     ended: str = ""
     ended_after: float = 0.0
     ended_well: bool = False
     killed: bool = False
-    """How it has ended, as the end of a sentence, empty while it lives; seconds of the launch until then; whether its
-    exit code was 0; whether a signal has ended it.
+    """How it ended, as the end of a sentence, empty while it lives; seconds of the launch until then; whether its exit
+    code was 0; whether a signal ended it.
     """
     worded: bool = False
-    """Whether its starter has reported how it ended, or that the launcher ends it."""
+    """Whether its starter has reported its end, or that the launcher ends it."""
     told: bool = False
     """Whether rank 0 was informed of its end."""
 
@@ -85,19 +85,19 @@ class _Caller:
     Attributes
     ----------
     connection, buffer
-        To it, and what has come in of its line.
+        Connection, and the received part of its line.
     """
 
     connection: socket.socket
     challenge: str
-    """The text that it has to seal."""
+    """Text that it has to seal."""
     since: float
     """Seconds of the launch at which it connected."""
     buffer: bytes = b""
 
 
 class RankWatch:
-    """Listens to the ranks of one launch; a context manager that ends the remaining ranks on exit.
+    """Listener to the ranks of one launch; a context manager that ends the remaining ranks on exit.
 
     Any program that reaches its address can connect. Invalid input closes the connection of its sender.
 
@@ -106,11 +106,11 @@ class RankWatch:
     size
         Number of ranks.
     addresses
-        Where to listen.
+        Addresses to listen at.
     start_timeout
-        Seconds in which all must have found one another.
+        Seconds within which all ranks must have joined.
     silence_timeout
-        Seconds without a sign of life after which a rank's host is given up.
+        Seconds without a message after which a rank's host is given up.
 
     Attributes
     ----------
@@ -164,14 +164,14 @@ class RankWatch:
 
     @property
     def begun(self) -> bool:
-        """Whether all ranks have found one another, so that something may have been stored."""
+        """Whether all ranks have joined, so that cells may have been stored."""
         return sum(rank.joined for rank in self._ranks.values()) == self._size
 
     def listen(self, seconds: float) -> bool:
-        """Receive messages of the ranks for some seconds at most; return whether there were any."""
+        """Receive messages of the ranks for at most some seconds; return whether there were any."""
         events = self._selector.select(seconds)
         before, self._now = self._now, time.monotonic()
-        passed = min(self._now - before, 2.0 * seconds)  # no more, if this process itself was stopped
+        passed = min(self._now - before, 2.0 * seconds)  # not if this process itself was stopped
         self._seconds += passed
         for rank in self._ranks.values():
             rank.silent += passed
@@ -190,12 +190,12 @@ class RankWatch:
 
     @property
     def killed_at_start(self) -> bool:
-        """Whether the first rank that ended was killed before it had joined, or one before it could report."""
+        """Whether the first rank that ended was killed before joining, or a rank ended before it could report."""
         first = self._first_death()
         return bool(self._missing) or (first is not None and first.killed and not first.joined)
 
     def describe_first_death(self) -> str:
-        """How the first rank ended that did not end as it should, or else the first; empty if none did."""
+        """How the first rank ended that failed, else the first that ended; empty without one."""
         first = self._first_death()
         return "" if first is None else f"{first} {first.ended}"
 
@@ -206,31 +206,31 @@ class RankWatch:
         return min((rank for rank in self._ranks.values() if rank.ended), key=order, default=None)
 
     def kill_ranks(self) -> None:
-        """Let the starters kill their ranks, also stopped ones, on all hosts at once; last messages still arrive."""
+        """Let the starters kill their ranks, also stopped ones, on all hosts; last messages still arrive."""
         for rank in self._ranks.values():
-            with suppress(OSError):  # it has hung up itself
+            with suppress(OSError):  # it has closed the connection itself
                 rank.connection.shutdown(socket.SHUT_WR)
 
     def listen_to_the_end(self, seconds: float) -> None:
-        """Receive last messages of ranks whose launcher has ended, until all have ended or some seconds are over."""
+        """Receive last messages of ranks whose launcher has ended, until all have ended or some seconds have passed."""
         until = self._seconds + seconds
         while self._seconds < until and any(not rank.ended for rank in self._ranks.values()):
             self.listen(0.1)
 
     def ranks_left(self) -> dict[str, int]:
-        """Number of ranks on each host that is not lost, once all is over; empty if no host is lost, or all are.
+        """Number of ranks on each remaining host after the end of the launch; empty if no host is lost, or all are.
 
         A host is lost if none of its ranks has sent a last message, except for the command's own.
         """
         hosts: dict[str, list[_ReportedRank]] = defaultdict(list)
-        for _, rank in sorted(self._ranks.items()):  # so that rank 0 stays where it was
+        for _, rank in sorted(self._ranks.items()):  # so that rank 0 stays on its host
             hosts[rank.host].append(rank)
         own = socket.gethostname()
         left = {host: len(ranks) for host, ranks in hosts.items() if host == own or any(rank.worded for rank in ranks)}
         return left if len(left) < len(hosts) else {}
 
     def describe_silent_master(self) -> str:
-        """Message when the heartbeat of rank 0 has stopped, once each time; else empty."""
+        """Message if the heartbeat of rank 0 has stopped, once for each stop; else empty."""
         silent = self._heartbeat is not None and self._seconds - self._heartbeat > _HEARTBEAT_TIMEOUT
         told, self._told_silent = self._told_silent, silent
         if not silent or told:
@@ -241,10 +241,10 @@ class RankWatch:
         )
 
     def reason_to_end(self) -> str | None:
-        """Why the launcher must be ended, as a sentence or empty if that needs no word; None if it need not.
+        """Reason to end the launcher: a sentence, or empty if it needs no message; None without a reason.
 
-        As long as the ranks gather, prepare and compile, all of them are needed; later, lost workers are rank 0's to
-        judge, which is informed of them.
+        While the ranks start, prepare and compile, all of them are needed. Later rank 0 handles lost workers, of which
+        it is informed.
         """
         patience = self._death is not None and self._seconds - self._death
         if self.exit_code is not None:
@@ -256,7 +256,7 @@ class RankWatch:
         return None if self.begun else self._describe_start()
 
     def _describe_start(self) -> str | None:
-        """Why the ranks will not all find one another; None as long as they may."""
+        """Reason why some ranks will not join; None as long as all may."""
         absent = [str(number) for number in range(self._size) if number not in self._ranks]
         names = f"rank{'s' * (len(absent) > 1)} {', '.join(absent)}"
         if absent and self._missing:
@@ -277,12 +277,12 @@ class RankWatch:
         )
 
     def _accept(self, listener: socket.socket) -> None:
-        """Ask a new connection to authenticate; without room the one silent for longest is closed."""
+        """Request authentication from a new connection; if there are too many, the longest silent one is closed."""
         try:
             connection, _ = listener.accept()
         except BlockingIOError:
             return
-        except OSError:  # no descriptors are left, or it has hung up already
+        except OSError:  # no descriptor is free, or it has closed the connection already
             if self._callers:
                 self._drop(next(iter(self._callers)))
             else:
@@ -309,9 +309,9 @@ class RankWatch:
         connection.close()
 
     def _read_greeting(self, caller: _Caller) -> None:
-        """Read the identity of a connection; it becomes that of a rank if it is sealed with the key."""
+        """Read the identity of a connection; it becomes a rank if the identity is sealed with the key."""
         if caller not in self._callers:
-            return  # dropped since the selector returned it
+            return  # closed since the selector returned it
         try:
             data = caller.connection.recv(LONGEST_GREETING)
         except BlockingIOError:
@@ -414,7 +414,7 @@ class RankWatch:
         """Describe how a rank has ended."""
         how, cure = f"ended with exit code {code}", ""
         if code < 0:
-            known = -code in set(signal.Signals)  # those of real time have no names
+            known = -code in set(signal.Signals)  # real-time signals have no names
             name = signal.Signals(-code).name if known else f"signal {-code}"
             how, cure = f"was killed by {name}", _SIGNAL_CURES.get(name, "")
         rank.worded = True
@@ -425,7 +425,7 @@ class RankWatch:
         rank.ended = how + stage + (f": {last}" if last else "") + (f" ({cure})" if cure else "")
 
     def _note_deaths(self) -> None:
-        """Count the seconds from the first death on, and inform rank 0 of each lost worker."""
+        """Record the time of the first death, and inform rank 0 of each lost worker."""
         for rank in self._ranks.values():
             if not rank.ended and rank.silent > self._silence_timeout:
                 rank.ended = f"has been silent for {self._silence_timeout:g} s: its host or the network is down"
@@ -439,7 +439,7 @@ class RankWatch:
 
 
 def _exit_code(text: str) -> int:
-    """Exit code, or number of a signal with a minus; raises `ValueError` for what no process ends with."""
+    """Exit code, or negative number of a signal; `ValueError` for an impossible one."""
     code = int(text)
     if not -_MOST_SIGNALS <= code <= _LARGEST_EXIT_CODE:
         raise ValueError(text)

@@ -1,8 +1,8 @@
-"""The program that the launcher starts for each rank: it starts the rank and reports its state to the command above.
+"""The program that the launcher starts for each rank: it starts the rank and reports its state to the command.
 
-A program of its own that needs nothing but Python's library, so that it reports before anything can go wrong. It learns
-what no rank can report of itself: the signal that killed it and the last line that it wrote. When the connection to the
-command breaks it ends its rank, so that none is left behind on a host that the network has lost.
+It is a separate program that needs only Python's library, so it can report early failures. It reports facts that a
+killed rank cannot: the signal, and the last line of output. If the connection to the command breaks, it ends its rank,
+so that none remains on a host without network.
 """
 
 import ctypes
@@ -17,13 +17,13 @@ import time
 from pathlib import Path
 
 COMMAND_VARIABLE = "CALCIDEM_COMMAND"
-"""For the ranks: the key of the command, its limit of silence in seconds, its host, and its addresses."""
+"""Variable for the ranks: key of the command, its limit of silence in seconds, its host, and its addresses."""
 
 DESCRIPTOR_VARIABLE = "CALCIDEM_COMMAND_DESCRIPTOR"
-"""For a rank: the file descriptor of the connection of its starter."""
+"""Variable for a rank: file descriptor of its starter's connection."""
 
 LONGEST_GREETING = 512
-"""Bytes of each line with which the command and a rank authenticate each other."""
+"""Largest length in bytes of a line by which command and rank authenticate each other."""
 
 _MEANS_ITSELF = "127."
 """Beginning of loopback addresses."""
@@ -31,25 +31,25 @@ _MEANS_ITSELF = "127."
 _RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 
 _LOCAL_RANK_VARIABLE, _LOCAL_SIZE_VARIABLE = "OMPI_COMM_WORLD_LOCAL_RANK", "OMPI_COMM_WORLD_LOCAL_SIZE"
-"""Number of a rank on its host, and of ranks there."""
+"""Variables with the number of a rank on its host, and of all ranks there."""
 
 _BEATS = 20
-"""Heartbeats within the limit of silence."""
+"""Number of heartbeats within the limit of silence."""
 
 _TIME_TO_COUNT = 60.0
-"""Seconds in which the launcher's other ranks on a host are counted."""
+"""Seconds during which the launcher's other ranks on a host are counted."""
 
 _TIME_TO_CONNECT = 5.0
-"""Seconds for each of the command's addresses."""
+"""Seconds to try each of the command's addresses."""
 
 _ATTEMPTS = 3
-"""Times that all of them are tried: the command may be busy."""
+"""Number of times that all of them are tried, since the command may be busy."""
 
 _TIME_TO_HANG_UP = 2.0
-"""Seconds in which the command acknowledges the last words of a rank."""
+"""Seconds within which the command must acknowledge the last message of a rank."""
 
 _LAST_LINE = 300
-"""Characters of a rank's last line that are passed on."""
+"""Number of characters of a rank's last line that are forwarded."""
 
 _PR_SET_PDEATHSIG = 1
 
@@ -59,36 +59,36 @@ def die_with_parent(parent: int | None = None) -> None:
 
     A caller that knows the process number of its parent gives it, since the parent may have ended before this call.
 
-    A rank whose mpirun was killed would otherwise run for ever: it is a descendant of mpirun itself or, on other nodes,
-    of its daemon, which ends when it loses mpirun. To be called before MPI is initialised: if the launcher is gone by
-    then, initialisation fails and the rank ends, so no moment is left unguarded. `OSError` if the kernel refuses.
+    Otherwise a rank whose mpirun was killed would run for ever. It is a descendant of mpirun or, on other nodes, of its
+    daemon, which ends when it loses mpirun. Call this before MPI is initialised: if the launcher has ended by then, the
+    initialisation fails and the rank ends. `OSError` if the kernel refuses.
     """
     parent = parent or os.getppid()
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         number = ctypes.get_errno()
         raise OSError(number, f"prctl(PR_SET_PDEATHSIG): {os.strerror(number)}")
-    if os.getppid() != parent:  # it ended before the request to the kernel, so its death will not be signalled
+    if os.getppid() != parent:  # it ended before the request, so its death will not be signalled
         os.kill(os.getpid(), signal.SIGKILL)
 
 
 def this_host() -> str:
-    """An identifier that two processes share exactly if they share loopback addresses."""
+    """Identifier that is equal for two processes if and only if they share loopback addresses."""
     boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     return f"{boot}/{Path('/proc/self/ns/net').readlink()}"
 
 
 def seal_words(key: str, *words: str) -> str:
-    """Return the seal of some words, which needs the key."""
+    """Return the seal of some words, made with the key."""
     return hmac.new(key.encode(), " ".join(words).encode(), "sha256").hexdigest()
 
 
 def _introduce(connection: socket.socket, key: str, rank: str, host: str) -> bool:
-    """Identify this rank to the command with a seal; return whether the command knows the key, too.
+    """Identify this rank to the command with a seal; return whether the command also knows the key.
 
-    Each side seals what the other has drawn for this connection alone; the key itself does not travel, and what was
-    overheard cannot be used again. `multiprocessing.connection` does the same but waits for each line, so that one
-    stranger could block the command.
+    Each side seals random text of the other, drawn for this connection. The key is never sent, and recorded messages
+    cannot be used again. `multiprocessing.connection` does the same but waits for each line, so a single other program
+    could block the command.
     """
     challenge = _read_line(connection)
     own = secrets.token_hex(16)
@@ -98,7 +98,7 @@ def _introduce(connection: socket.socket, key: str, rank: str, host: str) -> boo
 
 
 def _read_line(connection: socket.socket) -> str:
-    """Read a line and nothing beyond it, which is for the rank; limited in bytes and seconds."""
+    """Read exactly one line, since the rest is for the rank; limited in bytes and seconds."""
     line, end = b"", time.monotonic() + _TIME_TO_CONNECT
     while not line.endswith(b"\n"):
         data = connection.recv(1)
@@ -114,7 +114,7 @@ class _Starter:
     def __init__(self) -> None:
         self._rank = next(os.environ[name] for name in _RANK_VARIABLES if name in os.environ)
         self._key, silence, host, *addresses = os.environ[COMMAND_VARIABLE].split()
-        # On another host anybody may listen at an address that means itself.
+        # On another host any program may listen at a loopback address.
         self._addresses = [at for at in addresses if host == this_host() or not at.startswith(_MEANS_ITSELF)]
         self._silence = float(silence)
         self._connection = self._connect()
@@ -151,7 +151,7 @@ class _Starter:
                 connection = socket.create_connection((name, int(port)), _TIME_TO_CONNECT)
                 if _introduce(connection, self._key, self._rank, host):
                     connection.settimeout(None)
-                    limit = int(1000.0 * self._silence)  # what is sent must be acknowledged by then
+                    limit = int(1000.0 * self._silence)  # time by which sent data must be acknowledged
                     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, limit)
                     return connection
                 connection.close()
@@ -163,7 +163,7 @@ class _Starter:
         sys.exit(f"Rank {self._rank} on {host} cannot reach the command that started it, {where}")
 
     def _become(self, command: list[str], standard_error: int, starter: int) -> None:
-        """Become the rank, which from its first moment ends with the starter."""
+        """Become the rank, which ends with the starter from its start on."""
         try:
             die_with_parent(starter)
             os.dup2(standard_error, 2)
@@ -194,14 +194,14 @@ class _Starter:
                 if descriptor == woken:
                     if signal.SIGTERM in os.read(woken, 100):
                         self._say("dismissed")  # the launcher ends the run: this host is not lost
-                elif descriptor != errors:  # the command is gone, or cannot be reached any more
+                elif descriptor != errors:  # the command has ended, or cannot be reached any more
                     os.kill(child, signal.SIGKILL)
                     poll.unregister(descriptor)
                 elif not self._pass_on(errors):
                     poll.unregister(descriptor)
 
     def _missing(self) -> int:
-        """Number of this host's ranks that were not there twice in a row; two ranks of a host count, for a minute."""
+        """Number of ranks of this host found missing twice in succession; counted by two ranks for a minute."""
         if int(os.environ.get(_LOCAL_RANK_VARIABLE, "2")) > 1 or time.monotonic() - self._begin > _TIME_TO_COUNT:
             return 0
         found = 0
@@ -228,24 +228,24 @@ class _Starter:
         return False
 
     def _hang_up(self) -> None:
-        """Let the command receive the last message: closing with unread input would discard messages in flight."""
+        """Let the command receive the last message; closing with unread input would discard sent messages."""
         try:
             self._connection.shutdown(socket.SHUT_WR)
             self._connection.settimeout(_TIME_TO_HANG_UP)
             while self._connection.recv(1 << 16):
                 pass
         except OSError:
-            return  # the command is gone, or too slow
+            return  # the command has ended, or is too slow
 
     def _say(self, text: str) -> None:
         try:
             self._connection.sendall(f"{text}\n".encode())
         except OSError:
-            return  # the command has ended, which the poll shows
+            return  # the poll shows that the command has ended
 
 
 def _start_rank() -> None:
-    """Run the rank whose command line this program was given, and end as it does."""
+    """Run the rank with the command line given to this program, and end with its exit code or signal."""
     die_with_parent()
     code = _Starter().run(sys.argv[1:])
     if code < 0:

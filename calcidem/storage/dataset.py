@@ -15,19 +15,19 @@ from calcidem.storage.sql.store import Store
 from calcidem.version import __version__
 
 if TYPE_CHECKING:
-    import xarray as xr  # half a second, which the export of a file does without
+    import xarray as xr  # takes half a second, which the export of a file does not need
 
 LAYOUT = 1
 """Version of the layout of exported files."""
 
 INDEX_NAMES = ("seed", "content")
-"""Dimensions of what each cell has."""
+"""Dimensions of quantities of cells."""
 
 
 def as_matrices(
     columns: Mapping[str, NDArray[Any]], names: Sequence[str], seeds: NDArray[Any], contents: NDArray[Any]
 ) -> dict[str, NDArray[Any]]:
-    """Arrange columns of `Store.table`, seed and content among them, over ascending seeds and contents.
+    """Arrange columns of `Store.table`, including seed and content, over ascending seeds and contents.
 
     Each matrix is (seeds, contents). Numbers are float64 with NaN where missing, texts "" where missing; ``status`` is
     int8 (`STATUS_CODES`).
@@ -63,7 +63,7 @@ def cell_matrices(store: Store, names: Sequence[str]) -> "dict[str, xr.DataArray
 
 
 def campaign_dataset(store: Store, names: Sequence[str] | None = None) -> "xr.Dataset":
-    """Return `cell_matrices` of every cell, by default all, self-describing and with the provenance of the campaign.
+    """Return `cell_matrices` of every cell, by default all, with CF attributes and the provenance of the campaign.
 
     ``status`` is a CF flag variable. `UnknownCampaignError` if no cell is planned, `QueryError` for an unknown
     quantity.

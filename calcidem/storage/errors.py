@@ -18,7 +18,7 @@ class StoreError(Exception):
         self.cure = cure
 
     def __reduce__(self) -> tuple[type["StoreError"], tuple[str, str]]:
-        """Pickle with both arguments, so that an error can travel between MPI ranks."""
+        """Pickle with both arguments, so that an error can be sent between MPI ranks."""
         return type(self), (self.problem, self.cure)
 
 
@@ -31,7 +31,7 @@ class DiskError(StoreError):
 
 
 class DiskFullError(DiskError):
-    """The disk has no room for the transaction; nothing of it was stored."""
+    """The disk has no space for the transaction; nothing of it was stored."""
 
 
 class ReadOnlyStoreError(StoreError):
@@ -43,7 +43,7 @@ class StoreUnavailableError(StoreError):
 
 
 class StoreInterruptedError(StoreUnavailableError):
-    """The server ended a connection that it had accepted: it was restarted, or the network between failed."""
+    """The server ended an open connection: it was restarted, or the network failed."""
 
 
 class ForeignDatabaseError(StoreError):
@@ -51,7 +51,7 @@ class ForeignDatabaseError(StoreError):
 
 
 class OtherSchemaError(StoreError):
-    """The database or file was written by an earlier or a later calcidem, whose tables this one doesn't read."""
+    """An earlier or later calcidem wrote the database or file; this version does not read its tables."""
 
 
 class DamagedStoreError(StoreError):
@@ -59,19 +59,19 @@ class DamagedStoreError(StoreError):
 
 
 class OutputRefusedError(StoreError):
-    """A file that is to be written has the name of a database or of another file, or a format that cannot be made."""
+    """An output file has the name of a database or of another file, or an unknown format."""
 
 
 class ReplacedStoreError(StoreError):
-    """The file that is being written is no longer the one of its name: it was removed, or another took its place."""
+    """The database file was removed or replaced while it was being written."""
 
 
 class CampaignMismatchError(StoreError):
-    """A campaign is there with another physical configuration, or another packing."""
+    """The campaign exists with another physical configuration, or another packing."""
 
 
 class UnknownCampaignError(StoreError):
-    """No such campaign in the store, or several where one has to be named."""
+    """The store has no such campaign, or several of which one has to be named."""
 
 
 class UnknownCellError(StoreError):
@@ -91,4 +91,4 @@ class LeaseHeldError(StoreError):
 
 
 class LeaseLostError(StoreError):
-    """Another process took the campaign over; this one must not write any more."""
+    """Another process has taken over the campaign; this one must not write any more."""

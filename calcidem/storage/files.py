@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all, and never replace a database."""
+"""Files that are written completely or not at all, and never replace a database."""
 
 import os
 import secrets
@@ -11,7 +11,7 @@ from calcidem.storage.errors import OutputRefusedError
 _SQLITE = b"SQLite format 3\0"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _BESIDE_A_DATABASE = ("-wal", "-shm", "-journal", ".lock")
-"""Endings of the files that SQLite, and the lease, have beside a database."""
+"""Endings of the files of SQLite and of the lease beside a database."""
 
 _BEGIN_A_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\N{FULLWIDTH EQUALS SIGN}", "\N{FULLWIDTH COMMERCIAL AT}")
 """First characters of texts that spreadsheets evaluate."""
@@ -21,12 +21,11 @@ _CURE = "Give another file name for the result; nothing was written."
 
 @contextmanager
 def write_atomically(path: str | os.PathLike[str], *, replaces_netcdf: bool = False) -> Iterator[Path]:
-    """Give a temporary file that replaces `path` once the block has ended without error and the file is on disk.
+    """Yield a temporary file that replaces `path` once the block has ended without error and the file is on disk.
 
-    It is in the folder of `path`: only within a file system is a file renamed in one step. No other process uses its
-    name. After an error `path` is as it was. Set ``replaces_netcdf`` if you have checked that the NetCDF file at `path`
-    may be replaced. `FileNotFoundError` if the folder doesn't exist; `OutputRefusedError` if `path` is a database, or a
-    NetCDF file.
+    It is in the folder of `path`, since only within a file system a file is renamed in one step. Its name is unique.
+    After an error `path` is unchanged. Set ``replaces_netcdf`` if the NetCDF file at `path` may be replaced.
+    `FileNotFoundError` if the folder does not exist; `OutputRefusedError` if `path` is a database or a NetCDF file.
     """
     target = Path(path).absolute()
     refuse_to_replace(target, replaces_netcdf=replaces_netcdf)
@@ -41,13 +40,13 @@ def write_atomically(path: str | os.PathLike[str], *, replaces_netcdf: bool = Fa
 
 
 def write_text_atomically(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text in UTF-8 as `write_atomically` does, line ends as they are."""
+    """Write a text in UTF-8 as `write_atomically` does, with unchanged line ends."""
     with write_atomically(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="")
 
 
 def refuse_to_replace(path: str | os.PathLike[str], *, replaces_netcdf: bool = False) -> None:
-    """Raise the errors of `write_atomically` early, for callers that compute for long before they write."""
+    """Raise the errors of `write_atomically` early, before a long computation."""
     target = Path(path).absolute()
     if not target.parent.is_dir():
         raise FileNotFoundError(f"The folder {target.parent} does not exist; create it, or give another file name.")
@@ -64,7 +63,7 @@ def refuse_to_replace(path: str | os.PathLike[str], *, replaces_netcdf: bool = F
 
 
 def _beginning(path: Path) -> bytes:
-    """First bytes of a file; none if it is not there or no file."""
+    """First bytes of a file; empty if it does not exist or is not a file."""
     if not path.is_file():
         return b""
     with path.open("rb") as file:
@@ -74,7 +73,7 @@ def _beginning(path: Path) -> bytes:
 def _flush_to_disk(path: Path) -> None:
     if os.name == "nt" and path.is_dir():
         return  # Windows opens no folders
-    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)  # and flushes only what it may write
+    descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)  # flushes only writable files
     try:
         os.fsync(descriptor)
     finally:

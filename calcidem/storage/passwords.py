@@ -1,4 +1,4 @@
-"""Passwords in the URLs of databases: removed from command lines, and hidden in all shown or stored text."""
+"""Passwords in URLs of databases: removed from command lines, and hidden in all shown or stored text."""
 
 import json
 import os
@@ -9,7 +9,7 @@ from urllib.parse import unquote
 from calcidem.storage.errors import StoreUnavailableError
 
 PASSWORDS_VARIABLE = "CALCIDEM_PASSWORDS"
-"""Passwords by the URL that they belong to, as JSON: only the same user can read the environment."""
+"""Variable with passwords by URL, as JSON; only the same user can read the environment."""
 
 _IN_URL = re.compile(r"(\w[\w+.-]*://[^\s:/@?]*):([^@]*)@")
 """Scheme and user, and the password between the colon and the first @, as SQLAlchemy reads them."""
@@ -17,22 +17,21 @@ _IN_URL = re.compile(r"(\w[\w+.-]*://[^\s:/@?]*):([^@]*)@")
 _IN_QUERY = re.compile(r"([?&])password=([^&\s]*)&?", re.IGNORECASE)
 
 _ANY_IN_URL = re.compile(r"(\w[\w+.-]*://[^\s:/@?]*):[^\s'\"]*@")
-"""As `_IN_URL`, but up to the last @: in doubt more is hidden."""
+"""As `_IN_URL`, but up to the last @, so in doubt more is hidden."""
 
 _ANY_IN_TEXT = re.compile(r"(\bpassword\s*=\s*)('(?:[^'\\]|\\.)*'|[^&\s'\"]+)", re.IGNORECASE)
 
 
 def hide_passwords(text: str) -> str:
-    """Give a text with ``***`` in the place of each password of a URL or of a connection string in it."""
+    """Return a text in which ``***`` replaces each password of a URL or a connection string."""
     return _ANY_IN_TEXT.sub(r"\1***", _ANY_IN_URL.sub(r"\1:***@", text))
 
 
 def keep_passwords_back(words: Sequence[str]) -> list[str]:
-    """Give the words of a command line without the passwords of their URLs, which go to the environment.
+    """Return the words of a command line without the passwords in URLs, and put these into the environment.
 
-    `password_of` finds them there, in this process and in those that it starts: whoever may list processes sees command
-    lines, error messages repeat them, and a campaign stores them. `StoreUnavailableError` if it is not clear where a
-    password ends.
+    Command lines are visible in lists of processes, error messages and campaigns. `password_of` finds the passwords in
+    this process and in processes that it starts. `StoreUnavailableError` if the end of a password is unclear.
     """
     kept: dict[str, str] = {}
     shown = [_without_password(word, kept) for word in words]
@@ -42,7 +41,7 @@ def keep_passwords_back(words: Sequence[str]) -> list[str]:
 
 
 def password_of(url: str) -> str | None:
-    """Give the password that was kept back from a URL, without the URL's escapes; None if none was."""
+    """Return the password that was removed from a URL, without escapes; None without one."""
     kept = _kept_back().get(url)
     return None if kept is None else unquote(kept)
 
@@ -53,7 +52,7 @@ def _kept_back() -> dict[str, str]:
 
 
 def _without_password(word: str, kept: dict[str, str]) -> str:
-    """Take the password out of a word, which may be an option with a URL as its value."""
+    """Remove the password from a word, which may be an option with a URL as its value."""
     option, equals, url = word.partition("=") if word.startswith("-") else ("", "", word)
     found = _IN_URL.match(url)
     shown = url if found is None else f"{found[1]}@{url[found.end() :]}"

@@ -18,15 +18,15 @@ from calcidem.storage.records import (
 RETRIED_BY_DEFAULT = (CellStatus.FAILED, CellStatus.TIMED_OUT)
 
 STALE_AFTER = timedelta(minutes=5)
-"""A master on another machine without a heartbeat for this long counts as dead."""
+"""Time without a heartbeat after which a master on another machine counts as dead."""
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """The cells of a query; None means no restriction. `QueryError` for an unknown status."""
+    """Cells of a query; None means no restriction. `QueryError` for an unknown status."""
 
     seeds: tuple[int, ...] | None
-    """Given as one or a collection, as are the others."""
+    """One seed or a collection; the others likewise."""
     contents: tuple[float, ...] | None
     """Percent; compared as `canonical_content`."""
     statuses: tuple[CellStatus, ...] | None
@@ -34,7 +34,7 @@ class Selection:
     where: str | None
     """Filter expression (`calcidem.storage.sql.where.parse_where`)."""
     since: datetime | None
-    """Only cells of which an attempt was recorded at this moment or later."""
+    """Only cells with an attempt recorded at this time or later."""
 
     def __init__(
         self,
@@ -65,30 +65,30 @@ ALL_CELLS = Selection()
 
 @dataclass(frozen=True, slots=True)
 class StoreMark:
-    """Numbers of a whole database, one of which changes with any change of a cell."""
+    """Numbers of a whole database; any change of a cell changes at least one."""
 
     cells: int
     attempts: int
     results: int
-    """How many are planned, were made, and are stored."""
+    """Numbers of planned cells, of attempts, and of stored outcomes."""
     recorded: datetime | None
-    """When the latest attempt was recorded (UTC)."""
+    """Time at which the latest attempt was recorded (UTC)."""
 
 
 @dataclass(frozen=True, slots=True)
 class LeaseHolder:
-    """The process that holds the lease of a campaign, or held it when it died."""
+    """Process that holds the lease of a campaign, or held it when it died."""
 
     host: str
     pid: int
-    """Its number there."""
+    """Process number on this host."""
     acquired: datetime
-    """When it became the master (UTC)."""
+    """Time at which it became the master (UTC)."""
     heartbeat: datetime
     """Time of its last heartbeat (UTC)."""
 
     def may_live(self) -> bool:
-        """Whether it may be alive, as far as this machine shows: on another one its heartbeat decides."""
+        """Whether it may be alive; on another machine its heartbeat decides."""
         if datetime.now(UTC) - self.heartbeat > STALE_AFTER:
             return False
         if self.host != socket.gethostname():
@@ -103,11 +103,11 @@ class LeaseHolder:
 
 
 class Closable(ABC):
-    """What a `with` statement closes at its end."""
+    """Object that a `with` statement closes at its end."""
 
     @abstractmethod
     def close(self) -> None:
-        """Release what is held; closing it again does nothing."""
+        """Release all resources; closing it again does nothing."""
 
     def __enter__(self) -> Self:
         return self

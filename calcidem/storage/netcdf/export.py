@@ -1,8 +1,8 @@
 """Export of a campaign to one NetCDF-4 file.
 
 The annotations of the records define the variables. Columns are appended block by block to save memory. Arrays of
-different lengths lie one behind the other along a dimension, with a count of the elements of each (contiguous ragged
-arrays, CF conventions, section 9.3.3). If the rows of an array differ in length too, it lies there row after row.
+different lengths are concatenated along a dimension, with a count of the elements of each (contiguous ragged arrays, CF
+conventions, section 9.3.3). If the rows of an array also differ in length, its rows are concatenated.
 """
 
 import json
@@ -36,30 +36,30 @@ from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
-    import xarray as xr  # half a second; whoever has a dataset to write has loaded it
+    import xarray as xr  # takes half a second; callers with a dataset have loaded it already
 
 Group = Any
-"""A netCDF4.Dataset or netCDF4.Group; that library has no types."""
+"""A netCDF4.Dataset or netCDF4.Group; the library has no types."""
 
 _Column = tuple[str, str, NDArray[Any]]
 """Unit ("" for texts), long name and values of a variable."""
 
 _COMPRESSED = {"compression": "zlib", "complevel": 1, "shuffle": True, "fletcher32": True}
-_CHUNK = 8192  # elements, about two cells' contacts; the library's own are so small that each costs more than its bytes
+_CHUNK = 8192  # elements, about two cells' contacts; the small default chunks cost more than their bytes
 
 _CELLS_COPIED_AT_ONCE = 10_000
-"""Cells whose numbers are in memory at a time."""
+"""Number of cells whose numbers are in memory at a time."""
 
 _ARRAYS_COPIED_AT_ONCE = 1000
-"""Cells whose arrays are in memory at a time."""
+"""Number of cells whose arrays are in memory at a time."""
 
 
 def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collection[str] = ()) -> Path:
-    """Write the store's whole campaign into one compressed NetCDF-4 file, as `write_atomically` does; give its path.
+    """Write the store's whole campaign into one compressed NetCDF-4 file, as `write_atomically` does; return its path.
 
     The root group is the Dataset of `calcidem.storage.dataset.campaign_dataset`, the groups ``packings`` and
-    ``attempts`` and those of `ARRAY_RECORDS` hold the rest. A cell takes about 50 kB; ``without`` names groups of
-    arrays to leave out, without all of them it takes 1 kB.
+    ``attempts`` and those of `ARRAY_RECORDS` hold the rest. A cell takes about 50 kB, without any arrays 1 kB;
+    ``without`` names groups of arrays to leave out.
 
     `ValueError` for another group; `UnknownCampaignError` if no cell is planned; `OutputRefusedError` if the file is a
     database, or the NetCDF file of another campaign; `DiskError` if it can't be written.
@@ -73,7 +73,7 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
         netCDF4.Dataset(temporary, "w", format="NETCDF4") as file,
     ):
         for index in store.packing_indices():
-            with suppress(DamagedStoreError):  # cells without a packing tell that it is missing
+            with suppress(DamagedStoreError):  # cells without a packing show that it is missing
                 _append_packing(file, store.packing(index))
         for attempts in chunks(store.history(), _CELLS_COPIED_AT_ONCE):
             _append_attempts(file, attempts)
@@ -82,13 +82,13 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
 
 
 def write_netcdf(dataset: "xr.Dataset", path: str | os.PathLike[str]) -> None:
-    """Write what was computed from a campaign into a NetCDF file, as `export_netcdf` does; no export is replaced."""
+    """Write a dataset computed from a campaign to a NetCDF file, as `export_netcdf` does; no export is replaced."""
     with _replace_netcdf(path, None) as temporary:
         dataset.to_netcdf(temporary)
 
 
 def belongs_to_another(path: str | os.PathLike[str], campaign_hash: str | None) -> bool:
-    """Whether there is a NetCDF file that can't be read, or has another campaign's hash (None: any, or none)."""
+    """Whether the path has a NetCDF file that cannot be read, or of another campaign's hash (None: any, or none)."""
     if not Path(path).is_file():
         return False
     try:
@@ -102,7 +102,7 @@ def belongs_to_another(path: str | os.PathLike[str], campaign_hash: str | None) 
 
 @contextmanager
 def _replace_netcdf(path: str | os.PathLike[str], campaign_hash: str | None) -> Iterator[Path]:
-    """Give a temporary file for `write_atomically`, and describe HDF errors in plain words."""
+    """Yield a temporary file for `write_atomically`, and explain HDF errors."""
     if belongs_to_another(path, campaign_hash):
         raise OutputRefusedError(
             f"{path} is a NetCDF file of another campaign, or can't be read as one.",
@@ -137,7 +137,7 @@ def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:
             whole = []
             for key, arrays in found:
                 cell = int(np.searchsorted(block, key.seed)), int(np.searchsorted(contents, key.content))
-                if isinstance(arrays, str):  # the numbers beside damaged arrays are missing, too
+                if isinstance(arrays, str):  # numbers of a cell with damaged arrays are missing, too
                     for name in matrices.keys() - {"status"}:
                         matrices[name][cell] = "" if QUANTITY_BY_NAME[name].kind == "text" else np.nan
                     matrices["status"][cell] = STATUS_CODES[CellStatus.DAMAGED]
@@ -146,7 +146,7 @@ def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:
                     whole.append((key, arrays))
             _append_arrays(file, whole, wanted)
         for name, matrix in matrices.items():
-            is_whole = QUANTITY_BY_NAME[name].kind == "whole"  # without a value in some cells it was a real one
+            is_whole = QUANTITY_BY_NAME[name].kind == "whole"  # real with missing values
             file[name][first : first + block.size] = QUANTITY_BY_NAME[name].as_column(matrix) if is_whole else matrix
 
 
@@ -166,7 +166,7 @@ def _create_variables(file: Group, seeds: NDArray[Any], contents: NDArray[Any], 
         fill = False if quantity.name == "status" else quantity.gap  # each cell has a status
         options = {} if is_text else _COMPRESSED | {"chunksizes": (rows, contents.size), "fill_value": fill}
         variable = file.createVariable(quantity.name, kind, INDEX_NAMES, **options)
-        if not is_text:  # a block of seeds is written once; the library would keep 16 MB of each variable
+        if not is_text:  # each block of seeds is written once, without the library's cache of 16 MB for each variable
             variable.set_var_chunk_cache(size=2 * rows * contents.size * np.dtype(kind).itemsize)
         variable.setncatts(quantity.attributes())
 
@@ -190,7 +190,7 @@ def _append_packing(file: Group, packing: PackingRecord) -> None:
 
 
 def _append_arrays(file: Group, cells: Sequence[tuple[CellKey, Mapping[str, Any]]], groups: Collection[str]) -> None:
-    """Append the arrays of some cells, records by name, those of the requested groups."""
+    """Append the arrays of some cells, records by name, of the requested groups."""
     for name in groups:
         found = [(key, arrays[name]) for key, arrays in cells if name in arrays]
         if found:
@@ -208,7 +208,7 @@ def _key_columns(keys: Sequence[CellKey]) -> dict[str, _Column]:
 def _append_records(
     group: Group, dimension: str, kind: type[Any], records: Sequence[Any], own: Mapping[str, _Column]
 ) -> None:
-    """Append records: quantities, and columns of their own, along a dimension; arrays along theirs."""
+    """Append records: quantities and further columns along a dimension, arrays along theirs."""
     columns = dict(own)
     for quantity in kind.quantities():
         values = quantity.as_column([getattr(record, quantity.name) for record in records])
@@ -228,10 +228,9 @@ def _append_records(
 
 
 def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]) -> None:
-    """Append columns of equal length along an unlimited dimension, creating what isn't there yet.
+    """Append columns of equal length along an unlimited dimension; missing variables are created.
 
-    A column named ``<other dimension>_count`` tells how many elements of that dimension belong to each
-    element of this one.
+    A column ``<other dimension>_count`` is the number of elements of that dimension for each element of this one.
     """
     if dimension not in group.dimensions:
         group.createDimension(dimension, None)

@@ -38,7 +38,7 @@ from calcidem.storage.records import (
 from calcidem.storage.sql.store import Store
 
 _RECORDS_READ_AT_ONCE = 500
-"""Records whose arrays are in memory at a time."""
+"""Number of records whose arrays are in memory at a time."""
 
 _SEEDS_IN_MEMORY = 500
 _VALUE_NAMES = tuple(name for name, q in QUANTITY_BY_NAME.items() if q.formula is None and name not in INDEX_NAMES)
@@ -53,8 +53,8 @@ def import_netcdf(
 ) -> CampaignRecord:
     """Rebuild the campaign of an exported file: plan, runs, packings, attempts, outcomes and their arrays.
 
-    If the store has the campaign already, what is missing is added and done cells are kept; runs are added each time.
-    All of it is one transaction. ``identify`` checks the state of a packing and adds its content hash.
+    If the store already has the campaign, missing data are added and done cells are kept; runs are added each time.
+    Everything is one transaction. ``identify`` checks the state of a packing and adds its content hash.
 
     `StoreUnavailableError` if the file is not NetCDF; `ForeignDatabaseError` if calcidem did not write it;
     `OtherSchemaError` if it has another layout; `DamagedStoreError` if it was changed, lacks a
@@ -128,7 +128,7 @@ def _refuse_other_packings(
     packings: Sequence[PackingRecord],
     identify: Callable[[PackingRecord], PackingRecord],
 ) -> None:
-    """Refuse packings other than those of the store's campaign; all are compared before any is stored."""
+    """Refuse packings other than those of the store's campaign; all are compared before one is stored."""
     present = set(store.packing_indices())
     for packing in packings:
         if packing.index in present:
@@ -145,7 +145,7 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     for start in range(0, len(seeds), _SEEDS_IN_MEMORY):
         rows = slice(start, start + _SEEDS_IN_MEMORY)
         columns = {
-            # A file of an earlier physics version lacks the quantities that were added since.
+            # A file of an earlier physics version lacks later quantities.
             name: QUANTITY_BY_NAME[name].as_values(file[name][rows])
             for name in _VALUE_NAMES
             if name in file.variables
@@ -158,7 +158,7 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
 
 
 def _read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[AttemptRecord]:
-    """Read the group ``attempts``; ``run_numbers`` are from those of runs in the file to those in the store."""
+    """Read the group ``attempts``; ``run_numbers`` maps numbers of runs in the file to those in the store."""
     records = _Records(file, "attempts", "attempt", AttemptRecord)
     for row, key in enumerate(records.keys()):
         values = records.values(row)
@@ -181,7 +181,7 @@ class _Records:
     Attributes
     ----------
     columns : dict of str to array
-        What there is along the dimension of the records; empty in a file without that group.
+        Columns along the dimension of the records; empty in a file without that group.
     """
 
     def __init__(self, file: Group, name: str, dimension: str, kind: type[Any]) -> None:
@@ -207,13 +207,13 @@ class _Records:
         return None if row is None else self._kind(**self.values(row))
 
     def keys(self) -> list[CellKey]:
-        """Return the cells that the records are of."""
+        """Return the cells of the records."""
         columns = (self.columns[name].tolist() if self.columns else () for name in ("seed", "content"))
         return list(map(CellKey, *columns))
 
     def values(self, row: int) -> dict[str, Any]:
         """Return quantities and arrays of a record by name."""
-        if row not in self._block:  # it is read together with those after it: a file is mostly read in its order
+        if row not in self._block:  # read together with the following ones, since a file is mostly read in order
             count = len(next(iter(self.columns.values())))
             self._block = range(row, min(row + _RECORDS_READ_AT_ONCE, count))
             blocks = {e: slice(ends[row], ends[self._block.stop]) for e, ends in self._ends.items()}

@@ -1,7 +1,7 @@
-"""A NetCDF file from elsewhere is first read by a process that can be ended: some damaged ones are read for ever.
+"""Trial reading of a NetCDF file in a separate process, since reading some damaged files never ends.
 
 This module is also the program of that process. Its arguments are the file, the seconds for opening it and for each
-block, and how much is read: ``all`` or ``names``. It ends with 0 if the file was read, or refused, within that time.
+block, and the part to read: ``all`` or ``names``. The exit code is 0 if the file was read or refused within that time.
 """
 
 import faulthandler
@@ -18,19 +18,19 @@ import netCDF4
 from calcidem.storage.errors import DamagedStoreError, StoreUnavailableError
 
 _TIME_FOR_A_BLOCK = 30.0
-"""Seconds for opening a file, and for each block that is read of it."""
+"""Seconds for opening a file, and for reading each block."""
 
 _BLOCK = 1 << 20
-"""Elements that are read at a time."""
+"""Number of elements read at a time."""
 
 _ERRORS_OF_READING = (OSError, RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
 
 
 def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False) -> None:
-    """Refuse a file on which the NetCDF library loops or crashes; what the library itself refuses is not judged.
+    """Refuse a file on which the NetCDF library loops or crashes; files that the library itself refuses pass.
 
-    With ``names_only`` the file is only opened. `StoreUnavailableError` if it is no file, such as a pipe, which would
-    be waited for; `DamagedStoreError` if opening or reading it does not end.
+    With ``names_only`` the file is only opened. `StoreUnavailableError` if it is not a file, for instance a pipe;
+    `DamagedStoreError` if opening or reading it does not end.
     """
     file = Path(path).absolute()
     if not file.is_file():
@@ -53,7 +53,7 @@ def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False)
 
 
 def _read_file(path: str, seconds: float, amount: str) -> None:
-    """Open the file and read it; a thread that needs no lock ends the process if reading does not return."""
+    """Open and read the file; a thread that needs no lock ends the process if reading does not return."""
     faulthandler.dump_traceback_later(seconds, exit=True)
     with suppress(*_ERRORS_OF_READING), netCDF4.Dataset(path, "r") as file:
         file.set_auto_mask(False)

@@ -1,7 +1,7 @@
 """All records that callers of the store give and get, in one place.
 
-They are frozen, hold SI units (contents in percent of the sand's mass), and a missing number is None, never
-NaN; what happened to a cell is its `CellStatus`.
+They are frozen and hold SI units (contents in percent of the sand's mass). A missing number is None, never NaN. The
+outcome of a cell is its `CellStatus`.
 """
 
 from calcidem.storage.records.campaign import CampaignRecord, PackingRecord

@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 _COMPRESSION_LEVEL = 1
-"""Of zlib. On cement patterns level 6, the usual one, takes four times as long and saves 4 % of the bytes."""
+"""Level of zlib. For cement patterns the usual level, 6, takes four times as long and saves 4 % of the bytes."""
 
 _HEADER_LENGTH_END = 10
-"""Bytes of an ``.npy`` file of version 1 up to its header, whose length the last two tell."""
+"""Number of bytes before the header of an ``.npy`` file of version 1; the last two hold the length of the header."""
 
 
 def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Compress named arrays into the bytes of a NumPy ``.npz`` file.
 
-    The format is chosen because any later reader can open it: ``numpy.load(io.BytesIO(blob))``. It is what
-    `numpy.savez_compressed` writes, but for the level of compression, which that function doesn't let one choose.
+    Any later reader can open this format: ``numpy.load(io.BytesIO(blob))``. It is that of `numpy.savez_compressed`,
+    except for the level of compression, which that function does not offer.
     """
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=_COMPRESSION_LEVEL) as archive:
@@ -44,7 +44,7 @@ def _read_array(content: bytes) -> NDArray[Any]:
     return values.reshape(shape, order="F" if is_fortran else "C")
 
 
-@lru_cache(1024)  # parsing it takes longer than all the rest, and cells have much the same ones
+@lru_cache(1024)  # cached, since parsing takes longest and most cells have the same headers
 def _read_header(header: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """Shape, order and type in the header of an ``.npy`` file of version 1."""
     file = io.BytesIO(header)

@@ -23,12 +23,12 @@ _packing = partial(Quantity, origin="packing", bound=Bound.NOT_NEGATIVE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackingRecord(Record):
-    """A packing with the report on its quality; the annotations say what its numbers are."""
+    """A packing with the report on its quality; the annotations explain its numbers."""
 
     index: Annotated[int, Quantity("1", "index of the packing")]
     """0 to k - 1 when a campaign has k packings."""
     hash: Annotated[str, Quantity("", "hash of what it was made from")]
-    """It decides the packing's bits only on machines that compute alike."""
+    """It determines the packing's bits only on machines that compute the same bits."""
     x: Annotated[NDArray[np.float64], Along("grain", "m", "horizontal position of the centre")]
     y: Annotated[NDArray[np.float64], Along("grain", "m", "vertical position of the centre")]
     radius: Annotated[NDArray[np.float64], Along("grain", "m", "radius")]
@@ -40,17 +40,17 @@ class PackingRecord(Record):
     coordination_number_without_rattlers: Annotated[
         float, _packing("1", "mean number of contacts of a grain that carries load")
     ]
-    """2 N_contacts / N with and without the grains that carry nothing."""
+    """2 N_contacts / N with and without rattlers."""
     wall_stress: Mapping[str, float]
-    """Normal stress on each wall [Pa], by the wall's name."""
+    """Normal stress on each wall [Pa], by name of the wall."""
     mean_relative_overlap: Annotated[float, _packing("1", "mean overlap over mean diameter")]
     largest_relative_overlap: Annotated[float, _packing("1", "largest overlap over mean diameter")]
     unbalanced_ratio: Annotated[float, _packing("1", "mean unbalanced force over mean contact force")]
     seconds: Annotated[float, _packing("s", "computing time")]
     state: Annotated[bytes, Along("state_byte", "1", "complete state, a NumPy .npz file")] = b""
-    """As its maker wrote it, to restore the packing bit for bit; opaque here."""
+    """Restores the packing bit for bit; its format is not interpreted here."""
     content_hash: Annotated[str | None, Quantity("", "hash of its own bits: disks, walls and forces")] = None
-    """Identity of the packing itself. None in what an earlier calcidem stored."""
+    """Identity of the packing itself; None if an earlier calcidem stored it."""
 
     def __post_init__(self) -> None:
         Record.__post_init__(self)
@@ -65,9 +65,9 @@ class PackingRecord(Record):
     def refuse_other(
         self, other: "PackingRecord", places: tuple[str, str] = ("the database", "what is to be stored")
     ) -> None:
-        """Raise `CampaignMismatchError` unless records from two places, which the message names, are of one packing.
+        """Raise `CampaignMismatchError` unless two records are of the same packing; the message names both places.
 
-        Where a content hash is missing, disks and box decide.
+        If a content hash is missing, disks and box are compared.
         """
         known = {self.content_hash, other.content_hash} - {None}
         numbers = all(getattr(self, name) == getattr(other, name) for name in ("index", "hash", "width", "height"))
@@ -86,10 +86,10 @@ class PackingRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class CampaignRecord:
-    """What a campaign computes."""
+    """Configuration and plan of a campaign."""
 
     hash: str
-    """Identity of the physics, as its maker computes it."""
+    """Identity of the physics."""
     name: str
     """Unique name within the store."""
     config: str
@@ -99,7 +99,7 @@ class CampaignRecord:
     seeds: tuple[int, ...]
     """Planned seeds, ascending."""
     created: datetime
-    """With time zone; kept as UTC."""
+    """Time with time zone; kept as UTC."""
 
     def __post_init__(self) -> None:
         for field in ("hash", "name"):
@@ -111,20 +111,20 @@ class CampaignRecord:
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """The configuration, by section and key."""
+        """Configuration, by section and key."""
         found: dict[str, Any] = json.loads(self.config)
         return found
 
     @property
     def checksum(self) -> str:
-        """SHA-256 of hash and configuration, which belong together: 64 hexadecimal digits."""
+        """SHA-256 of hash and configuration together, 64 hexadecimal digits."""
         return sha256(f"{self.hash}\n{self.config}".encode()).hexdigest()
 
     def refuse_other(self, given: "CampaignRecord") -> None:
         """Raise `CampaignMismatchError`, which lists the differences, unless `given` is of the same campaign.
 
-        Two of one hash may each have keys that the other lacks: keys at their defaults are not hashed. A key that both
-        have must have one value, which finds a default that was changed without another version of the physics.
+        With equal hashes each may have keys that the other lacks, since keys at their defaults are not hashed. Values
+        of common keys must be equal. This detects a default that was changed without a new version of the physics.
         """
         is_same_hash = self.hash == given.hash
         differences = config_difference(self.config, given.config, shared_only=is_same_hash)

@@ -1,4 +1,4 @@
-"""Canonical JSON of a configuration, its hash, and the readable difference of two configurations."""
+"""Canonical JSON of a configuration, its hash, and the differences of two configurations as text."""
 
 import hashlib
 import json
@@ -20,9 +20,9 @@ def canonical_hash(config: Mapping[str, Any]) -> str:
 
 
 def config_difference(stored: str, given: str, *, shared_only: bool = False) -> list[str]:
-    """List what differs between two configurations in JSON text, a line for each nested key.
+    """List the differences of two configurations in JSON text, one line for each nested key.
 
-    With ``shared_only`` keys that only one of the two has are left out.
+    With ``shared_only`` keys that only one of both has are left out.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 """Frozen records of cells: identity, outcome and attempts.
 
-A missing number is None in a record and NULL in the database, never NaN; what happened to a cell is its
-`CellStatus`. Units are SI; contents are percent of the sand's mass.
+A missing number is None in a record and NULL in the database, never NaN. The outcome of a cell is its `CellStatus`.
+Units are SI; contents are percent of the sand's mass.
 """
 
 import math
@@ -34,14 +34,14 @@ _wave = partial(Quantity, origin="wave", bound=_POSITIVE, is_exact=True)
 _cement = partial(Quantity, origin="cement", bound=_NOT_NEGATIVE, is_exact=True)
 
 LARGEST_SEED = 2**63 - 1
-"""What SQLite, PostgreSQL and NetCDF's int64 hold, exactly."""
+"""Largest integer that SQLite, PostgreSQL and NetCDF's int64 hold."""
 
 
 class CellStatus(StrEnum):
-    """What happened to a cell.
+    """Status of a cell.
 
-    The first two are never stored: they are the absence of an outcome. Nor is the last: it is what is found where a
-    stored outcome was changed.
+    The first two are never stored: such a cell has no outcome. The last is never stored either: it marks a stored
+    outcome that was changed.
     """
 
     PENDING = "pending"
@@ -61,23 +61,23 @@ class CellStatus(StrEnum):
 
 
 STORED_STATUSES = tuple(s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DAMAGED})
-"""The outcomes a cell can have in the database."""
+"""Outcomes that a cell can have in the database."""
 
 NOT_PLANNED = "not_planned"
-"""Flag of a (seed, content) that is in the matrix only because others of its row and column are planned."""
+"""Flag of a (seed, content) in the matrix that is not planned itself."""
 
 STATUS_CODES = {
     name: code for code, name in enumerate((CellStatus.PENDING, *STORED_STATUSES, NOT_PLANNED, CellStatus.DAMAGED))
 }
-"""Values of the flag variable `status`; never renumbered, since old files hold them."""
+"""Values of the flag variable `status`; they never change, since files hold them."""
 
 
 def canonical_content(content: float) -> float:
-    """Return the one float that stands for a content: rounded to 1e-9 percent.
+    """Return a content rounded to 1e-9 percent.
 
-    Contents identify cells, and 0.1 + 0.2 must find the cells of 0.3. Any two floats that agree to nine decimals round
-    to the same float64, so that the database can compare exactly; 1e-9 percent is far below the cement of a single
-    contact. `ValueError` unless 0 <= content <= 100.
+    Contents identify cells, and 0.1 + 0.2 must find the cells of 0.3. Rounding gives equal floats, which the database
+    can compare exactly. 1e-9 percent is far below the cement of a single contact. `ValueError` unless
+    0 <= content <= 100.
     """
     rounded = round(float(content), _CONTENT_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
     if not 0.0 <= rounded <= 100.0:  # noqa: PLR2004 - percent; the comparison also refuses NaN
@@ -100,7 +100,7 @@ class CellKey(Record):
     seed: Annotated[int, Quantity("1", "seed of the random cement pattern")]
     """Number of the random cement pattern, 0 to `LARGEST_SEED`."""
     content: Annotated[float, Quantity("percent", "calcite content by mass of sand")]
-    """Calcite content [% of sand mass]; stored as `canonical_content` of what is given."""
+    """Calcite content [% of sand mass], rounded by `canonical_content`."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "seed", checked_seed(self.seed))
@@ -113,7 +113,7 @@ class CellKey(Record):
 
 @dataclass(frozen=True, slots=True)
 class CellResult(Record):
-    """Outcome of one cell with the numbers that say how far it can be trusted.
+    """Outcome of one cell, with its errors.
 
     The annotations of its fields are the catalogue of quantities: unit, meaning, origin and bounds of each.
     `ValueError` if status and numbers disagree, or a number is NaN, infinite or out of bounds.
@@ -121,13 +121,13 @@ class CellResult(Record):
 
     key: CellKey
     status: Annotated[CellStatus, Quantity("", "outcome of the cell", "measurement", is_brief=True, codes=STATUS_CODES)]
-    """One of `STORED_STATUSES`, or damaged in what a store gives."""
+    """One of `STORED_STATUSES`, or damaged when read from a store."""
     reason: Annotated[str, Quantity("", "why the outcome is what it is", "measurement")] = ""
     """A sentence; empty only for `done`."""
     vs: Annotated[_Real, _speed("shear-wave velocity", is_needed=True, is_brief=True, ancillary="status vs_error")] = (
         None
     )
-    """By the campaign's method; there if and only if `done`."""
+    """By the campaign's method; exists if and only if `done`."""
     vs_peak: Annotated[_Real, _speed("shear-wave velocity from peak to peak")] = None
     vs_first_arrival: Annotated[_Real, _speed("shear-wave velocity by first arrival")] = None
     vs_cross_correlation: Annotated[_Real, _speed("shear-wave velocity by cross-correlation")] = None
@@ -139,8 +139,8 @@ class CellResult(Record):
     distance: Annotated[_Real, _wave("m", "distance that the shear wave travelled")] = None
     """From the transmitter to the receiver."""
     wavelengths_on_path: Annotated[_Real, _reading("1", "wavelengths on that distance", bound=_POSITIVE)] = None
-    """The distance over the wavelength vs / frequency. With fewer than two, near field and shear wave arrive together
-    (section 3.1.3).
+    """Distance over the wavelength vs / frequency. Below two, near field and shear wave arrive together (section
+    3.1.3).
     """
     wavelength_over_d50: Annotated[_Real, _reading("1", "wavelength over median diameter by mass", bound=_POSITIVE)] = (
         None
@@ -152,7 +152,7 @@ class CellResult(Record):
         _Real, Quantity("1", "expected relative numerical error of vs", "error estimate", _NOT_NEGATIVE, is_brief=True)
     ] = None
     error_bound: Annotated[_Real, Quantity("1", "bound of the relative numerical error of vs", "error estimate")] = None
-    """Hardly ever exceeded."""
+    """At most one of a hundred cells exceeds it."""
     static_speed: Annotated[
         _Real, Quantity("m s-1", "velocity of long shear waves by statics", "statics", _POSITIVE)
     ] = None
@@ -172,15 +172,15 @@ class CellResult(Record):
     rank: Annotated[_Whole, Quantity("1", "MPI rank that computed it", "run", _NOT_NEGATIVE)] = None
     host: Annotated[str | None, Quantity("", "host that computed it", "run")] = None
     attempt: Annotated[int, Quantity("1", "number of the attempt", "run", _POSITIVE)] = 1
-    """Counted from 1 over all runs: part of the outcome's identity (see `Store`)."""
+    """Counted from 1 over all runs; part of the outcome's identity (see `Store`)."""
     packing_index: Annotated[int, Quantity("1", "which of the campaign's packings", "campaign", _NOT_NEGATIVE)] = 0
     features: PathFeatures | None = None
     graph: GraphSummary | None = None
-    """Path features and summary of the contact graph, where there are any."""
+    """Path features and summary of the contact graph, if known."""
     path: GrainPath | None = None
     section: RecordedSection | None = None
     cement: CementPattern | None = None
-    """Arrays, where they were stored and the query requested them (`ARRAY_RECORDS`)."""
+    """Arrays, if stored and requested by the query (`ARRAY_RECORDS`)."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", CellStatus(self.status))
@@ -192,9 +192,9 @@ class CellResult(Record):
 
     @classmethod
     def from_values(cls, key: CellKey, values: Mapping[str, Any]) -> Self:
-        """Build an outcome of its stored quantities and arrays by name; all others are left out.
+        """Build an outcome from its stored quantities and arrays by name; others are ignored.
 
-        Path features and graph summary are there as a whole or not at all, but for quantities that were added later.
+        Path features and graph summary are complete or missing, except for quantities that were added later.
         """
         parts: dict[str, Any] = {name: values[name] for name in ARRAY_RECORDS if name in values}
         for field, kind in (("features", PathFeatures), ("graph", GraphSummary)):
@@ -204,12 +204,12 @@ class CellResult(Record):
         return cls(key, **parts, **{quantity.name: values[quantity.name] for quantity in cls.quantities()})
 
     def values(self) -> dict[str, Any]:
-        """Return its stored quantities by name, those of the cell left out."""
+        """Return its stored quantities by name, without those of the cell."""
         parts = [part for part in (self, self.features, self.graph) if part is not None]
         return {q.name: getattr(part, q.name) for part in parts for q in part.quantities()}
 
     def packed(self) -> "PackedResult":
-        """Turn it into the columns of its rows, with its arrays compressed."""
+        """Convert it to the columns of its rows, with compressed arrays."""
         records = {name: record for name in ARRAY_RECORDS if (record := getattr(self, name)) is not None}
         arrays = {
             name: pack_arrays({field.name: np.asarray(getattr(record, field.name)) for field in fields(record)})
@@ -224,12 +224,12 @@ class CellResult(Record):
 
     @property
     def vs_error(self) -> float | None:
-        """Relative standard error of vs by simulation and reading; 1.96 of them on either side hold 95 %."""
+        """Relative standard error of vs by simulation and reading; 1.96 of it on either side is the 95 % interval."""
         return self._derived("vs_error")
 
     @property
     def vs_interval(self) -> tuple[float, float] | None:
-        """Interval that holds Vs with 95 %, m/s; None where `vs_error` is not known."""
+        """95 % interval of Vs, m/s; None where `vs_error` is unknown."""
         if self.vs is None or self.vs_error is None:
             return None
         half = NORMAL_95 * self.vs_error * self.vs
@@ -241,7 +241,7 @@ class CellResult(Record):
         return self._derived("path_departure")
 
     def _repr_html_(self) -> str:
-        """What is known of the cell, with units and meanings, for notebooks."""
+        """Table of the cell's values with units and meanings, for notebooks."""
         known = {"seed": self.key.seed, "content": self.key.content} | self.values()
         rows = []
         for quantity in QUANTITY_BY_NAME.values():
@@ -264,7 +264,7 @@ class CellResult(Record):
         return float(quantity.formula(math.sqrt, *values))
 
     def refuse_damage(self) -> None:
-        """Raise `DamagedStoreError` if the outcome is not what was stored."""
+        """Raise `DamagedStoreError` if the stored outcome was changed."""
         if self.status is CellStatus.DAMAGED:
             raise DamagedStoreError(
                 f"What is stored of seed {self.key.seed} and content {self.key.content} % is damaged: {self.reason}.",
@@ -287,19 +287,18 @@ class CellResult(Record):
 
 @dataclass(frozen=True, slots=True)
 class PackedResult:
-    """Outcome of one cell as the columns of its rows, arrays compressed (`CellResult.packed`).
+    """Outcome of one cell as the columns of its rows, with compressed arrays (`CellResult.packed`).
 
-    A worker makes it, so that the bytes that travel are those that are stored: the one process that stores the outcomes
-    of all workers has no time to compress them.
+    Workers make it, since the one process that stores the outcomes of all workers has no time to compress them.
     """
 
     key: CellKey
     columns: dict[str, Any]
-    """Quantities by name, except those that name the cell. Attempt, rank and host are replaced by whoever stores it."""
+    """Quantities by name, except seed and content. The storing process replaces attempt, rank and host."""
     arrays: dict[str, bytes]
     """Compressed arrays by the name of their field."""
     worker: WorkerRecord | None = None
-    """What the process that computed it is, if it says so; its rank is the master's to fill in."""
+    """Description of the process that computed it, if known; the master sets its rank."""
 
     @property
     def status(self) -> CellStatus:
@@ -312,7 +311,7 @@ class PackedResult:
         return int(self.columns["attempt"])
 
     def packed(self) -> Self:
-        """Return it as it is."""
+        """Return it unchanged."""
         return self
 
 
@@ -321,7 +320,7 @@ ARRAY_RECORDS: dict[str, type[GrainPath | RecordedSection | CementPattern]] = {
     "section": RecordedSection,
     "cement": CementPattern,
 }
-"""Fields of `CellResult` that hold arrays, with their classes; each is a blob in the database and a group in a file."""
+"""Fields of `CellResult` with arrays, and their classes; each is a blob in the database and a group in a file."""
 
 
 def _catalogue() -> Iterator[Quantity]:
@@ -333,20 +332,20 @@ def _catalogue() -> Iterator[Quantity]:
 
 
 QUANTITY_BY_NAME = {quantity.name: quantity for quantity in _catalogue()}
-"""The catalogue: all quantities of a cell, in the order in which they are shown."""
+"""Catalogue of all quantities of a cell, in the order of display."""
 
 EXACT_QUANTITIES = tuple(quantity.name for quantity in QUANTITY_BY_NAME.values() if quantity.is_exact)
-"""Quantities of a done cell that are equal, to the last bit, wherever the same campaign is computed."""
+"""Quantities of a done cell with the same bits wherever the campaign is computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class AttemptCount:
-    """How often a cell was tried."""
+    """Numbers of attempts at a cell."""
 
     attempts: int = 0
     """Attempts so far, over all runs; the next one has the number ``attempts + 1``."""
     losses: int = 0
-    """How many of them since the last retry ended with the loss of the worker."""
+    """Number of these since the last retry that ended with the loss of the worker."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -363,11 +362,11 @@ class AttemptRecord(Record):
     host: Annotated[str | None, Quantity("", "host")]
     seconds: Annotated[_Real, Quantity("s", "computing time", bound=_NOT_NEGATIVE)]
     recorded: datetime
-    """When it was stored (UTC)."""
+    """Time of storing (UTC)."""
     run_id: Annotated[_Whole, Quantity("1", "number of the run")] = None
-    """The run that made it."""
+    """Run of this attempt."""
     forgiven: bool = False
-    """Whether a retry came after it: its loss then counts no longer."""
+    """Whether a retry came after it; its loss then no longer counts."""
 
     def __post_init__(self) -> None:
         Record.__post_init__(self)

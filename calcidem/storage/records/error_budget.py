@@ -1,6 +1,6 @@
-"""The error of a velocity, made of two parts, and how far the two velocities of a cell differ.
+"""Error of a velocity from its two parts, and the difference of the two velocities of a cell.
 
-Each formula is written once, for numbers, arrays and columns of a database: it takes what draws the root, too.
+Each formula is written once, for numbers, arrays and columns of a database: its first argument is the square root.
 """
 
 from collections.abc import Callable
@@ -9,13 +9,13 @@ from typing import Any
 from calcidem.storage.records.quantity import Quantity
 
 NORMAL_95 = 1.96
-"""Standard errors on either side of a normal value that hold 95 %."""
+"""Half-width of the 95 % interval of a normal variable, in standard errors."""
 
 _COVERED_95 = 1.5
 """Multiple of the expected numerical error within which 95.3 % of 253 random cells lay (docs/reading.md)."""
 
 MOST_DEPARTURE = 2.0
-"""Departure of the path's velocity above which a cell is marked."""
+"""`path_departure` above which a cell is marked."""
 
 _NO_ERROR = 1e-30
 """Keeps the quotient of two exact velocities finite."""
@@ -35,7 +35,7 @@ def _vs_error(root: Root, expected_error: Any, reading_error: Any) -> Any:  # no
 
 
 def _path_departure(root: Root, vs: Any, path_vs: Any, reading_error: Any, path_error: Any) -> Any:  # noqa: ANN401
-    """Difference of two velocities over their standard errors."""
+    """Difference of two velocities over its standard error."""
     difference = (path_vs - vs) / vs
     return root(difference * difference / (reading_error * reading_error + path_error * path_error + _NO_ERROR))
 
@@ -63,9 +63,9 @@ DERIVED_QUANTITIES = (
         formula=_path_departure,
     ),
 )
-"""Quantities that are not stored: each follows from stored ones, and lacks a value where one of these does."""
+"""Quantities that are not stored; each follows from stored ones, and is missing if one of these is."""
 
 
 def departs(path_departure: Any) -> Any:  # noqa: ANN401 - number or array
-    """Whether path_vs differs from vs by more than their errors allow; what has no path_vs (NaN) does not."""
+    """Whether path_vs differs significantly from vs; False without path_vs (NaN)."""
     return path_departure > MOST_DEPARTURE

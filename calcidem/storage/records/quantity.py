@@ -1,8 +1,8 @@
-"""The notes from which the catalogue of quantities is made: they stand in the annotations of the frozen records.
+"""Annotations of the fields of records, from which the catalogue of quantities is made.
 
-A field of a record that is one number or text of a cell is annotated with a `Quantity`, a field that is an array with
-`Along`. Tables, checks, filters, files and the page of reference are made from these notes, so a stored quantity is
-added by a field here, and by a value where the record is made.
+A field with one number or text of a cell is annotated with a `Quantity`, a field with an array with `Along`. Tables,
+checks, filters, files and the reference page follow from these annotations. So a new stored quantity needs only a field
+and a value.
 """
 
 import math
@@ -16,11 +16,11 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-_NO_NUMBER = -1  # stands for None among whole numbers in files, all of whose real values are 0 or more
+_NO_NUMBER = -1  # stands for None among whole numbers in files; real values are 0 or more
 
 
 class Bound(StrEnum):
-    """What numbers a quantity may be, besides being finite; the value is the cure for the others."""
+    """Bound of a quantity, besides being finite; the value is the remedy in messages."""
 
     POSITIVE = "give a positive number, or None if there is none"
     NOT_NEGATIVE = "give a number of 0 or more, or None"
@@ -29,31 +29,31 @@ class Bound(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A number or a text that each cell has, or lacks."""
+    """A number or text of each cell, which may be missing."""
 
     unit: str
     """UDUNITS string; empty for text."""
     meaning: str
     """Long name in files and tables."""
     origin: str = "campaign"
-    """What it comes from, such as ``"reading"``."""
+    """Origin, such as ``"reading"``."""
     bound: Bound = Bound.NONE
     is_exact: bool = False
-    """Whether it is equal, to the last bit, wherever the same campaign is computed."""
+    """Whether it has the same bits wherever the campaign is computed."""
     is_needed: bool = False
     """Whether a done cell must have it."""
     is_brief: bool = False
-    """Whether it is one of the few that status and velocities need: they have a checksum of their own."""
+    """Whether it belongs to status and velocities, which have an additional checksum."""
     name: str = ""
     kind: Literal["real", "whole", "text"] = "real"
     is_optional: bool = False
-    """Of the field and its type; filled in by `quantities_of`."""
+    """Name and type of the field; set by `quantities_of`."""
     needs: tuple[str, ...] = ()
-    """Stored quantities that it is derived from; empty for a stored one."""
+    """Stored quantities from which it is derived; empty for a stored one."""
     formula: Callable[..., Any] | None = None
-    """Gives its value from a square root and the values of these, be they numbers, arrays or columns of a database."""
+    """Value from a square-root function and the values of these: numbers, arrays or columns of a database."""
     codes: Mapping[str, int] | None = None
-    """Whole numbers that stand for its texts in files, the flags of CF."""
+    """Whole numbers for its texts in files (CF flags)."""
     ancillary: str = ""
     """Quantities that qualify it (CF), separated by spaces."""
 
@@ -72,11 +72,11 @@ class Quantity:
 
     @property
     def gap(self) -> Any:  # noqa: ANN401 - text or number
-        """The value of missing entries in a file."""
+        """Value of missing entries in a file."""
         return {"text": "", "whole": _NO_NUMBER, "real": np.nan}[self.kind]
 
     def as_column(self, values: Sequence[Any] | NDArray[Any]) -> NDArray[Any]:
-        """Values, None or NaN where missing, as a file has them."""
+        """Values for a file, from values with None or NaN where missing."""
         if self.codes is not None:
             return np.array([self.codes[text] for text in values], dtype=np.int8)
         if self.kind == "text":
@@ -100,7 +100,7 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Along:
-    """An array with one row for each element of a dimension, whose length differs from cell to cell."""
+    """Array with one row for each element of a dimension whose length differs between cells."""
 
     dimension: str
     unit: str
@@ -108,21 +108,21 @@ class Along:
     meaning: str
     """Long name in files."""
     columns: str = ""
-    """Dimension of its columns, if their number differs from cell to cell, too; empty if it does not."""
+    """Dimension of its columns if their number also differs between cells; else empty."""
     width: int = 0
-    """Number of its columns, if it has the same ones in each cell."""
+    """Number of its columns if it is the same in all cells."""
 
     @property
     def elements(self) -> str:
-        """Dimension along which files have it: row after row where its columns have a dimension."""
+        """Dimension in files; row after row if its columns have a dimension."""
         return f"{self.dimension}_{self.columns}" if self.columns else self.dimension
 
 
 class Record:  # noqa: PLW1641 - records that are keys have the hash that `dataclasses` makes
-    """Base of the frozen dataclasses with notes: numbers in their bounds, arrays read-only and compared by value.
+    """Base of the annotated frozen dataclasses: numbers within bounds, arrays read-only and compared by value.
 
-    A class with arrays is declared with ``@dataclass(frozen=True, slots=True, eq=False)``: the comparison that
-    `dataclasses` generates fails on arrays, because ``a == b`` is an array then.
+    A class with arrays is declared with ``@dataclass(frozen=True, slots=True, eq=False)``, since the generated
+    comparison fails for arrays.
     """
 
     __slots__ = ()
@@ -135,14 +135,14 @@ class Record:  # noqa: PLW1641 - records that are keys have the hash that `datac
 
     @classmethod
     def arrays(cls) -> dict[str, Along]:
-        """Return the notes of the arrays, by name."""
+        """Return the annotations of the arrays, by name."""
         return {name: note for name, _, note in _annotated_fields(cls) if isinstance(note, Along)}
 
     def __post_init__(self) -> None:
-        """Turn NumPy scalars into Python's numbers, which database drivers know, and copy arrays.
+        """Convert NumPy scalars to Python numbers, for database drivers, and copy arrays.
 
-        `ValueError`, naming the field, for NaN and infinity, numbers out of the bounds of their quantities, and arrays
-        of another shape or of values that their type can't hold.
+        `ValueError`, naming the field, for NaN and infinity, numbers out of bounds, and arrays of another shape or with
+        values that their type cannot hold.
         """
         owner: Any = type(self)
         names, bounds, arrays = _checked(owner)
@@ -178,7 +178,7 @@ def _same(first: object, second: object) -> bool:
 
 
 def _freeze(field: str, values: object, element: type[Any], along: Along, lengths: dict[str, int]) -> Any:  # noqa: ANN401 - an array
-    """Return a contiguous read-only copy; the first array along a dimension gives the others their length."""
+    """Return a contiguous read-only copy; the first array along a dimension determines the length of the others."""
     given = np.asarray(values)
     array = np.array(given, dtype=element, order="C", copy=True)
     dimensions = [name for name in (along.dimension, along.columns) if name]
@@ -204,11 +204,11 @@ def _quantities_of(record: type) -> tuple[Quantity, ...]:
     )
 
 
-@cache  # a million records use it
+@cache  # cached for millions of records
 def _checked(
     record: type,
 ) -> tuple[tuple[str, ...], tuple[tuple[str, Bound], ...], tuple[tuple[str, type[Any], Along], ...]]:
-    """Names of all fields; bounds of those that have one; element type and note of each array, which bytes are not."""
+    """Names of all fields; bounds; element type and annotation of each array (bytes are no array)."""
     arrays = [(name, get_args(hint)[0], note) for name, hint, note in _annotated_fields(record)]
     return (
         tuple(field.name for field in fields(record)),

@@ -8,34 +8,34 @@ from typing import Any, Self
 from calcidem.storage.passwords import hide_passwords
 
 _NAMED_HOSTS = 3
-"""Machines of one kind that are named where there are many."""
+"""Number of machines of one kind that are named."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkerRecord:
-    """What bits could depend on in the processes of a run, once for all that are alike."""
+    """Properties of processes on which bits could depend, one record for all equal processes of a run."""
 
     ranks: tuple[int, ...]
-    """Ranks that are like this."""
+    """Ranks with these properties."""
     hosts: tuple[str, ...]
-    """Machines that they are on."""
+    """Their machines."""
     architecture: str
     """Family of the processor, such as ``x86_64``."""
     processor: str
-    """LLVM's name of the processor that kernels are compiled for, such as ``znver4``."""
+    """LLVM's name of the processor for which kernels are compiled, such as ``znver4``."""
     features: tuple[str, ...]
-    """LLVM's names of its features that kernels may use."""
+    """LLVM's names of the processor features that kernels may use."""
     versions: Mapping[str, str]
-    """Of Python, calcidem, its physics and the libraries that numbers depend on."""
+    """Versions of Python, calcidem, its physics and the libraries on which numbers depend."""
 
     def __post_init__(self) -> None:
-        """Take lists, as JSON has them, for tuples."""
+        """Convert lists from JSON to tuples."""
         for name in ("ranks", "hosts", "features"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
     def kind(self) -> str:
-        """What these processes are, in a line."""
+        """Describe these processes in one line."""
         return f"{self.processor} ({self.architecture}, {len(self.features)} features)"
 
     @classmethod
@@ -45,7 +45,7 @@ class WorkerRecord:
 
     @property
     def places(self) -> str:
-        """Their machines, only the first of many."""
+        """Their machines; of many only the first."""
         more = len(self.hosts) - _NAMED_HOSTS
         return ", ".join(self.hosts[:_NAMED_HOSTS]) + (f" and {more} more" if more > 0 else "")
 
@@ -62,7 +62,7 @@ class RunRecord:
     ranks: int
     """Size of the MPI world, 1 without MPI."""
     launch_line: str
-    """Command line; a password in it is not kept."""
+    """Command line without passwords."""
     started: datetime
     """With time zone; kept as UTC."""
     mpi_library: str | None = None
@@ -73,14 +73,14 @@ class RunRecord:
     """Whether that tree had uncommitted changes."""
     slurm_job_id: str | None = None
     ended: datetime | None = None
-    """None while it runs, and for ever if it was killed."""
+    """Time of the end; None while the run lasts, or if it was killed."""
     exit_state: str | None = None
-    """How it ended, in the words of the program."""
+    """Description of the end."""
     workers: tuple[WorkerRecord, ...] = ()
-    """What its processes were, one record for all that are alike; empty if that was not recorded."""
+    """Description of its processes, one record for all equal ones; empty if not recorded."""
 
     def __post_init__(self) -> None:
-        """Take mappings, as JSON has them, for workers."""
+        """Convert mappings from JSON to workers."""
         known = (
             worker if isinstance(worker, WorkerRecord) else WorkerRecord.from_json(worker)
             for worker in self.workers or ()
@@ -93,7 +93,7 @@ class RunRecord:
 
 
 def as_utc(moment: datetime) -> datetime:
-    """Return the moment in UTC; `ValueError` for a moment without time zone: it could mean anything."""
+    """Return a time in UTC; `ValueError` for a time without time zone, which is ambiguous."""
     if moment.tzinfo is None:
         raise ValueError(f"{moment} has no time zone; use datetime.now(UTC).")
     return moment.astimezone(UTC)

@@ -1,4 +1,4 @@
-"""Frozen records of a sample beyond single numbers: section, cement pattern, path, graph."""
+"""Frozen records of a sample: section, cement pattern, path, graph."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -11,7 +11,7 @@ from calcidem.storage.records.quantity import Along, Bound, Quantity, Record
 
 P_CONTACT = 1
 C_CONTACT = 2
-"""What a cemented contact is in `CementPattern.kind`; 0 stands for sand where all contacts are listed."""
+"""Kinds of a cemented contact in `CementPattern.kind`; in lists of all contacts 0 is a sand contact."""
 
 _positive = partial(Quantity, bound=Bound.POSITIVE)
 _path = partial(Quantity, "1", origin="path")
@@ -54,12 +54,12 @@ class RecordedSection(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CementPattern(Record):
-    """Which contacts of the packing are bonded: enough to rebuild the sample exactly."""
+    """Bonded contacts of the packing, which determine the sample exactly."""
 
     contacts: Annotated[
         NDArray[np.int32], Along("contact", "1", "indices of the two grains of a bonded contact", width=2)
     ]
-    """In the order in which they were bonded. Shape (m, 2)."""
+    """In the order of bonding. Shape (m, 2)."""
     kind: Annotated[NDArray[np.uint8], Along("contact", "1", "1 for a P contact, 2 for one in a C cluster")]
     """Shape (m,)."""
     cluster_centres: Annotated[
@@ -75,7 +75,7 @@ class CementPattern(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GrainPath(Record):
-    """The preferential path of a cell, from the transmitter to the receiver."""
+    """Preferential path of a cell, from the transmitter to the receiver."""
 
     grains: Annotated[NDArray[np.int32], Along("grain", "1", "index of a grain along the preferential path")]
     """Shape (n,)."""
@@ -88,7 +88,7 @@ class PathFeatures(Record):
     path_contacts: Annotated[int, _path("contacts on the preferential path")]
     path_hertz_contacts: Annotated[int, _path("uncemented contacts on it")]
     path_bonded_contacts: Annotated[int, _path("cemented contacts on it")]
-    """N, N_h and N_LPB of the paper, from which come LP = N_LPB / N and PLLC = QLLC / N."""
+    """N, N_h and N_LPB of the paper, with LP = N_LPB / N and PLLC = QLLC / N."""
     path_bonded_fraction: Annotated[float, _path("share of cemented contacts on it (LP)")]
     path_longest_bonded_run_fraction: Annotated[
         float, _path("longest run of cemented contacts over all contacts on it (PLLC)")
@@ -111,7 +111,7 @@ class PathFeatures(Record):
 
 @dataclass(frozen=True, slots=True)
 class GraphSummary(Record):
-    """What the contact graph of a cell is like as a whole; `ValueError` for numbers that contradict each other."""
+    """Summary of the contact graph of a cell; `ValueError` for contradictory numbers."""
 
     graph_contacts: Annotated[int, _graph("contacts between grains")]
     graph_bonded_contacts: Annotated[int, _graph("cemented contacts between grains")]
@@ -123,7 +123,7 @@ class GraphSummary(Record):
     graph_gap_contacts: Annotated[
         int | None, _graph("fewest uncemented contacts on a path from transmitter to receiver")
     ]
-    """0 where cement alone joins transmitter and receiver, None where nothing does."""
+    """0 if cement alone connects transmitter and receiver, None if they are not connected."""
 
     def __post_init__(self) -> None:
         Record.__post_init__(self)

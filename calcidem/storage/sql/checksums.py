@@ -1,12 +1,12 @@
-"""Checksums of rows: what was changed since it was stored is not taken for what was computed.
+"""Checksums of rows, which detect changes of stored data.
 
 Each row has a checksum of its columns and, if it belongs to a cell, of the cell's seed and content. An outcome has a
-second one of its few brief quantities, so that a question about velocities alone does not read the others. A checksum
-finds damage; it does not protect against deliberate changes.
+second checksum of status, velocities and their errors, so that queries of velocities need not read the others. A
+checksum detects damage; it does not protect against deliberate changes.
 
-A value is a word of 64 bits: a number as it is, anything else by its hash. The name of its column is added, the bits
-are mixed, and the words of a row are summed up and mixed again. What is missing adds nothing, so a column that is added
-to a table leaves its checksums as they are. A change of one value always changes the sum, since mixing is reversible.
+A value becomes a word of 64 bits: a number its own bits, any other value its hash. The name of the column is added, and
+the bits are mixed. The words of a row are summed and mixed again. Missing values add nothing, so a new column of a
+table does not change checksums. Mixing is reversible, so the change of one value always changes the sum.
 """
 
 import json
@@ -26,16 +26,16 @@ from calcidem.storage.records import CellKey
 from calcidem.storage.sql.tables import BRIEF_QUANTITIES, RESULT
 
 _NOT_COVERED = {"id", "campaign_id", "cell_id", "forgiven", "checksum"}
-"""Numbers that are the database's own, and what changes: whether an attempt was forgiven."""
+"""Excluded columns: row numbers of the database, and the flag of attempts before a retry, which changes."""
 
 _WORD = 2**64
-_NOTHING = -(2**63)  # stands for a missing whole number until its word is left out
+_NOTHING = -(2**63)  # stands for a missing whole number until its word is removed
 
 
 def row_checksums(table: Table, columns: Mapping[str, Sequence[Any]]) -> list[int]:
     """Return the checksums of some rows from their values by column, and `seed` and `content` of their cells.
 
-    So a row that turns up at another cell is damaged.
+    A row that belongs to another cell is therefore damaged.
     """
     length = len(next(iter(columns.values())))
     total = np.zeros(length, dtype=np.uint64)
@@ -49,7 +49,7 @@ def row_checksums(table: Table, columns: Mapping[str, Sequence[Any]]) -> list[in
 def seal(
     table: Table, rows: Sequence[dict[str, Any]], keys: Sequence[CellKey] | None = None
 ) -> Sequence[dict[str, Any]]:
-    """Give rows that are about to be stored their checksums; `keys` are those of their cells."""
+    """Add checksums to rows before they are stored; `keys` are those of their cells."""
     if not rows:
         return rows
     columns: dict[str, Sequence[Any]] = {name: [row.get(name) for row in rows] for name in covered_columns(table)}
@@ -67,7 +67,7 @@ def seal(
 
 
 def is_intact(table: Table, row: Mapping[str, Any]) -> bool:
-    """Whether a row that belongs to no cell is what was stored."""
+    """Whether a row without a cell is unchanged."""
     return [row["checksum"]] == row_checksums(table, {name: [row[name]] for name in covered_columns(table)})
 
 
@@ -78,7 +78,7 @@ def arrays_text(arrays: Mapping[str, bytes]) -> str:
 
 @cache
 def covered_columns(table: Table) -> tuple[str, ...]:
-    """Return the columns that a row's checksum is of."""
+    """Return the columns that the checksum of a row covers."""
     return tuple(column.name for column in table.columns if column.name not in _NOT_COVERED)
 
 
@@ -100,16 +100,16 @@ def _mix(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def _column_words(values: Sequence[Any], *, is_real: bool) -> tuple[NDArray[np.uint64], NDArray[np.bool_]]:
-    """Words of the values of a column, and where there are any."""
+    """Words of the values of a column, and flags of existing values."""
     types = set(map(type, values))
     if is_real and types <= {float, int, NoneType}:
-        real = np.array(values, dtype=np.float64) + 0.0  # not every database keeps the sign of a zero
+        real = np.array(values, dtype=np.float64) + 0.0  # not every database keeps the sign of zero
         return real.view(np.uint64), ~np.isnan(real)
     if not is_real and types <= {int, NoneType}:
         whole = np.array([_NOTHING if value is None else value for value in values], dtype=np.int64)
         return whole.view(np.uint64), whole != _NOTHING
     if types <= {str, datetime, NoneType}:
-        known = {value: 0 if value is None else _word(value) for value in set(values)}  # much the same ones
+        known = {value: 0 if value is None else _word(value) for value in set(values)}  # cached: most are the same
         words = [known[value] for value in values]
     else:
         words = [
@@ -119,7 +119,7 @@ def _column_words(values: Sequence[Any], *, is_real: bool) -> tuple[NDArray[np.u
 
 
 def _word(value: object) -> int:
-    """Word of a value of any type, the same as that of a whole column."""
+    """Word of a value of any type, as for a whole column."""
     if isinstance(value, str):
         return _word_of_text(str(value))
     if isinstance(value, float):
@@ -132,7 +132,7 @@ def _word(value: object) -> int:
     return _hash_of(value if isinstance(value, bytes) else json.dumps(value, sort_keys=True).encode())
 
 
-@lru_cache(4096)  # outcomes, hosts and reasons are much the same
+@lru_cache(4096)  # cached, since most outcomes, hosts and reasons are the same
 def _word_of_text(text: str) -> int:
     return _hash_of(text.encode("utf-8", "surrogatepass"))
 

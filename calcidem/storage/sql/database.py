@@ -1,4 +1,4 @@
-"""A database that is open: its file, its transactions, and the campaign of it that is chosen."""
+"""Open database: its file, its transactions, and the chosen campaign."""
 
 import errno
 from collections.abc import Callable, Iterable
@@ -21,7 +21,7 @@ from calcidem.storage.store import Closable
 
 
 class OpenDatabase(Closable):
-    """Base of a `Store`: opens its database, and knows its campaigns.
+    """Base of a `Store`: opens its database, and reads its campaigns.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class OpenDatabase(Closable):
 
     @property
     def record(self) -> CampaignRecord:
-        """The campaign that was chosen, as it was then."""
+        """The chosen campaign, as read when it was chosen."""
         if self._record is None:
             raise UnknownCampaignError("No campaign was chosen.", "Call begin_campaign or use_campaign first.")
         return self._record
@@ -90,9 +90,9 @@ class OpenDatabase(Closable):
             return tuple(self._campaign_of(connection, row) for row in found)
 
     def use_campaign(self, name: str | None = None) -> CampaignRecord:
-        """Choose an existing campaign; without a name the only one there is.
+        """Choose an existing campaign; without a name the only one.
 
-        `UnknownCampaignError` if there is none of that name, or several and no name was given.
+        `UnknownCampaignError` if no campaign has this name, or there are several and no name is given.
         """
         with self._reading() as connection:
             found = connection.execute(select(CAMPAIGN).order_by(CAMPAIGN.c.id)).all()
@@ -112,7 +112,7 @@ class OpenDatabase(Closable):
         """
 
         def planned(column: Column[Any], normalize: Callable[[Any], Any]) -> Iterable[Any]:
-            """Values of a column; what damage has made of some others is left out."""
+            """Values of a column of the right type; damaged values are left out."""
             found = connection.scalars(select(column).where(CELL.c.campaign_id == row.id).distinct())
             return (value for value in found if is_possible(normalize, value))
 
@@ -134,7 +134,7 @@ class OpenDatabase(Closable):
 
 
 def is_possible(normalize: Callable[[Any], object], value: object) -> bool:
-    """Whether a value is one that a function gives back as it is."""
+    """Whether a function returns a value unchanged."""
     try:
         return bool(normalize(value) == value)
     except (TypeError, ValueError):
@@ -142,7 +142,7 @@ def is_possible(normalize: Callable[[Any], object], value: object) -> bool:
 
 
 def _refuse_wrong_file(address: Address, *, read_only: bool) -> None:
-    """Say in plain words what is wrong with a path, where SQLite only says "unable to open database file"."""
+    """Explain why SQLite is "unable to open database file" at a path."""
     path = address.path
     if path is None:
         return
@@ -157,12 +157,12 @@ def _refuse_wrong_file(address: Address, *, read_only: bool) -> None:
 
 
 def _can_be_read_from_its_beginning(path: Path) -> bool:
-    """Whether this is a file, and not one of the kernel's that only look like one."""
+    """Whether this is a real file, not one of the operating system's virtual files."""
     if not path.is_file():
         return False
     try:
         with path.open("rb") as file:
             file.read(1)
     except OSError as error:
-        return error.errno != errno.EIO  # what else is wrong SQLite says
+        return error.errno != errno.EIO  # SQLite reports other problems
     return True

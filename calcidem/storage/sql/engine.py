@@ -1,4 +1,4 @@
-"""Connections to a store: address, pragmas of SQLite, real transactions, errors of databases as errors of the store."""
+"""Connections to a store: address, pragmas of SQLite, transactions, and translation of database errors."""
 
 import math
 import os
@@ -35,7 +35,7 @@ _BUSY_TIMEOUT_SECONDS = 30.0
 _WAL_SIZE_LIMIT_BYTES = 64 * 2**20
 
 _WRITES = "calcidem_writes"
-"""Execution option of a connection whose next transaction is going to write."""
+"""Execution option of a connection whose next transaction will write."""
 
 _PRIMARY_CODE = 0xFF  # extended SQLite error codes keep the primary one in their low byte
 
@@ -72,7 +72,7 @@ UNREADABLE = (
     *(SQLAlchemyError, DamagedStoreError),
     *(ArithmeticError, AttributeError, LookupError, TypeError, ValueError, EOFError, BadZipFile, zlib.error),
 )
-"""What reading a damaged row raises: the database itself, or whoever makes something of its values."""
+"""Exceptions of reading a damaged row, by the database or by the conversion of its values."""
 
 _CURE_OF_ERROR: dict[type[StoreError], str] = {
     StoreLockedError: "Try again when the other process has finished; it was not stored.",
@@ -95,13 +95,13 @@ class Address:
     url: URL
     """SQLAlchemy's form."""
     path: Path | None
-    """The file of a SQLite store, None for a server."""
+    """File of a SQLite store, None for a server."""
 
     @classmethod
     def parse(cls, path_or_url: str | os.PathLike[str]) -> Self:
-        """Understand a path (SQLite) or an URL such as ``postgresql+psycopg://user@host/database``.
+        """Parse a path (SQLite) or a URL such as ``postgresql+psycopg://user@host/database``.
 
-        `StoreUnavailableError` for an URL that can't be read or whose file name is missing.
+        `StoreUnavailableError` for an invalid URL or one without a file name.
         """
         text = os.fspath(path_or_url)
         if "://" not in text:
@@ -131,7 +131,7 @@ class Address:
 
 
 class Connections:
-    """Connections to a database, with transactions that are real on every backend.
+    """Connections to a database, with the same transactions on every backend.
 
     Attributes
     ----------
@@ -139,10 +139,10 @@ class Connections:
     """
 
     def __init__(self, address: Address, *, read_only: bool) -> None:
-        """Connect when it is needed.
+        """Prepare connections, which are opened on use.
 
         A writer of SQLite chooses the journal: a write-ahead log on a local disk, a rollback journal (DELETE) on a
-        network file system, where the log doesn't work. `StoreUnavailableError` if the database's driver isn't
+        network file system, where the log does not work. `StoreUnavailableError` if the database's driver is not
         installed.
         """
         self.address = address
@@ -172,26 +172,26 @@ class Connections:
             raise _translate_error(error, self.address) from error
         except UNREADABLE as error:
             if write or isinstance(error, DamagedStoreError):
-                raise  # what is wrong may be what was to be written
+                raise  # the values to be written may be wrong
             problem = f"{self.address}: something that is stored can't be read ({type(error).__name__}: {error})."
             raise DamagedStoreError(problem, _CURE_OF_ERROR[DamagedStoreError]) from error
 
     def execute_on_connect(self, statement: str) -> None:
-        """Have each reading connection of SQLite execute a statement before any other; open ones are closed."""
+        """Let each reading connection of SQLite execute a statement first; open ones are closed."""
 
         @event.listens_for(self._engine, "connect")
         def execute(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
-            connection.execute("PRAGMA temp_store=MEMORY")  # whoever may only read a file may have no other to write
-            connection.execute("PRAGMA query_only=OFF")  # views for the time of the connection count as changes, too
+            connection.execute("PRAGMA temp_store=MEMORY")  # a mere reader may have no writable folder
+            connection.execute("PRAGMA query_only=OFF")  # temporary views also count as changes
             connection.execute(statement)
             connection.execute("PRAGMA query_only=ON")
 
         self.close()
 
     def bring_log_into_file(self) -> None:
-        """Copy the write-ahead log, if there is one, into the database file, as far as readers allow.
+        """Copy the write-ahead log, if any, into the database file, as far as readers allow.
 
-        An error is ignored: what the log holds is stored, and the next attempt may succeed.
+        An error is ignored, since the contents of the log are stored and the next attempt may succeed.
         """
         with suppress(SQLAlchemyError, sqlite3.Error), closing(self._engine.raw_connection()) as connection:
             connection.cursor().execute("PRAGMA wal_checkpoint(PASSIVE)")
@@ -206,7 +206,7 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     # of a killed writer into the database.
     query: dict[str, str] = {"uri": "true", "mode": "rw" if read_only else "rwc"}
     if read_only and not os.access(path.parent, os.W_OK, effective_ids=True) and not Path(f"{path}-wal").exists():
-        # A log needs a writable folder. Without one nobody writes, so the file can be read as it is.
+        # A log needs a writable folder. Without one no process writes, so the file can be read directly.
         query["immutable"] = "1"
     url = URL.create("sqlite", database=path.as_uri(), query=query)
     engine = create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_SECONDS})
@@ -214,9 +214,9 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
 
     @event.listens_for(engine, "connect")
     def set_pragmas(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
-        connection.isolation_level = None  # the driver must not begin or commit: the listener below does
+        connection.isolation_level = None  # the listener below begins and commits, not the driver
         connection.text_factory = partial(str, encoding="utf-8", errors="replace")  # a checksum finds the damage
-        # Not every SQLite has this function; of what is no number of 0 or more databases give NULL.
+        # Not every SQLite has this function; databases return NULL for anything but a number of 0 or more.
         connection.create_function(
             "sqrt", 1, lambda x: math.sqrt(x) if isinstance(x, int | float) and x >= 0.0 else None, deterministic=True
         )
@@ -230,7 +230,7 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
-        # A writer takes its lock at once: upgrading a read lock later can fail without waiting.
+        # A writer locks at once, since upgrading a read lock later can fail without waiting.
         writes = connection.get_execution_options().get(_WRITES, False)
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
@@ -238,16 +238,16 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
 
 
 def may_be_damage(error: BaseException) -> bool:
-    """Whether an error of reading is one of the rows that were read, and other rows may be good."""
+    """Whether a reading error concerns only the rows read, so that other rows may be intact."""
     if not isinstance(error, DBAPIError):
         return True
     return getattr(error.orig, "sqlite_errorcode", 0) & _PRIMARY_CODE in _SQLITE_DAMAGE
 
 
 def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
-    """Return the error of the store that an error of the database means."""
+    """Return the error of the store for an error of the database."""
     original = error.orig if isinstance(error, DBAPIError) else error
-    broken = isinstance(error, DBAPIError) and error.connection_invalidated  # it was there before
+    broken = isinstance(error, DBAPIError) and error.connection_invalidated  # it was known before
     kind = StoreInterruptedError if broken else _kind(original)
     problem = f"{address}: {str(original).strip().rstrip('.')}."
     if kind is None:
@@ -259,7 +259,7 @@ def _kind(original: BaseException | None) -> type[StoreError] | None:
     sqlite_code = getattr(original, "sqlite_errorcode", None)
     if sqlite_code is not None:
         return _SQLITE_ERRORS.get(sqlite_code & _PRIMARY_CODE)
-    # psycopg gives no state when no connection was made at all.
+    # psycopg gives no state if no connection was made.
     state = getattr(original, "sqlstate", None)
     if state is None:
         return StoreUnavailableError if type(original).__name__ == "OperationalError" else None
@@ -267,9 +267,9 @@ def _kind(original: BaseException | None) -> type[StoreError] | None:
 
 
 def measure_commits(path: Path, count: int) -> tuple[str, float]:
-    """Journal mode, such as ``"wal"``, and transactions a second of a new SQLite file, in small ones as of a campaign.
+    """Journal mode, such as ``"wal"``, and small transactions per second of a new SQLite file.
 
-    `StoreError` if that can't be done there.
+    `StoreError` if the folder does not allow it.
     """
     database = Connections(Address.parse(path), read_only=False)
     try:

@@ -1,4 +1,4 @@
-"""What kind of file system a file is on: SQLite's write-ahead log needs memory shared between its users."""
+"""Type of a file's file system: SQLite's write-ahead log needs memory shared between its users."""
 
 from pathlib import Path
 
@@ -9,10 +9,10 @@ _NETWORK_FILESYSTEMS = (
 
 
 def filesystem_type(path: Path, mountinfo: str | None = None) -> str | None:
-    """Type of the file system that holds a path, such as ``"ext4"``; None where it can't be told (no /proc).
+    """Type of the file system of a path, such as ``"ext4"``; None if unknown (no /proc).
 
-    The path need not exist yet. ``mountinfo`` is text in the format of ``/proc/self/mountinfo`` (proc(5)), by default
-    that file's.
+    The path need not exist yet. ``mountinfo`` is a text in the format of ``/proc/self/mountinfo`` (proc(5)), by default
+    this file.
     """
     if mountinfo is None:
         try:
@@ -37,8 +37,7 @@ def filesystem_type(path: Path, mountinfo: str | None = None) -> str | None:
 def is_network_filesystem(path: Path, mountinfo: str | None = None) -> bool:
     """Whether a path is on a network or cluster file system.
 
-    Every ``fuse.*`` type counts as one (sshfs, glusterfs, s3fs ...): there a wrong guess costs speed, the
-    other way it costs data.
+    Every ``fuse.*`` type counts as one (sshfs, glusterfs, s3fs ...): a wrong yes costs speed, a wrong no costs data.
     """
     kind = filesystem_type(path, mountinfo)
     return kind is not None and (kind in _NETWORK_FILESYSTEMS or kind.startswith("fuse."))

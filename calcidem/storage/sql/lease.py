@@ -1,10 +1,10 @@
 """One master for a campaign: a row in the database, and for a SQLite file an operating-system lock beside it.
 
-The lock decides between processes of one machine, even after a kill. The row's heartbeat decides between machines,
-where locks on network file systems can't be relied on. The lock's file also notes the heartbeat of the last
-acknowledged transaction: if the row is older, or gone, SQLite has dropped the end of a damaged write-ahead log, which
-it does without a word. filelock (4.2) raises where a file system has no locks (ENOLCK), or falls back to a file that a
-kill leaves behind: neither lets the row decide.
+The lock decides between processes of one machine, even after a kill. The heartbeat in the row decides between machines,
+since locks on network file systems are unreliable. The lock file also records the heartbeat of the last acknowledged
+transaction. If the row is older or missing, SQLite has silently dropped the end of a damaged write-ahead log. The
+package filelock (4.2) is not used: without locks of the file system (ENOLCK) it raises an error, or uses a file that
+remains after a kill.
 """
 
 import errno
@@ -30,20 +30,20 @@ else:
 
 
 class Lease:
-    """The right of one process to write a campaign: its row in the database, and a lock on ``<database>.lock``.
+    """Right of one process to write a campaign: its row in the database, and a lock on ``<database>.lock``.
 
-    The kernel drops the lock when the process ends, however it ends.
+    The operating system releases the lock at any end of the process.
 
     Attributes
     ----------
     path : Path or None
-        The lock file; a database without a file has none, and its row alone decides.
+        Lock file; None for a database without a file, where the row alone decides.
     token : str or None
-        Mark of this process in its row, once that is stored.
+        Mark of this process in its row, once the row is stored.
     """
 
     def __init__(self, database: Path | None) -> None:
-        """Take neither yet; `database` is the SQLite file."""
+        """Prepare without taking lock or row; `database` is the SQLite file."""
         self.path = None if database is None else Path(f"{database}.lock")
         self.token: str | None = None
         self._descriptor: int | None = None
@@ -56,8 +56,8 @@ class Lease:
     def acquire(self) -> bool:
         """Try to lock without waiting; False if another process has the lock.
 
-        A file system without locks (some cluster mounts), or a system without them (Windows), counts as success with
-        `held` False: the row alone decides then.
+        On a file system or system without locks (some cluster mounts, Windows) this succeeds with `held` False, and the
+        row alone decides.
         """
         if not HAS_LOCKS or self.path is None:
             return True
@@ -80,13 +80,13 @@ class Lease:
         return True
 
     def note(self, token: str, heartbeat: datetime) -> None:
-        """Write that a transaction of this lease, with this heartbeat, is stored; does nothing without the lock."""
+        """Record that a transaction with this heartbeat is stored; does nothing without the lock."""
         if self._descriptor is not None:
-            with suppress(OSError):  # a full disk: then only the loss of what was stored would not be noticed
+            with suppress(OSError):  # a full disk: only a later loss of stored data would not be noticed
                 os.pwrite(self._descriptor, f"{token} {heartbeat.isoformat(timespec='microseconds')}\n".encode(), 0)
 
     def forget(self) -> None:
-        """Take the note back, before the row that it is compared with goes; does nothing without the lock."""
+        """Erase the record before the row is removed; does nothing without the lock."""
         if self._descriptor is not None:
             os.ftruncate(self._descriptor, 0)
 
@@ -98,9 +98,9 @@ class Lease:
             self._descriptor = None
 
     def acknowledged(self) -> tuple[str, datetime] | None:
-        """Token and heartbeat of the last transaction that was acknowledged to a master that did not end in order.
+        """Token and heartbeat of the last acknowledged transaction of a master that did not end regularly.
 
-        The lock file has them; None if there is none, or nothing is noted in it. Read it before the database.
+        They are in the lock file; None if it is missing or empty. Read it before the database.
         """
         try:
             token, heartbeat = ("" if self.path is None else self.path.read_text(encoding="ascii")).split()
@@ -110,7 +110,7 @@ class Lease:
 
     @staticmethod
     def describe_loss(connection: Connection, acknowledged: tuple[str, datetime] | None) -> str | None:
-        """Return a sentence on what a database lacks of what was acknowledged; None if it has everything."""
+        """Return a sentence about acknowledged data that a database lacks; None if it has everything."""
         if acknowledged is None:
             return None
         token, heartbeat = acknowledged
@@ -125,9 +125,9 @@ class Lease:
         )
 
     def claim(self, connection: Connection, campaign_id: int, token: str) -> tuple[datetime, LeaseHolder | None]:
-        """Write the row for this process in a writing transaction; give its first heartbeat and a dead former holder.
+        """Write the row for this process in a writing transaction; return its first heartbeat and a dead former holder.
 
-        A former holder on this machine is dead if this process has its lock. `LeaseHeldError` if it may be alive.
+        A former holder on this machine is dead if this process has the lock. `LeaseHeldError` if it may be alive.
         """
         now, host = datetime.now(UTC), socket.gethostname()
         former = self.holder(connection, campaign_id, for_update=True)
@@ -146,7 +146,7 @@ class Lease:
                 raise self.held_error(holder)
 
     def renew(self, connection: Connection) -> datetime:
-        """Move the heartbeat to now, and return it; `LeaseLostError` if the row is another process's by now."""
+        """Set the heartbeat to now and return it; `LeaseLostError` if the row belongs to another process."""
         heartbeat = datetime.now(UTC)
         renewed = connection.execute(update(LEASE).where(LEASE.c.token == self.token).values(heartbeat=heartbeat))
         if renewed.rowcount == 0:
@@ -158,7 +158,7 @@ class Lease:
 
     @staticmethod
     def holder(connection: Connection, campaign_id: int, *, for_update: bool = False) -> LeaseHolder | None:
-        """Return who holds the lease of a campaign, None if nobody does."""
+        """Return the holder of a campaign's lease, None without one."""
         columns = (LEASE.c[field.name] for field in fields(LeaseHolder))
         statement = select(*columns).where(LEASE.c.campaign_id == campaign_id)
         row = connection.execute(statement.with_for_update() if for_update else statement).first()
@@ -166,7 +166,7 @@ class Lease:
 
     @staticmethod
     def held_error(holder: LeaseHolder | None) -> LeaseHeldError:
-        """Return the error that names the present master."""
+        """Return an error that names the present master."""
         if holder is None:
             who, cure = "another process on this machine", "Wait until it has ended."
         else:

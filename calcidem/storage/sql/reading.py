@@ -1,4 +1,4 @@
-"""Reading a campaign: from a `Selection` to records and columns, in which damaged rows are damaged cells."""
+"""Reading of a campaign: a `Selection` gives records and columns; damaged rows become damaged cells."""
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -49,13 +49,13 @@ from calcidem.storage.store import ALL_CELLS, LeaseHolder, Selection, StoreMark
 T = TypeVar("T")
 
 _ROWS_READ_AT_ONCE = 500
-"""Rows that are Python objects at a time while columns are read: so few that they fit the processor's cache."""
+"""Number of rows converted to Python objects at a time; so few fit into the processor's cache."""
 
 _KEYS_PER_QUERY = 500
-"""Rows for one query where keys are listed: far below the number of parameters any database allows."""
+"""Number of keys listed in one query, far below the number of parameters that any database allows."""
 
-_LARGEST_LIMIT = 2**63 - 1  # the largest whole number that databases know
-_MOST_ATTEMPTS = 2**31 - 1  # the largest number of an attempt, that of a 32-bit column
+_LARGEST_LIMIT = 2**63 - 1  # largest whole number of databases
+_MOST_ATTEMPTS = 2**31 - 1  # largest number of an attempt, in a 32-bit column
 
 _BY_KEY = (CELL.c.seed, CELL.c.content)
 _OF_CELL = {name for name, column in EXPRESSIONS.items() if getattr(column, "table", None) is CELL}
@@ -65,32 +65,32 @@ _DAMAGED_RUN = "damaged: what was stored of this run was changed"
 
 
 def chunks(items: Iterable[T], size: int = _KEYS_PER_QUERY) -> Iterator[list[T]]:
-    """Cut what may be too much for the memory into pieces of at most `size`."""
+    """Split a long sequence into pieces of at most `size`."""
     remaining = iter(items)
     while chunk := list(islice(remaining, size)):
         yield chunk
 
 
 class StoreReader(OpenDatabase):
-    """The queries of a `Store`, none of which changes it."""
+    """Queries of a `Store`; none changes it."""
 
     # Provenance
 
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
-        """All runs of the campaign with their numbers, oldest first; of a damaged one nothing is given but that."""
+        """All runs of the campaign with their numbers, oldest first; a damaged run has only its number."""
         with self._reading() as connection:
             statement = sa.select(RUN).where(RUN.c.campaign_id == self._campaign).order_by(RUN.c.id)
             return tuple((row["id"], _run_of(dict(row))) for row in connection.execute(statement).mappings())
 
     def lease_holder(self) -> LeaseHolder | None:
-        """Return who holds the lease, None if nobody does; it may have died (`LeaseHolder.may_live`)."""
+        """Return the holder of the lease, None without one; it may have died (`LeaseHolder.may_live`)."""
         with self._reading() as connection:
             return Lease.holder(connection, self._campaign)
 
     def packing(self, index: int = 0) -> PackingRecord:
         """Return a packing of the campaign.
 
-        `UnknownCellError` if there is none of that index (yet); `DamagedStoreError` if it is not what was stored.
+        `UnknownCellError` if none is stored under that index; `DamagedStoreError` if it was changed.
         """
         with self._reading() as connection:
             statement = sa.select(PACKING).where(PACKING.c.campaign_id == self._campaign, PACKING.c.number == index)
@@ -99,7 +99,7 @@ class StoreReader(OpenDatabase):
         raise UnknownCellError(f"Packing {index} is not stored.", f"Stored are: {self.packing_indices()}.")
 
     def content_hashes(self) -> dict[int, str | None]:
-        """Return the content hash of each stored packing by its index, ascending; None where an old one has none."""
+        """Return the content hash of each stored packing by index, ascending; None for an old packing without one."""
         with self._reading() as connection:
             statement = sa.select(PACKING.c.number, PACKING.c.content_hash)
             statement = statement.where(PACKING.c.campaign_id == self._campaign).order_by(PACKING.c.number)
@@ -124,13 +124,13 @@ class StoreReader(OpenDatabase):
         return dict(zip(keys, map(CellStatus, columns["status"]), strict=True))
 
     def status_counts(self) -> dict[tuple[float, CellStatus], int]:
-        """Return how many planned cells each content (percent) has of each status; zeros are left out."""
+        """Return the number of planned cells of each content (percent) and status; zeros are left out."""
         columns = self.table(("content", "status"))
         counted = Counter(zip(columns["content"].tolist(), columns["status"].tolist(), strict=True))
         return {(content, CellStatus(status)): count for (content, status), count in sorted(counted.items())}
 
     def mark(self) -> StoreMark:
-        """Return what shows whether anything has changed in the database: two equal marks, and no outcome is new."""
+        """Return a mark of the database's state; with two equal marks no outcome is new."""
         counts = [sa.select(sa.func.count()).select_from(table).scalar_subquery() for table in (CELL, ATTEMPT, RESULT)]
         with self._reading() as connection:
             recorded = sa.select(sa.func.max(ATTEMPT.c.recorded)).scalar_subquery()
@@ -144,9 +144,9 @@ class StoreReader(OpenDatabase):
             return connection.scalar(statement.where(CELL.c.campaign_id == self._campaign)) or 0
 
     def attempt_counts(self, keys: Iterable[CellKey] | None = None) -> dict[CellKey, AttemptCount]:
-        """Count the attempts of these cells (0 if never tried), or of all that were tried again or lost a worker."""
+        """Count the attempts of these cells (0 if never tried), or of all cells tried again or with a lost worker."""
         losses = sa.func.sum(sa.case((sa.and_(ATTEMPT.c.outcome == "lost", ATTEMPT.c.forgiven.is_(False)), 1), else_=0))
-        # SQLite lets damage put a text, a fraction or a number beyond all attempts there; the next attempt counts on.
+        # In SQLite a damaged column may hold a text, a fraction or a huge number; the next attempt continues the count.
         number = sa.case((ATTEMPT.c.number.between(1, _MOST_ATTEMPTS), sa.cast(ATTEMPT.c.number, sa.Integer)), else_=0)
         statement = (
             sa.select(CELL.c.seed, CELL.c.content, sa.func.max(number), losses)
@@ -157,7 +157,7 @@ class StoreReader(OpenDatabase):
         listed = None if keys is None else list(keys)
         counts = dict.fromkeys(listed or (), AttemptCount())
         with self._reading() as connection:
-            # Of a large campaign few are, and to look for these first takes a tenth of the time.
+            # In a large campaign few are, and finding these first takes a tenth of the time.
             may_be = sa.select(ATTEMPT.c.cell_id).where(sa.or_(ATTEMPT.c.number > 1, ATTEMPT.c.outcome == "lost"))
             repeated = statement.where(CELL.c.id.in_(may_be)).having(sa.or_(sa.func.max(number) > 1, losses > 0))
             for part in [repeated] if listed is None else [statement.where(self._cell_in(c)) for c in chunks(listed)]:
@@ -166,14 +166,14 @@ class StoreReader(OpenDatabase):
         return counts
 
     def history(self, selection: Selection = ALL_CELLS) -> Iterator[AttemptRecord]:
-        """All attempts at the selected cells that are as they were stored, by seed, content and number."""
+        """All undamaged attempts at the selected cells, by seed, content and number."""
         found = self._piecewise(self._chosen(selection), self._attempts_or_damage)
         return (attempt for _, attempt in found if attempt is not None)
 
     # Outcomes
 
     def cell(self, *, seed: int, content: float) -> CellResult:
-        """Return the whole outcome of one cell, with its arrays; `UnknownCellError` if the cell has no outcome."""
+        """Return the outcome of one cell with its arrays; `UnknownCellError` if it has none."""
         for found in self.results(Selection(seed, content), with_arrays=True):
             return found
         raise UnknownCellError(
@@ -186,23 +186,23 @@ class StoreReader(OpenDatabase):
     ) -> Iterator[CellResult]:
         """Outcomes of the selected cells, by seed, then content; fetched as they are consumed.
 
-        With arrays, paths, sections and cement patterns are loaded, some 50 kB a cell, or those named of
-        `ARRAY_RECORDS`. The others are None, and are neither read nor compared with their checksums.
+        ``with_arrays`` loads paths, sections and cement patterns, some 50 kB a cell, or those of `ARRAY_RECORDS` that
+        it names. Others are None; they are neither read nor checked.
         """
         wanted = (ARRAY_RECORDS if with_arrays else ()) if isinstance(with_arrays, bool) else with_arrays
         found = self._piecewise(self._chosen(selection), partial(_results_of, wanted=wanted))
         return (result for result in found if _is_selected(result.status, selection))
 
     def arrays(self, selection: Selection = ALL_CELLS) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
-        """Array records (`ARRAY_RECORDS`) by name of the selected cells that have some, by seed, then content.
+        """Array records (`ARRAY_RECORDS`) by name, of the selected cells with arrays, by seed, then content.
 
-        Unlike in `results`, the cells' numbers are neither read nor checked. Of damaged arrays there is a clause on the
-        damage.
+        Unlike in `results`, the numbers of the cells are neither read nor checked. For damaged arrays there is a clause
+        about the damage.
         """
         return self._piecewise(self._chosen(selection), _all_arrays_of)
 
     def _chosen(self, selection: Selection) -> Sequence[int]:
-        """Numbers of the cells that are selected, by seed, then content."""
+        """Row numbers of the selected cells, by seed, then content."""
         statement = join_results(sa.select(CELL.c.id)).where(*_conditions(self._campaign, selection)).order_by(*_BY_KEY)
         with self._reading() as connection:
             _refuse_unknown_contents(connection, self.record.name, self._campaign, selection)
@@ -211,9 +211,9 @@ class StoreReader(OpenDatabase):
     def _piecewise(
         self, cells: Sequence[int], fetch: Callable[[sa.Connection, Sequence[int]], Iterable[T]]
     ) -> Iterator[T]:
-        """Fetch what there is of some cells piece by piece.
+        """Fetch data of cells piece by piece.
 
-        No transaction stays open between the pieces: an open one would keep a writer from emptying its log.
+        No transaction stays open between the pieces, since it would prevent a writer from emptying its log.
         """
         for chunk in chunks(cells):
             with self._reading() as connection:
@@ -230,10 +230,10 @@ class StoreReader(OpenDatabase):
     ) -> dict[str, NDArray[Any]]:
         """Return columns (`QUANTITY_BY_NAME`) of the selected planned cells in one query.
 
-        ``sort`` names quantities, descending with ``-`` before the name; missing values are last, equal ones in the
+        ``sort`` names quantities, descending with ``-`` before the name. Missing values are last, equal ones in the
         order of seed, then content. Each column is (cells,): objects for texts (None where missing), int64 for seeds,
-        float64 for other numbers (NaN where missing). Only the brief checksum is compared if all names are brief.
-        `QueryError` for an unknown quantity, a filter that can't be understood, or a negative limit.
+        float64 for other numbers (NaN where missing). If all quantities are brief, only the brief checksum is compared.
+        `QueryError` for an unknown quantity, an invalid filter, or a negative limit.
         """
         if unknown := [name for name in (*names, *(n.removeprefix("-") for n in sort)) if name not in QUANTITY_BY_NAME]:
             raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", f"Known are: {', '.join(QUANTITY_BY_NAME)}.")
@@ -255,7 +255,7 @@ class StoreReader(OpenDatabase):
                 return _with_derived(_listed(rows.partitions(), outcomes, fetched, selection), names)
             except UNREADABLE as error:
                 if sort or limit is not None or not may_be_damage(error):
-                    raise  # where a value can't be read there is no order
+                    raise  # unreadable values have no order
             cells = sa.select(CELL.c.id).where(CELL.c.campaign_id == self._campaign).order_by(*_BY_KEY)
             found = (
                 row
@@ -265,10 +265,10 @@ class StoreReader(OpenDatabase):
             return _with_derived(_listed(chunks(found, _ROWS_READ_AT_ONCE), outcomes, fetched, selection), names)
 
     def integrity(self) -> tuple[dict[CellKey, str], list[str]]:
-        """Compare everything that is stored of the campaign with its checksums, and let the database check itself.
+        """Compare all stored data of the campaign with their checksums, and let the database check itself.
 
-        Returned are the damaged cells, each with a clause on its damaged parts, and sentences on all other damage: of
-        packings, runs, attempts, or the file.
+        Return the damaged cells, each with a clause about its damaged parts, and sentences about damage of packings,
+        runs, attempts or the file.
         """
         noted = Lease(self.address.path).acknowledged()
         outcomes = self.results(with_arrays=True)
@@ -295,7 +295,7 @@ class StoreReader(OpenDatabase):
     def _cell_in(keys: Sequence[CellKey]) -> sa.ColumnElement[bool]:
         """Condition that a cell is one of the keys.
 
-        SQLite doesn't search an index for a list of pairs, but it does for the lists of their parts.
+        SQLite does not use an index for a list of pairs, but does for the lists of their parts.
         """
         seeds, contents = {key.seed for key in keys}, {key.content for key in keys}
         listed = sa.tuple_(CELL.c.seed, CELL.c.content).in_([(key.seed, key.content) for key in keys])
@@ -305,7 +305,7 @@ class StoreReader(OpenDatabase):
     def _attempts_or_damage(
         connection: sa.Connection, cells: Sequence[int]
     ) -> Iterator[tuple[Sequence[Any] | None, AttemptRecord | None]]:
-        """Rows of the attempts at cells, None where one can't be read, and what they stand for, None if damaged."""
+        """Rows of the attempts at cells (None if unreadable), and their records (None if damaged)."""
         names = covered_columns(ATTEMPT)
         statement = sa.select(
             CELL.c.id, *_BY_KEY, ATTEMPT.c.checksum, ATTEMPT.c.forgiven, *(ATTEMPT.c[n] for n in names)
@@ -327,7 +327,7 @@ class StoreReader(OpenDatabase):
 
     @staticmethod
     def _packing_of(row: Mapping[str, Any]) -> PackingRecord:
-        """Build a packing from its row; `DamagedStoreError` if the row was changed after it had been stored."""
+        """Build a packing from its row; `DamagedStoreError` if the row was changed."""
         if not is_intact(PACKING, row):
             raise DamagedStoreError(
                 f"The stored packing {row['number']} was changed after it had been stored.",
@@ -345,7 +345,7 @@ def _conditions(campaign_id: int, selection: Selection) -> list[sa.ColumnElement
     """Conditions of a query over `join_results`."""
     found = [CELL.c.campaign_id == campaign_id]
     if selection.seeds:
-        first, last = selection.seeds[0], selection.seeds[-1]  # a range without gaps, the usual case, needs two only
+        first, last = selection.seeds[0], selection.seeds[-1]  # a range without gaps, the usual case, needs only two
         is_range = last - first == len(selection.seeds) - 1
         found.append(CELL.c.seed.between(first, last) if is_range else CELL.c.seed.in_(selection.seeds))
     elif selection.seeds is not None:
@@ -353,7 +353,7 @@ def _conditions(campaign_id: int, selection: Selection) -> list[sa.ColumnElement
     if selection.contents is not None:
         found.append(CELL.c.content.in_(selection.contents))
     if selection.statuses is not None and CellStatus.DAMAGED not in selection.statuses:
-        # Without pending the plain column will do, which has an index.
+        # Without pending the plain column suffices, which has an index.
         status = STATUS if CellStatus.PENDING in selection.statuses else RESULT.c.status
         found.append(status.in_([s.value for s in selection.statuses]))
     if selection.where is not None:
@@ -364,14 +364,14 @@ def _conditions(campaign_id: int, selection: Selection) -> list[sa.ColumnElement
 
 
 def _is_selected(status: str, selection: Selection) -> bool:
-    """Whether a row is given: a damaged one was chosen by what it is no longer, and meets no filter."""
+    """Whether a row is returned; a damaged one meets no filter, since its values are unknown."""
     if status == CellStatus.DAMAGED and selection.where is not None:
         return False
     return selection.statuses is None or status in selection.statuses
 
 
 def _refuse_unknown_contents(connection: sa.Connection, name: str, campaign_id: int, selection: Selection) -> None:
-    """Raise an `UnknownCellError` that names the contents of a campaign if one that is selected is none of them."""
+    """Raise an `UnknownCellError` that names the contents of a campaign if a selected one is not among them."""
     of_campaign = sa.select(CELL.c.content).where(CELL.c.campaign_id == campaign_id)
     unknown = [
         f"{content:g} %"
@@ -394,8 +394,8 @@ def _readable_rows(
     number: sa.SQLColumnExpression[Any],
     cells: Sequence[int],
 ) -> Iterator[tuple[int, Sequence[Any] | None]]:
-    """Give the rows of some cells, which begin with the cell's number, and None for each that can't be read."""
-    first, last = min(cells, default=0), max(cells, default=0)  # a range without gaps, the usual case, needs two only
+    """Return the rows of some cells, beginning with the cell's number; None for unreadable ones."""
+    first, last = min(cells, default=0), max(cells, default=0)  # a range without gaps, the usual case, needs only two
     is_range = last - first == len(cells) - 1
     chosen = number.between(first, last) if is_range else number.in_(cells)
     try:
@@ -418,7 +418,7 @@ def _readable_rows(
 def _rows_or_keys(
     connection: sa.Connection, statement: sa.Select[*tuple[Any, ...]], cells: Sequence[int]
 ) -> Iterator[Sequence[Any]]:
-    """Give the rows of some cells; of one that can't be read its number, seed and content, unless these can't be."""
+    """Return the rows of some cells; for an unreadable one number, seed and content, if these are readable."""
     key = sa.select(CELL.c.id, *_BY_KEY)
     for cell_id, row in _readable_rows(connection, statement, CELL.c.id, cells):
         if row is not None:
@@ -428,12 +428,12 @@ def _rows_or_keys(
 
 
 def _problem_of(error: Exception) -> str:
-    """What is damaged of a cell, as a clause."""
+    """Damage of a cell, as a clause."""
     return error.problem if isinstance(error, DamagedStoreError) else f"it can't be read ({error})"
 
 
 def _with_possible_keys(rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
-    """Leave out rows whose seed or content no cell can have: they may be those of any cell."""
+    """Leave out rows with an impossible seed or content, whose cell is unknown."""
     return [row for row in rows if is_possible(canonical_content, row[2]) and is_possible(checked_seed, row[1])]
 
 
@@ -444,21 +444,21 @@ def _are_possible(seeds: Sequence[Any], contents: Sequence[Any]) -> bool:
 
 
 class _Outcomes:
-    """What a query over outcomes fetches for each cell, and which of its rows are damaged.
+    """Columns of a query over outcomes, and detection of damaged rows.
 
-    A row begins with number, seed and content of the cell, and the number again if it has an outcome. For the outcome,
-    and for its attempt if requested, a checksum and its columns follow.
+    A row begins with number, seed and content of the cell, and the number again if it has an outcome. Then follow
+    checksum and columns of the outcome, and of its attempt if requested.
 
     Attributes
     ----------
     columns : tuple of column
-        To select.
+        Columns to select.
     place : dict of str to int
         Place of each quantity in a row.
     """
 
     def __init__(self, names: Collection[str] | None = None) -> None:
-        """Fetch what the checksums of these quantities are of; None for everything."""
+        """Fetch the columns covered by the checksums of these quantities; None for all."""
         is_brief = names is not None and {*BRIEF_QUANTITIES, *_OF_CELL, *_OF_ATTEMPT}.issuperset(names)
         parts: list[tuple[sa.Table, str, tuple[str, ...]]] = [
             (RESULT, "brief_checksum", BRIEF_QUANTITIES) if is_brief else (RESULT, "checksum", covered_columns(RESULT))
@@ -478,7 +478,7 @@ class _Outcomes:
         }
 
     def _changed(self, columns: Sequence[Sequence[Any]]) -> Iterator[tuple[int, str]]:
-        """Places of rows whose checksums do not fit, each with a clause that says which."""
+        """Places of rows with wrong checksums, each with a clause about the damage."""
         for table, first, names in self._parts:
             covered = dict(zip(names, columns[first + 1 : first + 1 + len(names)], strict=True))
             checksums: list[int | None] = [*row_checksums(table, covered | {"seed": columns[1], "content": columns[2]})]
@@ -492,9 +492,9 @@ class _Outcomes:
                     yield place, f"{what} had been stored"
 
     def judge(self, rows: Iterable[Sequence[Any]]) -> list[Sequence[Any]]:
-        """Columns of the rows; of a damaged one nothing is left but its key, and as its reason what is damaged."""
+        """Columns of the rows; a damaged row keeps only its key, with the damage as its reason."""
         found, damage = list(rows), {}
-        columns: list[Any] = list(zip(*found, strict=False))  # as many as the shortest row has
+        columns: list[Any] = list(zip(*found, strict=False))  # the length of the shortest row
         if columns and not _are_possible(columns[1], columns[2]):
             found = _with_possible_keys(found)
             columns = list(zip(*found, strict=False))
@@ -519,7 +519,7 @@ class _Outcomes:
 def _listed(
     parts: Iterable[Sequence[Sequence[Any]]], outcomes: _Outcomes, names: Sequence[str], selection: Selection
 ) -> dict[str, NDArray[Any]]:
-    """Columns of the rows that are selected, from parts of all rows."""
+    """Columns of the selected rows, from parts of all rows."""
     types = [np.int64 if name == "seed" else _KINDS[QUANTITY_BY_NAME[name].kind] for name in names]
     blocks: list[list[NDArray[Any]]] = [[np.empty(0, dtype=kind) for kind in types]]
     for block in parts:
@@ -528,7 +528,7 @@ def _listed(
         listed = [columns[outcomes.place[name]] for name in names]
         arrays: list[NDArray[Any]] = [np.array(column, dtype=kind) for column, kind in zip(listed, types, strict=True)]
         statuses = columns[outcomes.place["status"]]
-        if CellStatus.DAMAGED in (*statuses, *(selection.statuses or ())):  # else all are what the query has selected
+        if CellStatus.DAMAGED in (*statuses, *(selection.statuses or ())):  # else all rows are selected
             chosen = [_is_selected(status or CellStatus.PENDING, selection) for status in statuses]
             arrays = [array[chosen] for array in arrays]
         blocks.append(arrays)
@@ -539,7 +539,7 @@ def _listed(
 
 
 def _with_derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Columns of these names, of which some are derived from those that were fetched."""
+    """Columns of these names, some derived from fetched ones."""
     return {
         name: columns[name]
         if (formula := QUANTITY_BY_NAME[name].formula) is None
@@ -552,7 +552,7 @@ def _with_derived(columns: Mapping[str, NDArray[Any]], names: Sequence[str]) -> 
 
 
 def _results_of(connection: sa.Connection, cells: Sequence[int], wanted: Collection[str]) -> Iterator[CellResult]:
-    """Outcomes of the cells (those that have one) with these of their arrays, by seed, then content."""
+    """Outcomes of the cells that have one, with these arrays, by seed, then content."""
     outcomes = _Outcomes()
     statement = join_results(sa.select(*outcomes.columns)).where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
     arrays = _arrays_of(connection, cells, wanted) if wanted else {}
@@ -569,7 +569,7 @@ def _results_of(connection: sa.Connection, cells: Sequence[int], wanted: Collect
 
 
 def _all_arrays_of(connection: sa.Connection, cells: Sequence[int]) -> Iterator[tuple[CellKey, dict[str, Any] | str]]:
-    """Arrays of the cells that have some, see `StoreReader.arrays`."""
+    """Arrays of the cells that have any, see `StoreReader.arrays`."""
     statement = join_results(sa.select(CELL.c.id, *_BY_KEY, RESULT.c.arrays)).where(RESULT.c.arrays != "")
     arrays = _arrays_of(connection, cells, ARRAY_RECORDS)
     rows = [row for _, row in _readable_rows(connection, statement.order_by(*_BY_KEY), CELL.c.id, cells)]
@@ -581,7 +581,7 @@ def _all_arrays_of(connection: sa.Connection, cells: Sequence[int]) -> Iterator[
 
 
 def _arrays_of(connection: sa.Connection, cells: Sequence[int], wanted: Collection[str]) -> dict[int, dict[str, bytes]]:
-    """Arrays of some cells, by cell and name; those of a cell that can't be read are missing, which is noticed."""
+    """Arrays of some cells, by cell and name; unreadable ones are missing, which is detected later."""
     number: sa.SQLColumnExpression[Any] = ARRAYS.c.cell_id
     statement = sa.select(number, ARRAYS.c.name, ARRAYS.c.content).where(ARRAYS.c.name.in_(wanted))
     found: defaultdict[int, dict[str, bytes]] = defaultdict(dict)
@@ -592,9 +592,9 @@ def _arrays_of(connection: sa.Connection, cells: Sequence[int], wanted: Collecti
 
 
 def _array_records(text: str | None, arrays: Mapping[str, bytes], wanted: Collection[str]) -> dict[str, Any]:
-    """Build records of the arrays of a cell, by name, from their bytes and the names and checksums of all of them.
+    """Build records of the arrays of a cell, by name, from their bytes and from the names and checksums of all of them.
 
-    `DamagedStoreError` if one is not what was stored, or is missing.
+    `DamagedStoreError` if one was changed or is missing.
     """
     stored = {word for word in (text or "").split() if word.partition(":")[0] in wanted}
     if changed := stored ^ set(arrays_text(arrays).split()):

@@ -41,15 +41,15 @@ from calcidem.storage.sql.tables import ARRAYS, ATTEMPT, CAMPAIGN, CELL, LEASE, 
 from calcidem.storage.store import RETRIED_BY_DEFAULT
 
 _CHECKPOINT_INTERVAL = 10.0
-"""Seconds after which a writer's next transaction brings the write-ahead log into the file, for whoever copies that."""
+"""Seconds after which a writer's next transaction copies the write-ahead log into the file, for copies of the file."""
 
 _NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE, CellStatus.DAMAGED}
 
 
 def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Store":
-    """Open a store for reading, with a campaign of that name chosen, or the only one; a run may write it meanwhile.
+    """Open a store for reading and choose the campaign of that name, or the only one; a run may write it meanwhile.
 
-    `StoreError` as `Store`, and if the database has no such campaign.
+    `StoreError` as for `Store`, and if the database has no such campaign.
     """
     store = Store(path_or_url, read_only=True)
     try:
@@ -69,9 +69,9 @@ class _Known(NamedTuple):
 
 
 class Store(StoreReader):
-    """Campaigns, their cells and their outcomes, kept for good.
+    """Campaigns, their cells and their outcomes in a SQL database.
 
-    On SQLAlchemy. Its rules:
+    Rules:
 
     1. A store holds any number of campaigns with different names. `begin_campaign` or `use_campaign`
        chooses the one that all other methods are about.
@@ -103,11 +103,11 @@ class Store(StoreReader):
     """
 
     def __init__(self, path_or_url: str | os.PathLike[str], *, read_only: bool = False) -> None:
-        """Open a SQLite file, or an URL such as ``postgresql://user@host/database``; create it if need be.
+        """Open a SQLite file, or a URL such as ``postgresql://user@host/database``; create it if missing.
 
-        With `read_only` every write is refused, and nothing created. Errors are `ForeignDatabaseError`,
+        With `read_only` every write is refused, and nothing is created. Errors are `ForeignDatabaseError`,
         `OtherSchemaError`, `StoreUnavailableError`, `ReadOnlyStoreError`, `DamagedStoreError` or `StoreLockedError`; a
-        database that is refused is left as it was.
+        refused database is left unchanged.
         """
         self._run_id: int | None = None
         self._next_checkpoint = 0.0
@@ -118,10 +118,10 @@ class Store(StoreReader):
 
     @contextmanager
     def together(self) -> Iterator[None]:
-        """Make one transaction of the block: all of it is stored at its end, or nothing.
+        """Make the block one transaction: all of it is stored at its end, or nothing.
 
-        Other processes that write the same database wait, so none may be at work on a campaign of it. `LeaseHeldError`
-        if another living process is the master of a campaign of the database.
+        Other writers of the database wait meanwhile, so no run may be writing one of its campaigns. `LeaseHeldError` if
+        another living process is the master of a campaign of the database.
         """
         chosen = self._campaign_id, self._record, self._run_id
         try:
@@ -160,7 +160,7 @@ class Store(StoreReader):
             self._next_checkpoint = time.monotonic() + _CHECKPOINT_INTERVAL
 
     def _refuse_replaced(self) -> None:
-        """Raise `ReplacedStoreError` if what is written would be in no file, or not in that of the name."""
+        """Raise `ReplacedStoreError` if the database file was removed or replaced."""
         path = self.address.path
         if path is None or self._file is None:
             return
@@ -169,7 +169,7 @@ class Store(StoreReader):
         except FileNotFoundError:
             found = None
         except OSError:
-            return  # the next transaction has the words for it
+            return  # the next transaction explains it
         if found is None or not os.path.samestat(found, self._file):
             what = "removed" if found is None else "replaced by another file"
             raise ReplacedStoreError(
@@ -180,7 +180,7 @@ class Store(StoreReader):
     def close(self) -> None:
         """Release the lease and all connections; a closed store may be closed again."""
         try:
-            with suppress(StoreError):  # one that can't be released, of a database that has gone, ends by itself
+            with suppress(StoreError):  # otherwise it expires by itself
                 self.release_lease()
         finally:
             self._bring_log_into_file()
@@ -191,8 +191,8 @@ class Store(StoreReader):
     def begin_campaign(self, campaign: CampaignRecord) -> CampaignRecord:
         """Create the campaign, or continue the one with the same hash and extend its plan.
 
-        It is given as stored. `CampaignMismatchError` if the name is taken by a campaign with another hash, or the hash
-        belongs to other values; the message lists the differences, one nested key a line.
+        Return it as stored. `CampaignMismatchError` if a campaign with another hash has this name, or the hash belongs
+        to other values; the message lists the differences, one nested key a line.
         """
         with self._writing() as connection:
             is_it = or_(CAMPAIGN.c.hash == campaign.hash, CAMPAIGN.c.name == campaign.name)
@@ -220,7 +220,7 @@ class Store(StoreReader):
     def begin_run(self, run: RunRecord) -> int:
         """Store the provenance of a run and return its number.
 
-        Attempts recorded from here on belong to it.
+        Later attempts belong to it.
         """
         (row,) = seal(RUN, [asdict(run)])
         with self._writing() as connection:
@@ -230,7 +230,7 @@ class Store(StoreReader):
         return self._run_id
 
     def end_run(self, exit_state: str, ended: datetime) -> None:
-        """Store how and when the run of `begin_run` ended; `UnknownCampaignError` if no run was begun."""
+        """Store reason and time of the end of the run of `begin_run`; `UnknownCampaignError` if no run was begun."""
         self._change_run(exit_state=exit_state, ended=as_utc(ended))
         self._run_id = None
 
@@ -251,9 +251,9 @@ class Store(StoreReader):
     def acquire_lease(self) -> tuple[str, ...]:
         """Become the campaign's only master; a repeated call refreshes the lease.
 
-        Returned are sentences for the user about a dead master: that its lease was taken over, and what of its work is
-        lost. `LeaseHeldError` if another living process is the master; the message says which, and when it would count
-        as dead.
+        Return sentences for the user about a dead master: that its lease was taken over, and lost work.
+        `LeaseHeldError` if another living process is the master; the message names it, and the time when it would
+        count as dead.
         """
         if self._lease.token is not None:
             self.renew_lease()
@@ -281,7 +281,7 @@ class Store(StoreReader):
         return (*sentences, *([] if lost is None else [lost]))
 
     def renew_lease(self) -> None:
-        """Report that this master is alive; recording does so, too. Call it at least every minute.
+        """Report that this master is alive; storing does so, too. Call it at least every minute.
 
         `LeaseLostError` if another process took over.
         """
@@ -289,7 +289,7 @@ class Store(StoreReader):
             pass  # every writing transaction refreshes the lease
 
     def release_lease(self) -> None:
-        """Give the lease back; does nothing without one."""
+        """Release the lease; does nothing without one."""
         token, self._lease.token = self._lease.token, None
         if token is not None:
             try:
@@ -303,10 +303,10 @@ class Store(StoreReader):
     # Outcomes
 
     def save_packing(self, packing: PackingRecord, *, replace_state: bool = False) -> None:
-        """Store a packing under its index; the same one is left as it is, but gets a content hash that it lacks.
+        """Store a packing under its index; if it is stored already, only a missing content hash is added.
 
-        With ``replace_state`` its state takes the place of a stored one, which is damaged. `CampaignMismatchError`,
-        naming the content hashes of both, if the index has another packing.
+        With ``replace_state`` its state replaces a stored, damaged one. `CampaignMismatchError`, naming both content
+        hashes, if the index has another packing.
         """
         row = {name: getattr(packing, name) for name in covered_columns(PACKING) if name not in {"number", "grains"}}
         grains = pack_arrays({name: getattr(packing, name) for name in ("x", "y", "radius")})
@@ -315,7 +315,7 @@ class Store(StoreReader):
             is_it = and_(PACKING.c.campaign_id == self._campaign, PACKING.c.number == packing.index)
             known = connection.scalar(select(PACKING.c.content_hash).where(is_it))
             if replace_state and known is not None and known == packing.content_hash:
-                connection.execute(delete(PACKING).where(is_it))  # whatever else of it is damaged, this one is the same
+                connection.execute(delete(PACKING).where(is_it))  # the same packing, though damaged
             found = connection.execute(select(PACKING).where(is_it)).mappings().first()
             if found is None:
                 seal(PACKING, [row])
@@ -327,7 +327,7 @@ class Store(StoreReader):
             connection.execute(update(PACKING).where(is_it).values(seal(PACKING, [kept])[0]))
 
     def record_results(self, results: Iterable[CellResult | PackedResult], *, replace_done: bool = False) -> int:
-        """Store outcomes in one transaction (rules 4 and 5), and give how many; the others were kept out by rule 5.
+        """Store outcomes in one transaction (rules 4 and 5), and return their number; rule 5 excludes the others.
 
         `UnknownCellError` if a cell is not planned.
         """
@@ -347,12 +347,12 @@ class Store(StoreReader):
     def _replace(
         self, connection: Connection, accepted: Sequence[tuple[int, PackedResult]], recorded: datetime
     ) -> None:
-        """Store outcomes in place of what there was.
+        """Store outcomes, replacing earlier ones.
 
-        An attempt that is there with the same outcome keeps its row: an import has restored it.
+        An existing attempt with the same outcome keeps its row, since an import has restored it.
         """
         ids = [cell_id for cell_id, _ in accepted]
-        for table in (ARRAYS, RESULT):  # damage leaves arrays without an outcome, which would conflict
+        for table in (ARRAYS, RESULT):  # damage may leave arrays without an outcome, which would conflict
             connection.execute(delete(table).where(table.c.cell_id.in_(ids)))
         listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
         statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number, ATTEMPT.c.outcome).where(listed)
@@ -378,10 +378,10 @@ class Store(StoreReader):
         _insert(connection, ARRAYS, [{"cell_id": i, "name": name, "content": content} for i, name, content in arrays])
 
     def record_lost(self, keys: Iterable[CellKey], reason: str) -> dict[CellKey, AttemptCount]:
-        """Count one attempt that ended with the loss of its worker for each cell; return the new counts.
+        """Count one attempt with a lost worker for each cell; return the new counts.
 
-        Unlike the other writes each call counts, since a loss has no result to be recognised by. `UnknownCellError` if
-        a cell is not planned.
+        Unlike other writes each call counts, since a loss has no result that would identify it. `UnknownCellError` if a
+        cell is not planned.
         """
         with self._writing():
             counts = {
@@ -396,7 +396,7 @@ class Store(StoreReader):
         return counts
 
     def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
-        """Store a history as another store kept it (for imports); attempts that are there already stay.
+        """Store the attempts of another store (for imports); existing attempts are kept.
 
         `UnknownCellError` if a cell is not planned.
         """
@@ -417,9 +417,9 @@ class Store(StoreReader):
     def retry(
         self, statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT, keys: Iterable[CellKey] | None = None
     ) -> tuple[CellKey, ...]:
-        """Make settled cells with these outcomes pending again, of the keys if some are given, and give their keys.
+        """Make settled cells with these outcomes pending again, by default of all keys; return their keys.
 
-        The losses counted for them are forgotten. `ValueError` if `statuses` contains done, pending or running.
+        Their losses no longer count. `ValueError` if `statuses` contains done, pending or running.
         """
         wrong = _NEVER_RETRIED & set(statuses)
         if wrong:
@@ -435,7 +435,7 @@ class Store(StoreReader):
         return tuple(chosen)
 
     def retry_damaged(self, keys: Collection[CellKey]) -> None:
-        """Make damaged cells (of `integrity`) pending again, and drop their attempts that are damaged."""
+        """Make damaged cells (of `integrity`) pending again, and drop their damaged attempts."""
         with self._writing() as connection:
             for chunk in chunks(keys):
                 ids = {row.id: key for key, row in self._known_cells(connection, chunk).items()}
@@ -448,7 +448,7 @@ class Store(StoreReader):
                     connection.execute(delete(ATTEMPT).where(_attempt_in(bad)))
 
     def _known_cells(self, connection: Connection, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
-        """What is known of planned cells; `UnknownCellError` if one is not planned."""
+        """Rows of planned cells; `UnknownCellError` if one is not planned."""
         statement = select(CELL.c.seed, CELL.c.content, CELL.c.id, RESULT.c.status, RESULT.c.attempt)
         statement = statement.outerjoin(RESULT, RESULT.c.cell_id == CELL.c.id)
         statement = statement.where(CELL.c.campaign_id == self._campaign, self._cell_in(keys))
@@ -472,7 +472,7 @@ def _plan_cells(connection: Connection, campaign_id: int, keys: Iterable[CellKey
 
 
 def _distinct_batches(results: Iterable[PackedResult]) -> Iterator[list[PackedResult]]:
-    """Cut into batches in which no cell occurs twice: a later outcome then meets the earlier one stored."""
+    """Split into batches without repeated cells, so that a later outcome of a cell meets the stored earlier one."""
     for chunk in chunks(results):
         batch: dict[CellKey, PackedResult] = {}
         for result in chunk:
@@ -498,13 +498,13 @@ def _insert(connection: Connection, table: Table, rows: Sequence[dict[str, Any]]
 
 
 def _attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
-    """Condition that an attempt is one of these (cell, number); written so that SQLite searches its index."""
+    """Condition that an attempt is one of these (cell, number), in a form for which SQLite uses its index."""
     listed = tuple_(ATTEMPT.c.cell_id, ATTEMPT.c.number).in_(numbered)
     return and_(ATTEMPT.c.cell_id.in_([cell_id for cell_id, _ in numbered]), listed)
 
 
 def _drop_outcomes(connection: Connection, cell_ids: Iterable[int]) -> None:
-    """Make cells pending, and forgive the losses counted for them."""
+    """Make cells pending, and reset their losses."""
     for chunk in chunks(cell_ids):
         for table in (ARRAYS, RESULT):
             connection.execute(delete(table).where(table.c.cell_id.in_(chunk)))

@@ -1,8 +1,8 @@
-"""The tables of a database, made from the frozen records, and the version that they have.
+"""Tables of a database, made from the frozen records, and their version.
 
-One row of `CELL` for each planned (campaign, seed, content); its outcome, if it has one, is the row of `RESULT` of the
-same id, with its arrays in `ARRAYS`. The absence of a result is what "pending" means. `ATTEMPT` keeps the history.
-A row without the checksum that fits it is damaged (`calcidem.storage.sql.checksums`).
+`CELL` has one row for each planned (campaign, seed, content). Its outcome, if any, is the row of `RESULT` with the same
+id, with arrays in `ARRAYS`. A cell without a result is pending. `ATTEMPT` keeps the history. A row with a wrong
+checksum is damaged (`calcidem.storage.sql.checksums`).
 """
 
 from collections.abc import Iterable
@@ -36,7 +36,7 @@ _SCHEMA = 1
 
 _CREATION_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
 
-_LARGEST = 1e300  # a bound no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
+_LARGEST = 1e300  # a bound that no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
 
 _METADATA = sa.MetaData(
     naming_convention={
@@ -50,7 +50,7 @@ _METADATA = sa.MetaData(
 
 
 class _UtcDateTime(sa.TypeDecorator[datetime]):
-    """A moment in UTC; SQLite has no time zones, so it is removed on writing and restored on reading."""
+    """A time in UTC; SQLite has no time zones, so the zone is removed on writing and restored on reading."""
 
     impl = sa.DateTime(timezone=True)
     cache_ok = True
@@ -83,7 +83,7 @@ _TYPES: dict[Any, type[TypeEngine[Any]]] = {
 
 
 def _columns_of(record: type, *left_out: str) -> list[sa.Column[Any]]:
-    """Columns for the fields of a record, but for those that have none of their own; mappings and tuples are JSON."""
+    """Columns for the fields of a record, except for fields stored elsewhere; mappings and tuples are JSON."""
     hints = get_type_hints(record)
     columns = []
     for name in [field.name for field in fields(record) if field.name not in left_out]:
@@ -94,7 +94,7 @@ def _columns_of(record: type, *left_out: str) -> list[sa.Column[Any]]:
 
 
 def _checks_of(quantities: Iterable[Quantity]) -> list[sa.CheckConstraint]:
-    """Constraints that hold the bounds of columns that are not NULL, of those that have one."""
+    """Constraints for the bounds of columns that are not NULL."""
     least = {Bound.POSITIVE: "> 0", Bound.NOT_NEGATIVE: ">= 0", Bound.NONE: f"> -{_LARGEST}"}
     return [
         sa.CheckConstraint(
@@ -112,7 +112,7 @@ def _check_one_of(column: str, values: tuple[str, ...]) -> sa.CheckConstraint:
 
 
 _VERSION = sa.Table("calcidem_schema", _METADATA, sa.Column("version", sa.Integer, primary_key=True))
-"""Holds the version, and is the mark by which a database is recognised as calcidem's."""
+"""Holds the version, and identifies a database of calcidem."""
 
 CAMPAIGN = sa.Table(
     "campaign",
@@ -132,7 +132,7 @@ LEASE = sa.Table(
     sa.Column("token", sa.Text, nullable=False),
     *_columns_of(LeaseHolder),
 )
-"""The process that may write a campaign."""
+"""Process that may write a campaign."""
 
 RUN = sa.Table(
     "run",
@@ -189,13 +189,13 @@ ATTEMPT = sa.Table(
 """One attempt at a cell (`AttemptRecord`)."""
 
 _TABLES_ELSEWHERE = {"seed": CELL, "content": CELL, **dict.fromkeys(("reason", "seconds", "rank", "host"), ATTEMPT)}
-"""Quantities that are in the rows of the cell and of its attempt."""
+"""Quantities in the rows of the cell and of its attempt."""
 
 _STORED_QUANTITIES = [q for q in QUANTITY_BY_NAME.values() if q.formula is None and q.name not in _TABLES_ELSEWHERE]
 """Quantities that are columns of the table `result`."""
 
 BRIEF_QUANTITIES = tuple(quantity.name for quantity in _STORED_QUANTITIES if quantity.is_brief)
-"""Quantities of an outcome that have a checksum of their own."""
+"""Quantities of an outcome with an additional checksum."""
 
 RESULT = sa.Table(
     "result",
@@ -217,9 +217,9 @@ RESULT = sa.Table(
     *_checks_of(_STORED_QUANTITIES),
     sa.Index(None, "status", "vs"),
 )
-"""The outcomes of cells (`CellResult`), and names and checksums of the arrays beside each.
+"""Outcomes of cells (`CellResult`), with names and checksums of their arrays.
 
-The attempt that an outcome came from has its reason, rank, host and seconds.
+The attempt of an outcome has its reason, rank, host and seconds.
 """
 
 ARRAYS = sa.Table(
@@ -230,13 +230,12 @@ ARRAYS = sa.Table(
     sa.Column("content", sa.LargeBinary, nullable=False),
     _check_one_of("name", tuple(ARRAY_RECORDS)),
 )
-"""Arrays beside an outcome, each a blob by the name of its field in `CellResult` (`ARRAY_RECORDS`)."""
+"""Arrays of an outcome, each a blob by the name of its field in `CellResult` (`ARRAY_RECORDS`)."""
 
 STATUS = sa.func.coalesce(RESULT.c.status, sa.literal_column(repr(CellStatus.PENDING.value)))
 """A planned cell without a result is pending.
 
-The word is part of the SQL text: PostgreSQL takes two parameters for different even when they are equal,
-and refuses to group by this.
+The word is part of the SQL text: PostgreSQL treats equal parameters as different and would refuse to group by them.
 """
 
 EXPRESSIONS: dict[str, sa.SQLColumnExpression[Any]] = {
@@ -244,7 +243,7 @@ EXPRESSIONS: dict[str, sa.SQLColumnExpression[Any]] = {
     for name, quantity in QUANTITY_BY_NAME.items()
     if quantity.formula is None
 }
-"""What each stored quantity is in a query over `join_results`; derived ones are added below."""
+"""Expression of each stored quantity in a query over `join_results`; derived ones are added below."""
 
 for _name, _quantity in QUANTITY_BY_NAME.items():
     if _quantity.formula is not None:
@@ -252,7 +251,7 @@ for _name, _quantity in QUANTITY_BY_NAME.items():
 
 
 def join_results(statement: sa.Select[*tuple[Any, ...]]) -> sa.Select[*tuple[Any, ...]]:
-    """Join a planned cell with its outcome and the attempt that it came from, where there are any."""
+    """Join a planned cell with its outcome and the attempt of this, if any."""
     return (
         statement.select_from(CELL)
         .outerjoin(RESULT, RESULT.c.cell_id == CELL.c.id)
@@ -261,13 +260,13 @@ def join_results(statement: sa.Select[*tuple[Any, ...]]) -> sa.Select[*tuple[Any
 
 
 def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bool) -> str | None:
-    """Create the tables of an empty database, or columns that it lacks, within the connection's transaction.
+    """Create the tables of an empty database, or missing columns, within the connection's transaction.
 
-    A reader changes nothing: it refuses an empty database. Returned is a statement that each connection has to execute
-    before it reads, if there is one. Errors are those of `is_empty`, also if a server's table lacks quantities, which
-    only a writer can add there, or has others.
+    A reader changes nothing: it refuses an empty database. Return a statement that each connection has to execute
+    before reading, if any. Errors are those of `is_empty`, also if a server's table has unknown quantities or lacks
+    some, which only a writer can add there.
     """
-    if not read_only and connection.dialect.name == "postgresql":  # SQLite's transaction already keeps others out
+    if not read_only and connection.dialect.name == "postgresql":  # SQLite's transaction already excludes others
         connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_CREATION_LOCK)))
     if is_empty(connection, address):
         if read_only:
@@ -301,7 +300,7 @@ def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bo
 
 
 def _create_view(connection: sa.Connection) -> None:
-    """Make the view of whole cells, one row each, for direct queries of the database.
+    """Make the view of cells, one row each, for direct queries of the database.
 
     Its columns are the campaign's name and all stored quantities.
     """
@@ -321,7 +320,7 @@ def _newer(address: Address, what: str) -> OtherSchemaError:
 
 
 def is_empty(connection: sa.Connection, address: Address) -> bool:
-    """Whether a database has no tables yet; one that is not of this schema is refused.
+    """Whether a database has no tables yet; one of another schema is refused.
 
     `ForeignDatabaseError` if it has tables but not calcidem's mark, `OtherSchemaError` if another calcidem
     wrote it.

@@ -1,7 +1,7 @@
 """Filter expressions such as ``vs > 1500 and status == 'done'``, turned into bound SQL parameters.
 
-The text is parsed as a Python expression and only comparisons of known quantities with literals are
-accepted, so nothing of it ever reaches the database as SQL.
+The text is parsed as a Python expression. Only comparisons of known quantities with literals are accepted, so no part
+of it reaches the database as SQL.
 """
 
 import ast
@@ -31,21 +31,21 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
 
 _LONGEST_FILTER = 10_000
 _LARGEST_WHOLE = 2**63 - 1
-"""Whole numbers beyond it are compared as real ones."""
+"""Larger whole numbers are compared as real numbers."""
 
 _MOST_COMPARISONS = 200
 _DEEPEST_FILTER = 50
-"""Nesting of a filter that every database takes: SQLite refuses expressions of a thousand levels."""
+"""Depth of nesting that every database accepts; SQLite refuses expressions of a thousand levels."""
 
 _EXAMPLE = 'Write for example "vs > 1500 and status == \'done\'", "content in (4, 5)" or "vs_peak is None".'
 
 
 def parse_where(text: str) -> ColumnElement[bool]:
-    """Turn a filter expression into a condition for a query.
+    """Convert a filter expression to a condition of a query.
 
     It compares quantities (``< <= > >= == = !=``, ``in``, ``not in``, ``is None``, ``is not None``) with numbers or
-    quoted words, joined by ``and``, ``or``, ``not`` and parentheses. `QueryError` if the text is anything else or names
-    an unknown quantity.
+    quoted words, joined by ``and``, ``or``, ``not`` and parentheses. `QueryError` for any other text or an unknown
+    quantity.
     """
     if len(text) > _LONGEST_FILTER:
         raise QueryError(f"The filter has {len(text)} characters.", f"Write it in at most {_LONGEST_FILTER}.")
@@ -58,19 +58,19 @@ def parse_where(text: str) -> ColumnElement[bool]:
                 f"Write at most {_MOST_COMPARISONS}, at most {_DEEPEST_FILTER} deep; many values are 'seed in (1, 2)'.",
             )
         return _condition(tree.body, text)
-    # Deep nesting ends Python's parser with errors of its own.
+    # Deep nesting makes Python's parser raise other errors.
     except (SyntaxError, ValueError, tokenize.TokenError, RecursionError, MemoryError) as error:
         raise QueryError(f"The filter {text!r} can't be read.", _EXAMPLE) from error
 
 
 def _python_equality(text: str) -> str:
-    """Write a single ``=``, as in SQL, as ``==``."""
+    """Replace a single ``=``, as in SQL, by ``==``."""
     tokens = tokenize.generate_tokens(io.StringIO(text.strip()).readline)
     return tokenize.untokenize((t.type, "==" if t.string == "=" else t.string) for t in tokens)
 
 
 def _depth(node: ast.AST) -> int:
-    """Levels of an expression below a node, and its own."""
+    """Depth of an expression, including its root."""
     return 1 + max(map(_depth, ast.iter_child_nodes(node)), default=0)
 
 
@@ -103,7 +103,7 @@ def _comparison(left: ast.expr, op: ast.cmpop, right: ast.expr, text: str) -> Co
 
 
 def _operand_like(other: ast.expr, node: ast.expr, text: str) -> SQLColumnExpression[Any]:
-    """Operand that may be compared with another one: databases give an answer for a word and a number, too."""
+    """Check that operands can be compared, since databases also compare a word with a number."""
     operand = _operand(node, text)
     if _is_text(node) != _is_text(other):
         word, number = (node, other) if _is_text(node) else (other, node)
@@ -116,7 +116,7 @@ def _operand_like(other: ast.expr, node: ast.expr, text: str) -> SQLColumnExpres
 
 
 def _is_text(node: ast.expr) -> bool:
-    """Whether an operand is a word or a quantity that is one."""
+    """Whether an operand is a word or a text quantity."""
     if isinstance(node, ast.Name):
         return QUANTITY_BY_NAME[node.id].kind == "text"
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
@@ -127,7 +127,7 @@ def _operand(node: ast.expr, text: str) -> SQLColumnExpression[Any]:
         return _quantity(node.id, text)
     try:
         value = ast.literal_eval(node)
-    except (TypeError, ValueError):  # the first of what can't be in a set
+    except (TypeError, ValueError):  # the first that cannot be in a set
         value = None
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise QueryError(
