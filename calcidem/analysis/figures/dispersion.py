@@ -11,7 +11,7 @@ from calcidem.analysis.figures.style import BLACK, GREEN, KHZ, VERMILION, apply_
 
 _PANELS_ABREAST = 2
 _NARROW = 0.45, 2.2
-"""Velocities that are shown, over the median Vs, if all that was found lies between."""
+"""Displayed range of velocities over the median Vs, if all results lie in it."""
 
 
 @apply_style
@@ -33,7 +33,7 @@ def draw_dispersion(contents: Sequence[ContentDispersion]) -> Figure:
 
 
 def _draw_content(axes: Axes, shown: ContentDispersion) -> None:
-    """Draw the spectrum of one content and what was found in it."""
+    """Draw the spectrum of one content and its dispersion."""
     found = shown.found
     axes.grid(visible=False)
     axes.pcolormesh(

@@ -33,21 +33,21 @@ _FILM_WIDTH = 4.6
 _SIGNALS_HEIGHT = 2.1
 """Inches."""
 _PICTURE_SHARE = 0.66
-"""Of the width of the figure; the scale of colours has the rest."""
+"""Share of the figure's width; the colour scale has the rest."""
 _SHOWN = 0.6
-"""Heights above and below the middle that are shown, over the width of the box: beyond it the motion is damped."""
+"""Displayed height above and below the middle, over the width of the box; beyond it the motion is damped."""
 _GIF_PALETTE = 96
 _COLOURED = 0.999
-"""Of all velocities; those above, of a few disks that rattle, have the last colour."""
+"""Quantile of all velocities with the last colour; higher ones belong to a few loose disks."""
 _DOTS = 90
 _MOVIE_RATE = 15
 
 
 class _SmallGifWriter(PillowWriter):
-    """Writer of frames with few colours and no dithering, which take a fifth of the room."""
+    """Writer of frames with few colours and no dithering, which need a fifth of the space."""
 
     def grab_frame(self, **savefig_kwargs: Any) -> None:  # noqa: ANN401 - as matplotlib has it
-        """Take a frame."""
+        """Add a frame."""
         super().grab_frame(**savefig_kwargs)
         frames: list[Image.Image] = self._frames  # type: ignore[attr-defined]  # not in the stubs
         frame = frames[-1].convert("RGB")
@@ -81,7 +81,7 @@ def write_movie(
         for frame in range(len(frames[0])):
             show(frame)
             writer.grab_frame()
-            figure.set_layout_engine("none")  # the first frame has laid it out
+            figure.set_layout_engine("none")  # the layout is that of the first frame
             watch(frame + 1)
 
 
@@ -94,9 +94,9 @@ def draw_film(
     half_widths: tuple[float, float],
     frames: tuple[NDArray[np.floating[Any]], NDArray[np.floating[Any]]],
 ) -> Figure:
-    """Draw the first moment of a wave; `write_movie` shows the others.
+    """Draw the first frame of a wave; `write_movie` draws the others.
 
-    Of the packing the pairs ``cemented`` (m, 2) are; ``disks`` are x, y and radius of those that were computed, (n,) m;
+    ``cemented`` (m, 2) are the cemented pairs of the packing, ``disks`` x, y and radius of the computed disks, (n,) m,
     ``half_widths`` those of transmitter and receiver, m. ``frames`` are times (f,), s, and velocities of the disks
     along y (f, n), m/s.
     """
@@ -113,7 +113,7 @@ def draw_film(
     sizes, places = 2 * np.array(radius, dtype=float) * MM, np.column_stack([x, y]) * MM
     moving = EllipseCollection(sizes, sizes, 0 * sizes, offsets=places, gid="disks", **style)
     largest = float(np.quantile(np.abs(frames[1]), _COLOURED)) or 1.0
-    # Equal steps of colour are equal steps of the root: the received amplitude is a tenth of the transmitted one.
+    # Colours are linear in the square root, since the received amplitude is a tenth of the transmitted one.
     moving.set(cmap=CORRELATION_MAP, norm=FuncNorm((_signed_root, _signed_square), -largest, largest))
     moving.set_array(frames[1][0])
     sample.add_collection(moving)
@@ -138,7 +138,7 @@ def draw_film(
 def _frame_shower(
     figure: Figure, times: NDArray[np.floating[Any]], velocity: NDArray[np.floating[Any]]
 ) -> Callable[[int], None]:
-    """Give what shows one moment in a figure of `draw_film`; arguments as its `frames`."""
+    """Return the function that shows one frame in a figure of `draw_film`; arguments as its `frames`."""
     (disks,) = (artist for artist in figure.axes[0].collections if artist.get_gid() == "disks")
     (now,) = (line for line in figure.axes[1].lines if line.get_gid() == "now")
     title = figure.axes[0].get_title(loc="left")

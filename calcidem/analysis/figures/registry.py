@@ -1,4 +1,4 @@
-"""All figures of a campaign: file name, title, caption, and how each is drawn from the analysis."""
+"""All figures of a campaign: file name, title, caption, and function that draws it."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -25,29 +25,29 @@ _SHOWN_DISPERSIONS = 6
 _SHOWN_HISTOGRAMS = 24
 _SAMPLES_OF_A_CONTENT = 3
 _PATHS_CONTENT = 5.0
-"""Content, or the nearest one that the campaign has, at which preferential paths are compared."""
+"""Content at which preferential paths are compared; the nearest one of the campaign is used."""
 
 _SEED_COUNTS = tuple(int(count) for count in np.unique(np.geomspace(4, 512, 15).round()))
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignFigure:
-    """A figure that every campaign can have."""
+    """Figure of a campaign."""
 
     name: str
     """File name without ending."""
     title: str
-    """In a few words."""
+    """Title in a few words."""
     caption: str
-    """What the figure shows, in sentences."""
+    """Caption in sentences."""
     draw: Callable[[CampaignAnalysis], Figure]
-    """Draws it; raises `UnavailableError` where the campaign lacks what it needs."""
+    """Draws it; `UnavailableError` if the campaign lacks the data."""
     pictorial: bool = False
-    """Whether it shows thousands of grains, so that pixels serve it better than vectors."""
+    """Whether it shows thousands of grains, which are better drawn as pixels than as vectors."""
 
 
 def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
-    """Give the published rows at the contents of a campaign on the published sand, empty unless two or more match."""
+    """Return the published rows for a campaign with the published sand; empty if fewer than two contents match."""
     if not published_study().has_sand_of(analysis.config):
         return []
     contents = analysis.vs["content"].to_numpy()
@@ -56,7 +56,7 @@ def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, Publis
 
 
 def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arrival:
-    """Give the signals of a sample and what was read from them; errors as `read_arrival`."""
+    """Return the signals of a sample and their arrivals; errors as for `read_arrival`."""
     try:
         return read_arrival(analysis, analysis.cell(seed, content))
     except UnknownCellError as error:
@@ -64,7 +64,7 @@ def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arriv
 
 
 def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
-    """Give the signals of a cell and what was read from them; `UnavailableError` if no section is stored."""
+    """Return the signals of a cell and their arrivals; `UnavailableError` if no section is stored."""
     section = cell.section
     if section is None:
         raise UnavailableError(f"no section is stored for seed {cell.key.seed} at {cell.key.content:g} %")
@@ -75,7 +75,7 @@ def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
         time=section.time,
         transmitted=section.transmitted,
         received=section.received,
-        # A cell that took the whole width for the path of the wave has no distance.
+        # A cell whose path is the whole width has no distance.
         distance=cell.distance or analysis.store.packing(cell.packing_index).width,
         velocities={name: value for name, value in velocities.items() if value is not None},
         onset=_FIRST_ARRIVAL_LEVEL,
@@ -83,20 +83,20 @@ def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
 
 
 def _pick_evenly(contents: list[float], count: int) -> list[float]:
-    """Give `count` contents from the least to the most, evenly over their order."""
+    """Return `count` contents from the smallest to the largest, evenly spaced in their order."""
     places = np.unique(np.linspace(0, len(contents) - 1, count).round().astype(int))
     return [contents[place] for place in places]
 
 
 def _measured_contents(analysis: CampaignAnalysis) -> list[float]:
-    """Contents with a velocity; raises `UnavailableError` if there are none."""
+    """Contents with a velocity; `UnavailableError` without any."""
     if found := [row.content for row in analysis.distributions if row.vs.n]:
         return found
     raise UnavailableError("no sample has a velocity")
 
 
 def _varied_contents(analysis: CampaignAnalysis) -> list[float]:
-    """Contents whose velocities scatter; raises `UnavailableError` if there are none."""
+    """Contents with different velocities; `UnavailableError` without any."""
     rows = [row for row in analysis.distributions if row.vs.n >= _SAMPLES_OF_A_CONTENT]
     if found := [row.content for row in rows if row.vs.standard_deviation > 0]:
         return found
@@ -104,7 +104,7 @@ def _varied_contents(analysis: CampaignAnalysis) -> list[float]:
 
 
 def _first_arrival_at(analysis: CampaignAnalysis, content: float) -> Arrival:
-    """Signals of the first seed that has a velocity at a content."""
+    """Signals of the first seed with a velocity at a content."""
     return load_arrival(analysis, int(analysis.vs.sel(content=content).dropna("seed")["seed"][0]), content)
 
 
@@ -113,7 +113,7 @@ def _plot_cemented_samples(analysis: CampaignAnalysis) -> Figure:
     if not cemented:
         raise UnavailableError("no cemented sample is stored")
     of_seed = [sample for sample in cemented if sample.seed == cemented[0].seed]
-    # One sample with P alone and two with clusters show most.
+    # one sample with P contacts alone and two with clusters
     single = [sample for sample in of_seed if sample.kinds.max() == 1]
     clustered = [sample for sample in of_seed if sample.kinds.max() > 1]
     chosen: list[MeasuredSample] = single[-1:]
@@ -144,7 +144,7 @@ def _plot_signals(analysis: CampaignAnalysis) -> Figure:
 
 
 def _plot_range(analysis: CampaignAnalysis) -> Figure:
-    _measured_contents(analysis)  # refuses a campaign without
+    _measured_contents(analysis)  # raises an error without any
     return draw_range(analysis.cells, analysis.distributions, published_velocities(analysis), analysis.measured)
 
 
@@ -287,4 +287,4 @@ CAMPAIGN_FIGURES = (
         _plot_narrowing,
     ),
 )
-"""In the order in which a report shows them."""
+"""In the order of the report."""

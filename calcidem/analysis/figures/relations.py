@@ -36,14 +36,14 @@ from calcidem.analysis.weights import RatioScan
 _VARIABLE_SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
 _READABLE_ON_DARK = 0.6
 _SAMPLES_OF_AN_INTERVAL = 4
-"""Samples at a content below which no interval is drawn."""
+"""Fewest samples of a content for an interval."""
 
 _SAME_RATIO = 0.02
-"""C_d,n of weight ratios further apart than this are different quantities."""
+"""Largest difference of weight ratios for which values of C_d,n are comparable."""
 
 
 def _symbol(name: str) -> str:
-    """Give the symbol of a variable as mathematical text, such as ``$C_{d,n}$``."""
+    """Return the symbol of a variable as mathematical text, such as ``$C_{d,n}$``."""
     base, _, index = _VARIABLE_SYMBOLS[name].partition("_")
     upright = f"\\mathrm{{{base}}}" if len(base) > 1 else base
     return f"${upright}_{{{index}}}$" if index else f"${upright}$"
@@ -164,7 +164,7 @@ def draw_laws(
 def _intervals_by_content(
     connectivity: NDArray[np.float64], vs: NDArray[np.float64], contents: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Mean connectivity of each content, and ends of the interval (m/s) that is predicted there, (contents, 3)."""
+    """Mean connectivity of each content, and ends of the predicted interval there (m/s), (contents, 3)."""
     found = []
     for content in np.unique(contents):
         known = (contents == content) & np.isfinite(vs) & np.isfinite(connectivity)
@@ -177,6 +177,6 @@ def _intervals_by_content(
 
 
 def _law_text(a: float, b: float, c: float) -> str:
-    """Give a law as mathematical text."""
+    """Return a law as mathematical text."""
     sign = "\N{MINUS SIGN}" if c < 0 else "+"
     return f"$V_s = {a:.0f}\\,C_{{d,n}}^{{{b:.2f}}}$ {sign} {abs(c):.0f} m/s"

@@ -54,7 +54,7 @@ def _draw_grains(
     high: float = np.inf,
     cement_width: float = 1.0,
 ) -> None:
-    """Draw the grains between two heights, m, and the cement between them, on axes that lose their ticks.
+    """Draw the grains between two heights, m, and the cement between them, on axes without ticks.
 
     ``kinds`` (m,) are 0 (sand), 1 (P) or 2 (C) of each contact; the width of cemented contacts is in points.
     """
@@ -135,12 +135,12 @@ _BAR_BELOW = 0.04
 
 
 _PANEL_WIDTH = 3.4
-"""Width in inches of a panel with a path; its text stands beside."""
+"""Width in inches of a panel with a path; its text is beside it."""
 
 _DETAIL = 8.5
 """Half of the width of an enlarged part, in mean radii."""
 _AROUND_PATH, _LEAST_HEIGHT = 0.12, 0.3
-"""What is shown around paths, and to each side of the middle, over the width of the sample."""
+"""Displayed part around paths, and to each side of the middle, over the width of the sample."""
 
 _SAND_KEY = Patch(facecolor=SAND_GRAIN, label="sand grain")
 _CLUSTER_KEY = Patch(facecolor=CLUSTER_GRAIN, label="grain in a C cluster")
@@ -191,7 +191,7 @@ def draw_measurement(
     damped_layer: float,
     arrival: Arrival | None,
 ) -> Figure:
-    """Draw transmitter, receiver and an example of both signals (Fig. 4), if there is one; all lengths in m."""
+    """Draw transmitter, receiver and, if given, an example of both signals (Fig. 4); all lengths in m."""
     packing = graph.packing
     width, height = packing.width * MM, packing.height * MM
     figure = new_figure(height=4.4)
@@ -229,7 +229,7 @@ def draw_measurement(
 
 
 def _draw_way(axes: Axes, graph: PackingGraph, distance: float | None) -> None:
-    """Draw the distance of which a velocity is made, between the grains at both walls; the width if it is not known."""
+    """Draw the distance of a velocity, between the grains at both walls; if unknown, the width."""
     width, height = graph.packing.width * MM, graph.packing.height * MM
     path = width if distance is None else distance * MM
     left, right = ((width + side * path) / 2 for side in (-1.0, 1.0))
@@ -242,7 +242,7 @@ def _draw_way(axes: Axes, graph: PackingGraph, distance: float | None) -> None:
 
 @apply_style
 def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSample]) -> Figure:
-    """Draw samples of one content, from slow to fast, with the path that the wave prefers (Fig. 12)."""
+    """Draw samples of one content, from slow to fast, with their preferential paths (Fig. 12)."""
     packing = graph.packing
     heights = np.concatenate([packing.y[list(sample.path.grains)] for sample in samples])
     margin, least = _AROUND_PATH * packing.width, _LEAST_HEIGHT * packing.width
@@ -274,7 +274,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
 
 
 def _draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
-    """Draw a scale bar below a picture of this width whose lower left corner is given; all in mm, the data's unit."""
+    """Draw a scale bar below a picture of this width with this lower left corner; all in mm, the unit of the data."""
     length = _round_length(width)
     y = low - _BAR_BELOW * width
     axes.plot([left, left + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
@@ -291,6 +291,6 @@ def _draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
 
 
 def _round_length(width: float) -> float:
-    """Give the largest of 1, 2 and 5 times a power of ten that is at most a quarter of a width."""
+    """Return the largest of 1, 2 and 5 times a power of ten that is at most a quarter of a width."""
     power = 10.0 ** math.floor(math.log10(0.25 * width))
     return max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= 0.25 * width)

@@ -173,15 +173,15 @@ class _StudyFigure:
     """A figure of a sensitivity study."""
 
     study: str
-    """"frequency" or "damping": which study it shows."""
+    """Study that it shows, "frequency" or "damping"."""
     name: str
     """File name without ending."""
     title: str
-    """In a few words."""
+    """Title in a few words."""
     caption: str
-    """What the figure shows, in sentences."""
+    """Caption in sentences."""
     draw: Callable[[xr.Dataset], Figure]
-    """Draws it from the study's result."""
+    """Draws it from the result of the study."""
 
 
 STUDY_FIGURES = (
@@ -215,5 +215,5 @@ STUDY_FIGURES = (
 
 
 def _start_at_zero(axes: Axes) -> None:
-    """Let a vertical axis begin at zero, with some room above the data."""
+    """Let a vertical axis begin at zero, with some space above the data."""
     axes.set_ylim(0, 1.06 * axes.get_ylim()[1])

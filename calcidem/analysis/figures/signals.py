@@ -32,20 +32,20 @@ METHOD_STYLES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrival:
-    """Signals of one sample and what was read from them."""
+    """Signals of one sample and their arrivals."""
 
     seed: int
     content: float
-    """Which sample; content in percent."""
+    """Identity of the sample; content in percent."""
     time: NDArray[np.float64]
     """s, shape (t,)."""
     transmitted: NDArray[np.float64]
     received: NDArray[np.float64]
     """The two signals at these times, shape (t,), m/s."""
     distance: float
-    """Between transmitter and receiver, m."""
+    """Distance between transmitter and receiver, m."""
     velocities: Mapping[str, float]
-    """Velocity in m/s by the methods of `METHOD_STYLES` that gave one."""
+    """Velocity in m/s for the methods of `METHOD_STYLES` that have one."""
     onset: float
     """Level of the first arrival, relative to the peak."""
 
@@ -62,7 +62,7 @@ class Arrival:
         return float(self.time[below + 1])
 
     def arrival_time(self, method: str) -> float:
-        """Give the time in s at which the wave arrived by a method.
+        """Return the arrival time by a method, s.
 
         Times count from the transmitted peak, those of the first arrival from the transmitted onset.
         """
@@ -83,7 +83,7 @@ def draw_signal_pair(axes: Axes, arrival: Arrival) -> None:
         if method not in arrival.velocities:
             continue
         moment = arrival.arrival_time(method)
-        # A peak is pointed at from above, so that the other marks do not hide it.
+        # A peak is marked from above, so that the other marks do not hide it.
         level = np.interp(moment, arrival.time, arrival.received / largest) + (_POINTING if method == "peak" else 0)
         axes.plot(
             moment * MS,
@@ -103,7 +103,7 @@ def draw_signal_pair(axes: Axes, arrival: Arrival) -> None:
 
 
 def _received_peak_index(arrival: Arrival) -> int:
-    """Index of the received peak, or of the last sample where none was read."""
+    """Index of the received peak; of the last sample without one."""
     if "peak" not in arrival.velocities:
         return len(arrival.time) - 1
     return int(np.searchsorted(arrival.time, arrival.arrival_time("peak")))
@@ -111,7 +111,7 @@ def _received_peak_index(arrival: Arrival) -> int:
 
 @apply_style
 def draw_signals(arrivals: Sequence[Arrival]) -> Figure:
-    """Draw the signals of samples, from the least to the most cemented, below one another, each with its arrivals."""
+    """Draw the signals of samples below one another, from the least to the most cemented, with their arrivals."""
     figure = new_figure(height=0.8 + 1.45 * len(arrivals))
     panels = figure.subplots(len(arrivals), 1, squeeze=False)[:, 0]
     handles: dict[str, Artist] = {}

@@ -1,4 +1,4 @@
-"""Picture of local stiffness: one sample of each content, and variance and length against content."""
+"""Picture of local stiffness: one sample of each content, scatter and scale of fluctuation against content."""
 
 import numpy as np
 import xarray as xr

@@ -1,4 +1,4 @@
-"""One look for all figures: colours, sizes, units, and how a figure is written to files."""
+"""Common style of all figures: colours, sizes, units, and output to files."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -45,7 +45,7 @@ CONTENT_MAP = "viridis"
 CORRELATION_MAP = "RdBu_r"
 
 FIGURE_WIDTH = 6.2
-"""Width of a figure in inches: a column of the report, and still readable on a phone."""
+"""Width of a figure in inches: a column of the report, readable on a phone."""
 
 CONTENT_LABEL = "calcite content (% of sand mass)"
 VS_LABEL = "shear-wave velocity $V_s$ (m/s)"
@@ -89,12 +89,12 @@ _STYLE: dict[Any, Any] = {
 
 
 def apply_style(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Make a function draw in this style, whatever the caller's matplotlib is set to."""
+    """Make a function draw in this style, independent of the caller's settings of matplotlib."""
 
     @wraps(draw)
     def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
         with mpl.rc_context(_STYLE):
-            return draw(*args, **kwargs).figure  # the whole one, where it was drawn on a part
+            return draw(*args, **kwargs).figure  # the whole figure if only a part was drawn
 
     return inner
 
@@ -105,10 +105,10 @@ _CALLERS_AXES: ContextVar[Axes | None] = ContextVar("place", default=None)
 
 @contextmanager
 def drawn_in(place: Axes | None) -> Iterator[None]:
-    """Draw the figure made within in axes of the caller; None for a figure of its own.
+    """Draw the figure made in this context in axes of the caller; None for a new figure.
 
-    A figure of one panel is drawn into these axes, beside what they hold. One of several panels takes their place, for
-    which they have to be of a grid, as `plt.subplots` makes them.
+    A figure of one panel is added to these axes. A figure of several panels replaces them, so they have to be part of a
+    grid, as made by `plt.subplots`.
     """
     if place is not None and place.figure is None:
         raise ValueError("ax was removed from its figure: make new axes with plt.subplots.")
@@ -120,26 +120,26 @@ def drawn_in(place: Axes | None) -> Iterator[None]:
 
 
 def new_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
-    """Give an empty figure of a size in inches, outside of any window, or a part of the caller's figure."""
+    """Return an empty figure of a size in inches, without a window, or a part of the caller's figure."""
     if (place := _CALLERS_AXES.get()) is None:
         return Figure(figsize=(width, height), layout="constrained")
     if (cell := place.get_subplotspec()) is None:
         raise ValueError("ax is not of a grid, and this figure has several panels: make it with plt.subplots.")
     owner = place.figure
     place.remove()
-    return cast("Figure", owner.add_subfigure(cell))  # all that is drawn on a figure can be drawn on a part of one
+    return cast("Figure", owner.add_subfigure(cell))  # a part of a figure accepts the same drawing calls
 
 
 def new_panel(height: float, width: float = FIGURE_WIDTH) -> tuple[Figure, Axes, bool]:
-    """Give a whole figure with its only panel, and whether they are the caller's."""
+    """Return a whole figure with its only panel, and whether they are the caller's."""
     if (place := _CALLERS_AXES.get()) is None:
         figure = new_figure(height, width)
         return figure, figure.subplots(), False
-    return place.figure.figure, place, True  # of a part of a figure it is the figure, of a figure itself
+    return place.figure.figure, place, True  # the figure of a part, or the figure itself
 
 
 def letter_panels(panels: Iterable[Axes], **look: Any) -> None:  # noqa: ANN401 - of a text of matplotlib
-    """Put (a), (b), ... before the titles on the left of several panels; `look` goes to `Axes.set_title`."""
+    """Put (a), (b), ... before the left titles of several panels; `look` is passed to `Axes.set_title`."""
     lettered = list(panels)
     for place, axes in enumerate(lettered if len(lettered) > 1 else ()):
         rounds, letter = divmod(place, len(ascii_lowercase))
@@ -148,7 +148,7 @@ def letter_panels(panels: Iterable[Axes], **look: Any) -> None:  # noqa: ANN401 
 
 
 def strip_axes(axes: Axes) -> None:
-    """Take grid, ticks and frame off axes that show a picture."""
+    """Remove grid, ticks and frame from axes that show a picture."""
     axes.grid(visible=False)
     axes.set_xticks([])
     axes.set_yticks([])
@@ -157,25 +157,25 @@ def strip_axes(axes: Axes) -> None:
 
 
 def render(figure: Figure, file_format: str, colours: int | None = None) -> bytes:
-    """Give the bytes of a figure as "png" (150 dpi), "svg" or "pdf"; equal figures give equal bytes."""
+    """Return the bytes of a figure as "png" (150 dpi), "svg" or "pdf"; equal figures give equal bytes."""
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(file_format, {})
     buffer = BytesIO()
     with mpl.rc_context(_STYLE):
         if (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
-            figure.set_layout_engine(None)  # with any, `savefig` draws twice and lays out each time
+            figure.set_layout_engine(None)  # with a layout engine `savefig` draws and lays out twice
         options: dict[str, Any] = (
             {} if colours is None else {"pil_kwargs": {"compress_level": 0}}
-        )  # it is compressed with its palette
+        )  # compressed later with its palette
         figure.savefig(buffer, format=file_format, metadata=metadata, **options)
     return buffer.getvalue() if colours is None else reduce_colours(buffer.getvalue(), colours)
 
 
 def reduce_colours(png: bytes, colours: int = 256) -> bytes:
-    """Give a PNG with a palette: pictures of grains are large but have few colours."""
+    """Return a PNG with a palette, since pictures of grains are large but have few colours."""
     small = BytesIO()
     with Image.open(BytesIO(png)) as picture:
-        # Octree keeps rare colours such as those of thin rings, which median cut gives up.
+        # Octree keeps rare colours such as those of thin rings; median cut loses them.
         palette = picture.convert("RGB").quantize(colours, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         palette.save(small, "png", optimize=True)
     return small.getvalue()

@@ -36,16 +36,16 @@ from calcidem.analysis.published import PublishedVelocity
 from calcidem.storage.records.error_budget import NORMAL_95, departs
 
 _LOW_CONTENT = 0.7
-"""Contents up to this lie so close together that they are drawn once more, enlarged."""
+"""Contents up to this are so close together that they are also drawn enlarged."""
 _HISTOGRAM_COLUMNS = 4
 _MANY = 30
-"""Marks of more samples than this are pixels in vector files, which keeps these small."""
+"""Number of samples above which marks are pixels in vector files, which keeps these small."""
 _SIDE_BY_SIDE = 0.006
-"""How far the first and last sample of a content stand beside it, as a part of the range of contents."""
+"""Offset of the first and last sample of a content, over the range of contents."""
 _CAMPAIGNS_ASIDE = 0.012
-"""How far campaigns stand beside one another, as a part of the range of contents."""
+"""Distance between campaigns, over the range of contents."""
 _PUBLISHED_ASIDE = 0.012
-"""How far published means stand beside their content, as a part of the range of contents."""
+"""Offset of published means from their content, over the range of contents."""
 
 
 @apply_style
@@ -67,7 +67,7 @@ def draw_range(
     _draw_measured(axes, measured)
     axes.set_xlabel(CONTENT_LABEL)
     axes.set_ylabel(VS_LABEL)
-    if placed:  # what else is in the figure has its own legend
+    if placed:  # other elements of the figure have their own legend
         axes.legend(fontsize=7)
     else:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3 if published else 2)
@@ -100,7 +100,7 @@ def _draw_range(
     axes.fill_between(
         content, *band("mean_interval"), color=BLUE, alpha=0.45, linewidth=0, label="95 % interval of the mean"
     )
-    abreast = _SIDE_BY_SIDE * (content[-1] - content[0])  # of the samples of one content, so that their bars are seen
+    abreast = _SIDE_BY_SIDE * (content[-1] - content[0])  # so that bars of samples are visible
     apart: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
     for row in rows:
         of_content = cells.sel(content=row.content)
@@ -140,11 +140,11 @@ def _draw_range(
             zorder=4,
             label="published mean and standard\ndeviation (set off to the right)",
         )
-    axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))  # no velocity is negative, whatever a band shows
+    axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))  # velocities are positive even if a band is not
 
 
 def _draw_measured(axes: Axes, measured: Sequence[Target]) -> None:
-    """Lay laboratory means with their standard deviations over a picture of Vs against content."""
+    """Add laboratory means with standard deviations to a picture of Vs against content."""
     if measured:
         axes.errorbar(
             [target.content for target in measured],
@@ -191,7 +191,7 @@ def draw_comparison(comparison: xr.Dataset) -> Figure:
 
 
 def _draw_bars(axes: Axes, at: NDArray[np.float64], row: xr.Dataset, name: str, **look: Any) -> None:  # noqa: ANN401 - of matplotlib
-    """Draw a quantity with its interval at places along content; an interval that is not known is left out."""
+    """Draw a quantity with its interval at places along content; unknown intervals are left out."""
     values = row[name].to_numpy()
     low, high = row[f"{name}_interval"].transpose("bound", "content").to_numpy()
     axes.errorbar(at, values, yerr=np.nan_to_num([values - low, high - values]), markersize=4, capsize=2, **look)
@@ -217,7 +217,7 @@ def draw_histograms(
                 marks.append(axes.axvline(target.vs, color=BLACK, linewidth=1.5, linestyle="--", label="measured mean"))
                 low, high = axes.get_xlim()
                 axes.set_xlim(min(low, 0.97 * target.vs), max(high, 1.03 * target.vs))
-    letter_panels(panels[: len(rows)], fontsize=8.5, pad=19.0)  # numbers stand below
+    letter_panels(panels[: len(rows)], fontsize=8.5, pad=19.0)  # space for numbers below
     for axes in panels[len(rows) :]:
         axes.set_axis_off()
     figure.supxlabel(VS_LABEL, fontsize=9)
@@ -236,10 +236,10 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
         axes.axvline(row.mean, color=BLUE, linewidth=4, alpha=0.7)
         axes.set_xlim(0.9 * row.mean, 1.1 * row.mean)
         text = "one sample" if row.n == 1 else f"all {row.n}\nequal"
-        box = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.0}  # over a measured mean
+        box = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.0}  # above a measured mean
         axes.text(0.05, 0.92, text, transform=axes.transAxes, fontsize=7, va="top", zorder=5, bbox=box)
         return
-    # Freedman and Diaconis make single bars of small samples, so at least Sturges' number is taken.
+    # The rule of Freedman and Diaconis gives single bars for small samples, so at least Sturges' number is used.
     axes.hist(values, bins="auto", density=True, color=SKY, alpha=0.75, edgecolor="white", linewidth=0.5)
     reach = 3.4 * row.standard_deviation
     grid = np.linspace(min(values.min(), row.mean - reach), max(values.max(), row.mean + reach), 200)
@@ -266,11 +266,11 @@ def draw_methods(cells: xr.Dataset, measured: Sequence[Target] = ()) -> Figure:
         ratio = 100 * (values / reference - 1)
         for axes, numbers in ((upper, values), (lower, ratio)):
             known = np.isfinite(numbers).any(axis=0)
-            if not known.any():  # none of the cells could be read so
+            if not known.any():  # no cell has a reading by this method
                 continue
             low, middle, high = np.nanquantile(numbers[:, known], [0.1, 0.5, 0.9], axis=0)
             axes.fill_between(content[known], low, high, color=colour, alpha=0.18, linewidth=0)
-            # Each curve is thinner than those below it, so that none is hidden where they agree.
+            # Each curve is thinner than those below it, so that equal curves remain visible.
             axes.plot(content[known], middle, color=colour, lw=width, marker=marker, ms=2.5 + width, label=label)
     _draw_measured(upper, measured)
     upper.set_title("velocity")
@@ -285,7 +285,7 @@ def draw_methods(cells: xr.Dataset, measured: Sequence[Target] = ()) -> Figure:
 
 @apply_style
 def draw_narrowing(narrowings: Mapping[float, xr.Dataset]) -> Figure:
-    """Draw how the 95 % intervals narrow with the number of seeds, see `planning.narrowing`, for each content."""
+    """Draw the 95 % intervals against the number of seeds for each content, see `planning.narrowing`."""
     figure = new_figure(height=3.1)
     panels = figure.subplots(1, 3)
     colours = mpl.colormaps[CONTENT_MAP](np.linspace(0.05, 0.85, len(narrowings)))
