@@ -37,6 +37,14 @@ def test_a_rising_law_is_found_as_well() -> None:
     assert fit_power_law(x, power_law(x, 500.0, 1.7, 20.0)).b == pytest.approx(1.7, rel=1e-4)
 
 
+def test_three_different_connectivities_are_fitted_if_there_are_more_points() -> None:
+    """Three means determine three parameters; two do not."""
+    x = np.array([0.3, 0.3, 0.7, 1.3])
+    assert fit_power_law(x, power_law(x, *LAW)).b == pytest.approx(LAW[1], rel=1e-4)
+    with pytest.raises(ValueError, match="different"):
+        fit_power_law(x[[0, 1, 2, 2]], power_law(x, *LAW))
+
+
 def test_no_other_parameters_fit_better() -> None:
     """SciPy's global search over the parameters finds no smaller sum of squares."""
     x, y = noisy(1)

@@ -80,6 +80,12 @@ def test_moments_alone_give_the_same_test() -> None:
     assert NormalityTest.of_moments(50, _skewness(values), _kurtosis(values)) == _jarque_bera(values)
 
 
+@pytest.mark.parametrize("n", [25, 300])
+def test_as_many_samples_are_simulated_for_every_size(n: int) -> None:
+    """20,000, whether their values fit into one block of two million or not."""
+    assert len(_null_statistics(n)) == 20_000
+
+
 def test_the_simulation_is_done_once_for_a_size_and_is_the_same_every_time() -> None:
     """The simulated statistics of a size are kept, read-only, and come out alike when drawn again."""
     first = _null_statistics(25)

@@ -9,6 +9,7 @@ from calcidem.dem.engine.material import Cement
 from calcidem.dem.engine.readout import contact_forces
 from calcidem.dem.engine.scene import Bonds, Installation, Preload
 from calcidem.dem.engine.state import advance, start
+from calcidem.dem.kernels.layout import NORMAL, SHEAR
 
 PAIRS = np.array([[0, 1]])
 BARE = replace(SOFT_CEMENT, linear_modulus=0.0)
@@ -48,6 +49,17 @@ def test_cement_takes_over_the_force_as_its_installation_says(
     assert contact.normal.sum() == pytest.approx(normal, rel=1e-12)
     assert contact.shear.sum() == pytest.approx(shear, rel=1e-12)
     assert contact.moment.sum() == 0.0
+
+
+def test_only_a_lane_with_the_bond_gives_it_the_force() -> None:
+    """In other lanes the contact keeps its shear force, and there is no bond to bear any."""
+    bonds = Bonds(PAIRS, BARE, np.array([0b00000101], dtype=np.uint32))
+    scene = pair_scene(gap=-OVERLAP, sand=SOFT, bonds=bonds, held=HELD)
+    pairs = start(scene, features=replace(BONDED, lanes=8), preload=PRELOAD, time_step=STEP).assembly.pairs
+    bonded = np.array([True, False, True, False, False, False, False, False])
+    np.testing.assert_allclose(pairs.bond_force[0, NORMAL], np.where(bonded, CARRIED, 0.0))
+    np.testing.assert_allclose(np.abs(pairs.bond_force[0, SHEAR]), np.where(bonded, 0.3 * CARRIED, 0.0))
+    np.testing.assert_allclose(np.abs(pairs.shear[0]), np.where(bonded, 0.0, 0.3 * CARRIED))
 
 
 @pytest.mark.parametrize("cement", [BARE, SOFT_CEMENT])

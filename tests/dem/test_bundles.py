@@ -10,7 +10,7 @@ from scenes import ACCOUNT, BONDED, GROUPED, HERTZ, LINEAR, SOFT_CEMENT, jumble,
 from calcidem.dem.engine import leapfrog
 from calcidem.dem.engine.bundles import plan_bundles
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.scene import Precision, Scene
+from calcidem.dem.engine.scene import Bonds, Precision, Regime, Scene
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import ABREAST, Features
 
@@ -97,6 +97,15 @@ def test_every_pair_has_one_place_in_the_bundles_of_its_block(block: int) -> Non
     assert bundles.start[-1] == len(bundles.pair)
     for begin in range(0, DISKS, block):
         assert (blocks[bundles.start[begin] :] >= begin // block).all()
+
+
+def test_a_list_without_bonds_costs_nothing() -> None:
+    """The features are those of a scene without cement."""
+    scene = jumble(1, 9)
+    empty = replace(scene, bonds=Bonds(np.empty((0, 2), dtype=np.int64), SOFT_CEMENT))
+    regimes: tuple[Regime, ...] = ("linear", "small", "finite")
+    for regime in regimes:
+        assert choose_features(empty, regime) == choose_features(scene, regime)
 
 
 def test_scenes_of_some_hundred_disks_are_bundled() -> None:

@@ -332,6 +332,15 @@ def test_the_change_by_halving_is_that_of_the_signal_where_the_travel_time_stays
     assert _change_by_halving(EXPERIMENT, fine, arrival, replace(coarse, problem="unstable")) == 1.0
 
 
+def test_where_there_is_no_peak_a_change_moves_the_time_as_the_period_is_wide() -> None:
+    """By 2 pi f T^2 over the travel time, and no more for a peak that is wider."""
+    arrival = received()
+    for curvature in (0.0, 1e-6):
+        places = np.arange(len(arrival.clean)) - arrival.index
+        wide = replace(arrival, clean=np.repeat(1.0 - curvature * places[:, None] ** 2, arrival.clean.shape[1], axis=1))
+        assert shift_by_change(RECORD.section, wide) == pytest.approx(2.0 * np.pi / (FREQUENCY * TRAVEL_TIME))
+
+
 def test_seeds_are_measured_in_batches_of_the_kernels_width(monkeypatch: pytest.MonkeyPatch) -> None:
     """All of them, in order."""
     batches: list[list[int]] = []
@@ -427,17 +436,19 @@ def test_the_bound_counts_half_of_what_shear_rescaling_takes() -> None:
     assert same == usual
 
 
-def test_softening_is_slip_over_what_is_spare() -> None:
-    """Of C contacts of N disks one that slips leaves 2 C - 1 components of force for 3 N ways to move."""
+@pytest.mark.parametrize("bonds", [0, 1])
+def test_softening_is_slip_over_what_is_spare(bonds: int) -> None:
+    """Of C contacts of N disks one that slips leaves 2 C - 1 components for 3 N ways to move; a bond adds one."""
     x, y = hexagonal(5, 4, 2.0 * SCENE_RADIUS - 1e-6)
     contacts = int(np.sum(np.triu(np.hypot(x - x[:, None], y - y[:, None]) < 2.0 * SCENE_RADIUS, 1)))
-    scene = Scene(x=x, y=y, radius=np.full(len(x), SCENE_RADIUS), sand=SOFT, walls=FAR)
-    state = start(scene, features=replace(LINEAR, bonds=False, linear_group=False))
+    cement = Bonds(np.array([[len(x) - 2, len(x) - 1]])[:bonds], SOFT_CEMENT)
+    scene = Scene(x=x, y=y, radius=np.full(len(x), SCENE_RADIUS), sand=SOFT, walls=FAR, bonds=cement)
+    state = start(scene, features=LINEAR)
     # The first and the second disk in memory touch; turning against each other they slip, others do not.
     state.assembly.pairs.friction[1:] = 1e9
     state.motion.displacement[0, 2] = 1e-2
     found = nonlinearity(state)
-    spare = 1.0 - 3.0 * len(x) / (2.0 * contacts - 1.0)
+    spare = 1.0 - 3.0 * len(x) / (2.0 * contacts - 1.0 + bonds)
     assert found.softening == pytest.approx(found.share / spare)
     assert found.share > 0.0
     triangle = hexagonal(2, 2, 2.0 * SCENE_RADIUS - 1e-6)

@@ -89,3 +89,5 @@ def test_porosity_and_contacts_that_disks_cannot_have_are_refused(small_packing:
     ):
         (fault,) = judge_disks(replace(small_packing, report=replace(report, **change)), Sand())
         assert fault.refused is refused
+    isostatic = replace(report, coordination_number_without_rattlers=3.0)
+    assert judge_disks(replace(small_packing, report=isostatic), Sand()) == ()

@@ -11,6 +11,7 @@ from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.portable import root
 from calcidem.dem.engine.readout import Energies, contact_forces, energies, net_forces, wall_contacts, wall_reactions
 from calcidem.dem.engine.scene import Bonds, Scene, Wall
+from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.engine.step_control import UnstableRunError, _contact_durations, _instant
 
@@ -143,6 +144,15 @@ def test_a_fixed_step_above_what_the_limit_becomes_is_an_error_with_step_and_dis
     state = replace(state, scene=scene, assembly=start(scene, features=HERTZ).assembly)
     with pytest.raises(UnstableRunError, match=r"after \d+ steps the limit is .* disk 0, which began at"):
         advance(state, 1000)
+
+
+def test_a_step_that_stays_is_worth_a_tight_limit() -> None:
+    """It is that of the whole scene; a step that follows the disks begins at the lower limit of single disks."""
+    scene = jumble(2, walls=False)
+    fixed = start(scene, features=HERTZ, steps_per_contact=0.0)
+    tight, cheap = (find(scene, fixed.assembly, HERTZ) for find in (critical_time_step, critical_time_step_of_disks))
+    assert fixed.critical_time_step == tight > cheap
+    assert start(scene, features=HERTZ, steps_per_contact=1e-9).critical_time_step == cheap
 
 
 @pytest.mark.parametrize("features", [HERTZ, LINEAR])

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from itertools import pairwise
 from multiprocessing import get_context
@@ -214,6 +215,24 @@ def test_workers_that_do_not_answer_are_counted(tmp_path: Path) -> None:
         while not losses:
             _, losses = workers.poll()
         assert bool(workers.exhausted) == (silent == 2)
+
+
+@pytest.mark.parametrize("answered", [0, 3])
+def test_only_what_a_lost_process_may_have_had_counts_as_lost(
+    answered: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A batch for each worker and one more; of workers unknown, one for each core and two more. The others are left."""
+    monkeypatch.setattr("calcidem.sweep.executor_workers.available_cores", lambda: 5)
+    executor = Scripted(lambda: BrokenProcessPool("gone"))
+    workers: ExecutorWorkers[tuple[int, float]] = ExecutorWorkers(executor, Fault("", tmp_path), SweepOptions())
+    for number in range(answered):
+        workers._rank_of["here", number, 1] = number + 1
+        workers._last_answer["here", number, 1] = time.monotonic()
+    for number in range(20):
+        workers.submit(Batch(number, (BAD_CELL,)))
+    _, losses = workers.poll()
+    assert len(losses) == (4 if answered else 7)
+    assert workers.running == 20 - len(losses)
 
 
 def test_the_heart_beats_twice_a_second() -> None:
