@@ -6,7 +6,7 @@ It loads nothing that is large: the command that starts the ranks reads it, too.
 import json
 import time
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Self
@@ -22,6 +22,66 @@ _SHORTEST_INTERVAL = 0.2
 
 _LONGEST_TEXT = 3500
 """Largest snapshot in bytes; a larger one is sent without the contents."""
+
+
+class _Forecast:
+    """Counts cells and measures their cost in each group of batches.
+
+    A measured group counts with its own mean seconds for each cell. Others count with their estimated cost, scaled by
+    the ratio of measured to estimated cost elsewhere.
+    """
+
+    def __init__(self, batches: Iterable[Batch[Any]]) -> None:
+        self._cells: Counter[Hashable] = Counter()
+        self._remaining: Counter[Hashable] = Counter()
+        self._cost: dict[Hashable, float] = defaultdict(float)
+        self._seconds: dict[Hashable, float] = defaultdict(float)
+        self._measured: Counter[Hashable] = Counter()
+        self.extend(batches)
+
+    def extend(self, batches: Iterable[Batch[Any]]) -> None:
+        """Count further batches."""
+        for batch in batches:
+            self._cells[batch.group] += len(batch.cells)
+            self._remaining[batch.group] += len(batch.cells)
+            self._cost[batch.group] += batch.cost
+
+    @property
+    def total(self) -> int:
+        """Number of cells of all batches."""
+        return self._cells.total()
+
+    def _estimate(self, group: Hashable) -> float:
+        """Expected cost of a cell, in the unit of the batches."""
+        return self._cost[group] / self._cells[group]
+
+    @property
+    def settled(self) -> int:
+        """Number of cells that are settled."""
+        return self.total - self._remaining.total()
+
+    def record(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Count a final outcome; only results measure the cost of a cell."""
+        group, cells = outcome.batch.group, len(outcome.batch.cells)
+        self._remaining[group] -= cells
+        if outcome.failure is None:
+            self._seconds[group] += outcome.seconds
+            self._measured[group] += cells
+
+    def seconds_left(self, workers: int) -> float | None:
+        """Return the seconds that the remaining cells need on this number of workers, or None if unknown."""
+        estimated = sum(self._estimate(group) * cells for group, cells in self._measured.items())
+        if self.settled == self.total:
+            return 0.0
+        if estimated == 0.0 or workers < 1:
+            return None
+        scale = sum(self._seconds.values()) / estimated
+        work = 0.0
+        for group, cells in self._remaining.items():
+            measured = self._measured[group]
+            per_cell = self._seconds[group] / measured if measured else self._estimate(group) * scale
+            work += cells * per_cell
+        return work / workers
 
 
 class RunStage(StrEnum):
@@ -117,7 +177,9 @@ class ProgressReporter(Progress):
         self._last = RunProgress(RunStage.STARTING)
         self._began = time.monotonic()
         self._next = 0.0
-        self._begin_to_count()
+        self._forecast = _Forecast([])
+        self._contents: dict[float, list[int]] = {}
+        self._outcomes: Counter[str] = Counter()
 
     def begin(self, stage: RunStage) -> None:
         """Report that a stage begins that has no progress of its own."""
@@ -145,9 +207,11 @@ class ProgressReporter(Progress):
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Begin to count cells."""
-        self._begin_to_count()
-        self.on_further(batches)
-        total = pluralize(self._planned.total(), "cell")
+        self._forecast = _Forecast(batches)
+        self._outcomes.clear()
+        self._contents = {}
+        self._count(batches)
+        total = pluralize(self._forecast.total, "cell")
         where = pluralize(workers, "worker") if workers else "the workers of the executor"
         parts = f"{pluralize(len(batches), 'batch', 'batches')} on {where}"
         self._display.note(f"{total} in {parts}" if batches else "Nothing to compute: every cell has an outcome.")
@@ -155,45 +219,21 @@ class ProgressReporter(Progress):
 
     def on_further(self, batches: Sequence[Batch[Any]]) -> None:
         """Count further cells."""
+        self._forecast.extend(batches)
+        self._count(batches)
+
+    def _count(self, batches: Sequence[Batch[Any]]) -> None:
         for batch in batches:
-            content = batch.cells[0][1]
-            self._planned[content] += len(batch.cells)
-            self._cost[content] += batch.cost
-
-    def _begin_to_count(self) -> None:
-        """Forget all cells."""
-        self._planned: Counter[float] = Counter()
-        self._finished: Counter[float] = Counter()
-        self._outcomes: Counter[str] = Counter()
-        self._cost: defaultdict[float, float] = defaultdict(float)
-        self._measured_seconds = self._measured_cost = 0.0
-
-    def _cost_of(self, content: float, cells: int) -> float:
-        """Expected cost of some cells of a content, in the unit of the batches."""
-        return cells * self._cost[content] / self._planned[content]
-
-    def _seconds_left(self, workers: int) -> float | None:
-        """Seconds that the remaining cells need on so many workers; None where that is not known.
-
-        Their expected cost is scaled by the seconds and the cost of the cells that have results.
-        """
-        left = sum(self._cost_of(content, cells) for content, cells in (self._planned - self._finished).items())
-        if left == 0.0:
-            return 0.0
-        if self._measured_cost == 0.0 or workers < 1:
-            return None
-        return left * self._measured_seconds / self._measured_cost / workers
+            self._contents.setdefault(batch.cells[0][1], [0, 0])[1] += len(batch.cells)
 
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Count, and report a failure."""
-        content, count = outcome.batch.cells[0][1], len(outcome.batch.cells)
-        self._finished[content] += count
+        self._forecast.record(outcome)
+        self._contents[outcome.batch.cells[0][1]][0] += len(outcome.batch.cells)
         if outcome.failure is None:
-            self._measured_cost += self._cost_of(content, count)
-            self._measured_seconds += outcome.seconds
             self._outcomes.update(str(result.status) for result in outcome.results or ())
             return
-        self._outcomes[str(outcome.failure.kind)] += count
+        self._outcomes[str(outcome.failure.kind)] += len(outcome.batch.cells)
         cells, place = ", ".join(f"seed {seed}, {content:g} %" for seed, content in outcome.batch.cells), outcome.place
         self._display.note(
             f"{outcome.failure.kind}: {cells} on rank {place.rank} ({place.host}): {outcome.failure.message}"
@@ -215,13 +255,11 @@ class ProgressReporter(Progress):
     def _tell_cells(self, workers: int, running: int, *, at_once: bool = False) -> None:
         progress = RunProgress(
             RunStage.COMPUTING,
-            seconds_left=self._seconds_left(workers),
-            finished=self._finished.total(),
-            total=self._planned.total(),
+            seconds_left=self._forecast.seconds_left(workers),
+            finished=self._forecast.settled,
+            total=self._forecast.total,
             outcomes=dict(sorted(self._outcomes.items(), key=lambda item: (item[0] != "done", item[0]))),
-            contents=tuple(
-                (content, self._finished[content], total) for content, total in sorted(self._planned.items())
-            ),
+            contents=tuple((content, finished, total) for content, (finished, total) in sorted(self._contents.items())),
             workers=workers,
             busy=running,
         )
