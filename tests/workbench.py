@@ -114,6 +114,7 @@ class Workbench:
         before = digests([self.folder])
         with redirect_stdout(output), redirect_stderr(output), warnings.catch_warnings():
             warnings.simplefilter("error")
+            warnings.simplefilter("always", FutureWarning)
             try:
                 main()
             except SystemExit as ended:
@@ -158,6 +159,7 @@ def open_workbench(folder: Path) -> Iterator[Workbench]:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr("sys.argv", [])
+        patch.setattr("warnings.formatwarning", warnings.formatwarning)
         patch.setenv("CALCIDEM_CACHE", str(folder / "cache"))
         for place in LONG:
             patch.setattr(place, begin_computing)

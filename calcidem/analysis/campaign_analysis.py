@@ -316,6 +316,30 @@ class CampaignAnalysis:
         )
 
 
+def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
+    """Correlate the eight features with Vs within one content, over the selected cells only.
+
+    Returns along feature ``pearson``, its 95 % interval ``pearson_low`` and ``pearson_high``, ``p`` and
+    ``p_corrected``, see `calcidem.analysis.correlation.seed_permutation_test`. `UnavailableError` if the campaign has
+    no cement, or no selected cell has a velocity.
+    """
+    table = analysis.table
+    chosen = np.zeros(analysis.vs.shape, dtype=bool)
+    columns = analysis.store.table(("seed", "content"), selection)
+    chosen[
+        np.searchsorted(table["seed"], columns["seed"].astype(np.int64)),
+        np.searchsorted(table["content"], columns["content"]),
+    ] = True
+    table = table.where(xr.DataArray(chosen, dims=("seed", "content")))
+    if not bool(table["vs"].notnull().any()):
+        raise UnavailableError("no selected cell has a velocity")
+    with _translate_refusals():
+        tests = seed_permutation_test(table, "vs")
+        within = correlate(table).within.sel(other="vs", variable=tests["variable"]).drop_vars("other")
+    found = xr.merge([within[["pearson", "pearson_low", "pearson_high"]], tests[["p", "p_corrected"]]])
+    return found.rename(variable="feature").assign_attrs(tests.attrs)
+
+
 def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
     """Return the dispersion from the stored sections of cells of one content that have a velocity.
 

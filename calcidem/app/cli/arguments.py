@@ -71,12 +71,5 @@ OneContent = Annotated[
     float, typer.Option("--content", parser=parse_percentage, metavar="PERCENT", help="Calcite content of the cell.")
 ]
 OneSeed = Annotated[int, typer.Option("--seed", min=0, max=HIGHEST_SEED, help="Seed of the cell.")]
-Level = Annotated[
-    float,
-    typer.Option(
-        parser=number_parser(0.5, 0.999, "is no probability from 0.5 to 0.999"),  # no campaign has samples for more
-        help="Level of all intervals.",
-    ),
-]
 StudyFolder = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for figure, tables and JSON.")]
 StudyCores = Annotated[int, typer.Option(min=0, help="Cores to compute on; 0 for all.")]

@@ -6,6 +6,7 @@ import inspect
 import os
 import sys
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from io import TextIOWrapper
@@ -16,11 +17,13 @@ from typer.core import TyperGroup
 
 from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable
 from calcidem.storage.passwords import keep_passwords_back
-from calcidem.sweep.environment import TERMINAL_VARIABLE, THREAD_VARIABLES, launcher
+from calcidem.sweep.environment import TERMINAL_VARIABLE, launcher
 from calcidem.version import __version__
 
 _OBJECTS_BEFORE_COLLECTING = 10_000
 """Python looks for garbage each 700 new objects, also among libraries that load: a tenth of a short command's time."""
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 PANELS = {
     "Compute": {
@@ -80,9 +83,10 @@ class _LazyGroup(TyperGroup):
 
 def main() -> None:
     """Entry point: run a command, and tell an error in one message."""
-    for variable in THREAD_VARIABLES:
+    for variable in _THREADS:
         os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
     gc.set_threshold(_OBJECTS_BEFORE_COLLECTING)
+    warnings.formatwarning = _format_warning
     _print_any_text()
     _be_plain_under_mpi()
     if wrong := _strange_argument(sys.argv[1:]):
@@ -173,6 +177,19 @@ def _with_common_options(name: str, function: Callable[..., None]) -> Callable[.
     command.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *options])  # type: ignore[attr-defined]  # which typer reads
     command.__annotations__ = function.__annotations__ | _COMMON_OPTIONS
     return command
+
+
+def _format_warning(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """One line for warnings to users; all others with their origin."""
+    if issubclass(category, FutureWarning):
+        return printable(f"Warning: {message}\n")
+    return printable(f"{filename}:{lineno}: {category.__name__}: {message}\n" + (f"  {line}\n" if line else ""))
+
+
+if __name__ == "__main__":
+    main()
 
 
 def _be_plain_under_mpi() -> None:

@@ -1,14 +1,17 @@
 """``calcidem predict``: Vs of a sample that was not simulated, and how far such predictions can be trusted."""
 
+import csv
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 from rich.table import Table
 
-from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, Level, number_parser, parse_percentage
+from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, number_parser, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
+from calcidem.storage.records import P_CONTACT, CementPattern
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.analysis.predictor import Prediction, PredictorCheck
@@ -25,13 +28,23 @@ def predict_command(
         ),
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, max=HIGHEST_SEED, help="Seed whose cement is drawn.")] = None,
+    pattern: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Or its cemented contacts: two grain numbers (from 0) per line."),
+    ] = None,
     feature: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUE", help="Or a feature, such as path_normalized_connectivity=0.6; may be repeated."
         ),
     ] = None,
-    level: Level = 0.95,
+    level: Annotated[
+        float,
+        typer.Option(
+            parser=number_parser(0.5, 0.999, "is no probability from 0.5 to 0.999"),  # no campaign has samples for more
+            help="Probability of the interval.",
+        ),
+    ] = 0.95,
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
@@ -46,15 +59,18 @@ def predict_command(
     from calcidem.app.cli.tables import make_console
     from calcidem.storage.sql.store import read_campaign
 
-    given = [option for option in (seed, feature) if option is not None]
+    given = [option for option in (seed, pattern, feature) if option is not None]
     if len(given) > 1 or (given and content is None):
-        raise typer.BadParameter("give --content, and one of --seed and --feature or none of them")
+        raise typer.BadParameter("give --content, and one of --seed, --pattern and --feature or none of them")
+    cement = None if pattern is None else _read_pattern(pattern)
     features = None if feature is None else dict(_read_feature(text) for text in feature)
     with read_campaign(database, campaign) as store:
         if content is not None:
             from calcidem.app.campaign.opened import Campaign  # a sample that was not simulated needs the engine
 
-            prediction = Campaign(store).predict(content=content, seed=seed, features=features, level=level)
+            prediction = Campaign(store).predict(
+                content=content, seed=seed, pattern=cement, features=features, level=level
+            )
             typer.echo(_prediction_line(content, prediction, level), err=layout is not Format.TABLE)
         names = CEMENT_FEATURES if features is None else tuple(features)
         analysis = CampaignAnalysis(store, with_cement=with_patterns)
@@ -73,6 +89,19 @@ def predict_command(
 
 
 _parse_value = number_parser(-1e12, 1e12, "is no value; write NAME=VALUE, such as path_normalized_connectivity=0.6")
+
+
+def _read_pattern(path: Path) -> CementPattern:
+    """Cemented contacts in a file; which of them are P and which C does not matter to a path."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as source:
+            lines = [row[:2] for row in csv.reader(source) if row]
+        if lines and not any(entry.strip().lstrip("-").isdigit() for entry in lines[0]):
+            del lines[0]  # a header
+        contacts = np.array([[int(entry) for entry in row] for row in lines], dtype=np.int32).reshape(len(lines), 2)
+    except (ValueError, OverflowError, csv.Error) as error:
+        raise typer.BadParameter(f"{path}: {error}; give two grain numbers on each line") from error
+    return CementPattern(contacts, np.full(len(contacts), P_CONTACT, dtype=np.uint8), np.empty((0, 2)))
 
 
 def _read_feature(text: str) -> tuple[str, float]:

@@ -15,6 +15,7 @@ from rich.text import Text
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
 from calcidem.app.cli.formats import Format, FormatOption, RecordRows, tell_rows
 from calcidem.app.cli.terminal import printable
+from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import pluralize
@@ -37,30 +38,60 @@ def query_command(
     limit: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Most rows to show.")] = None,
     layout: FormatOption = Format.TABLE,
     out: Annotated[Path | None, typer.Option(help="File to write; .csv, .json or .parquet choose the format.")] = None,
+    features: Annotated[
+        bool,
+        typer.Option("--features", help="Show correlations of path features with Vs instead."),
+    ] = False,
     campaign: CampaignName = None,
 ) -> None:
-    """Show the cells of a campaign that meet all given conditions."""
+    """Show the cells of a campaign that meet all given conditions.
+
+    --features gives Pearson's correlation within a content, its 95 % interval, p by exchanging seeds at random, and p
+    corrected for the number of features.
+    """
     from calcidem.storage.records import QUANTITY_BY_NAME
     from calcidem.storage.sql.store import read_campaign
 
     selection = Selection(seed or None, content or None, status or None, where)
-    names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
-    names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
-    with read_campaign(database, campaign) as store:
-        rows = as_rows(store.table(names, selection, sort=_split_list(sort), limit=limit))
-    remark = pluralize(len(rows), "cell")
+    if features:
+        if columns is not None or sort or limit is not None:
+            raise typer.BadParameter("goes with neither --columns, --sort nor --limit", param_hint="--features")
+        rows, remark = _feature_rows(database, selection, campaign)
+        headings = {name: name != "feature" for name in rows[0]}
+    else:
+        names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
+        names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
+        with read_campaign(database, campaign) as store:
+            rows = as_rows(store.table(names, selection, sort=_split_list(sort), limit=limit))
+        headings = _headings(names)
+        remark = pluralize(len(rows), "cell")
     if layout is Format.TABLE and out is not None:
         layout = _FORMAT_OF_ENDING.get(out.suffix.lower(), layout)
     if layout is not Format.TABLE:
-        tell_rows(rows, layout, out, names=names)
+        tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
     elif out is None:
-        typer.echo(_as_table(_headings(names), rows, remark), nl=False)
+        typer.echo(_as_table(headings, rows, remark), nl=False)
     else:
         from calcidem.storage.files import write_text_atomically
 
-        write_text_atomically(out, _as_table(_headings(names), rows, remark))
+        write_text_atomically(out, _as_table(headings, rows, remark))
     if out is not None:
         typer.echo(f"Wrote {out}: {remark}")
+
+
+def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[RecordRows, str]:
+    """How path features of the selected cells go with Vs within one content, and how many cells these are."""
+    from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, feature_correlations
+    from calcidem.app.campaign.patterns import with_patterns
+    from calcidem.storage.sql.store import read_campaign
+
+    with read_campaign(database, campaign_name) as store:
+        try:
+            found = feature_correlations(CampaignAnalysis(store, with_cement=with_patterns), selection)
+        except UnavailableError as error:
+            raise QueryError(f"Features have nothing to go with: {error}.", "Select cells with a velocity.") from error
+    rows = found.to_dataframe().rename_axis("feature").reset_index().to_dict("records")
+    return rows, f"{pluralize(found.attrs['samples'], 'cell')} with a velocity and features"
 
 
 def _split_list(text: str) -> list[str]:

@@ -49,10 +49,10 @@ _INSTALL = (
 _RANK_PROGRAM = """
 import json
 from mpi4py import MPI
-from calcidem.sweep.environment import fault_tolerance_enabled
-print(json.dumps([MPI.COMM_WORLD.Get_size(), fault_tolerance_enabled()]), flush=True)
+from calcidem.sweep.environment import available_cores, fault_tolerance_enabled
+print(json.dumps([MPI.COMM_WORLD.Get_size(), available_cores(), fault_tolerance_enabled()]), flush=True)
 """
-"""What each of the two ranks does: tell how many they are, and whether a lost one leaves the other running (ULFM)."""
+"""What each of the two ranks does: tell how many they are, how many cores it may use, whether ULFM is on."""
 
 
 class FindingLevel(StrEnum):
@@ -76,6 +76,17 @@ class Finding:
     """How good it is, what was looked at, and what was found."""
     cure: str = ""
     """What to do about it; empty if all is well."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Rank:
+    """Report of a rank on itself."""
+
+    world_size: int
+    cores: int
+    """Number of ranks that it knows of, and of cores that it may use."""
+    fault_tolerant: bool
+    """Whether a lost rank leaves it running."""
 
 
 def _mpi_findings() -> Iterator[Finding]:
@@ -121,17 +132,18 @@ def _rank_findings(mpirun: str) -> Iterator[Finding]:
         cure = "read the launcher's message; in a container or on an unusual network OMPI_MCA_btl=self,sm,tcp may help"
         yield Finding(_PROBLEM, "two ranks", f"did not start: {_failure_text(error)}", cure)
         return
-    sizes = [size for size, _ in ranks]
+    sizes = [rank.world_size for rank in ranks]
     if sizes != [2, 2]:
         fact = f"don't know about each other (world sizes: {', '.join(map(str, sizes))})"
         cure = "use the launcher of the MPI library that mpi4py loads (MPIRUN)"
         yield Finding(_PROBLEM, "two ranks", f"{fact}: each would compute the whole campaign", cure)
         return
     yield Finding(_OK, "two ranks", "start and know about each other")
-    yield _fault_tolerance_finding(all(fault_tolerant for _, fault_tolerant in ranks))
+    yield _fault_tolerance_finding(ranks)
+    yield _binding_finding(ranks, available_cores())
 
 
-def _start_ranks(mpirun: str) -> list[tuple[int, bool]]:
+def _start_ranks(mpirun: str) -> list[_Rank]:
     """Start two ranks and return their reports; raises `SubprocessError` or `ValueError` if they can't or won't."""
     done = subprocess.run(  # noqa: S603 - our own program
         [mpirun, *launcher_options(mpirun, 2), sys.executable, "-c", _RANK_PROGRAM],
@@ -145,7 +157,7 @@ def _start_ranks(mpirun: str) -> list[tuple[int, bool]]:
         | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
         stdin=subprocess.DEVNULL,
     )
-    return [tuple(json.loads(line)) for line in done.stdout.splitlines() if line.startswith("[")]
+    return [_Rank(*json.loads(line)) for line in done.stdout.splitlines() if line.startswith("[")]
 
 
 def _failure_text(error: Exception) -> str:
@@ -155,13 +167,22 @@ def _failure_text(error: Exception) -> str:
     return lines[-1] if lines else str(error)
 
 
-def _fault_tolerance_finding(is_on: bool) -> Finding:
+def _fault_tolerance_finding(ranks: list[_Rank]) -> Finding:
     """Whether a lost rank leaves the others running."""
-    if is_on:
+    if all(rank.fault_tolerant for rank in ranks):
         return Finding(_OK, "lost ranks", "cost only what they were computing (ULFM)")
     fact = "end the run: only Open MPI 5 and later can continue without them (ULFM)"
     cure = f"use Open MPI {FIRST_WITH_ULFM} or later; nothing stored is lost, and the same command continues"
     return Finding(_WARNING, "lost ranks", fact, cure)
+
+
+def _binding_finding(ranks: list[_Rank], cores: int) -> Finding:
+    """Whether the ranks may use all cores."""
+    fewest = min(rank.cores for rank in ranks)
+    if fewest == cores:
+        return Finding(_OK, "binding", f"ranks may use all {cores} cores of this process")
+    fact = f"a rank may use {fewest} of {cores} cores, so rank 0, which mostly sleeps, may share one with a worker"
+    return Finding(_WARNING, "binding", fact, "start with 'calcidem run --ranks 0', or give mpirun --bind-to none")
 
 
 _COMMITS = 20

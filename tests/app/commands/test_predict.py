@@ -65,9 +65,9 @@ def test_what_cannot_be_predicted_is_refused(campaign: Campaign) -> None:
 
 
 def test_the_command_predicts_and_says_how_far_to_trust_it(
-    campaign: Campaign, database: Path, invoke: Callable[..., str]
+    campaign: Campaign, database: Path, tmp_path: Path, invoke: Callable[..., str]
 ) -> None:
-    """A table over all contents, or one sample by seed or feature, each with its check."""
+    """A table over all contents, or one sample by seed, contacts or feature, each with its check."""
     checks, alone = check_predictions(campaign.analyse()), check_predictions(campaign.analyse(), ())
     assert 0.0 not in checks  # one packing, no cement: nothing scatters
     table = invoke("predict", database)
@@ -75,8 +75,12 @@ def test_the_command_predicts_and_says_how_far_to_trust_it(
     count = sum(check.n for check in checks.values())
     inside = sum(check.coverage * check.n for check in checks.values())
     assert f"In all, {100 * inside / count:.1f} % of {count} samples" in " ".join(table.split())
-    one = " ".join(invoke("predict", database, "--content", 5, "--seed", 501).split())
-    assert f"5 %: Vs {campaign.predict(content=5.0, seed=501).vs:.0f} m/s, 95 %" in one
+    cement = campaign.cell(seed=2, content=5.0).cement
+    assert cement is not None
+    contacts = tmp_path / "contacts.csv"
+    contacts.write_text("first,second\n" + "".join(f"{a},{b}\n" for a, b in cement.contacts.tolist()), encoding="utf-8")
+    one = " ".join(invoke("predict", database, "--content", 5, "--pattern", contacts).split())
+    assert f"5 %: Vs {campaign.predict(content=5.0, pattern=cement).vs:.0f} m/s, 95 %" in one
     assert f"Mean interval score {checks[5.0].score:.0f} m/s" in one
     assert f"{alone[5.0].score:.0f} m/s for the content alone" in one
     invoke("predict", database, "--content", 5, "--feature", "path_bonded_fraction=0.9", "--level", 0.9)

@@ -78,6 +78,16 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
         "'1e-300' is not a number above 0",
     ),
     "a pause that is none": (("status", "quick.db", "--watch", "--interval", "nan"), {}, "'nan' is no number of"),
+    "a grain of 20 digits": (
+        ("predict", "quick.db", "--content", "5", "--pattern", "own.csv"),
+        {"own_csv": b"first,second\n1,10000000000000000000\n"},
+        "own.csv: ",
+    ),
+    "a grain below 0": (
+        ("predict", "quick.db", "--content", "5", "--pattern", "own.csv"),
+        {"own_csv": b"-1,3\n"},
+        "-1 and 3",
+    ),
     "a seed of 401 digits": (("query", "quick.db", "--seed", "1" + "0" * 400), {}, "--seed"),
     "a filter of a huge number": (("query", "quick.db", "--where", f"vs < 0x{'f' * 3000}"), {}, "40 cells"),
     "a filter that is none": (("query", "quick.db", "--where", "vs >"), {}, "can't be read"),

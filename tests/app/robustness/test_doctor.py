@@ -60,6 +60,13 @@ def test_another_version_of_the_launcher_is_a_warning() -> None:
     assert "5.0.11" in finding.fact
 
 
+def test_pinned_ranks_are_a_warning() -> None:
+    """Ranks that may use one core of two are told, with what to do."""
+    finding = checkup._binding_finding([checkup._Rank(2, 1, True)] * 2, cores=2)
+    assert finding.level is FindingLevel.WARNING
+    assert "--bind-to none" in finding.cure
+
+
 def test_threads_other_than_one_are_a_warning() -> None:
     """Eight threads a rank are told; unset variables are fine, since calcidem sets them."""
     finding = checkup._thread_finding({"OMP_NUM_THREADS": "8"})
