@@ -5,7 +5,7 @@ import os
 import platform
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import pytest
 from places import CHECKOUT
@@ -26,9 +26,11 @@ ZEN = WorkerRecord(
     architecture="x86_64",
     processor="znver4",
     features=("avx512f",),
+    blas_core="Zen",
+    numpy_simd=("X86_V3", "X86_V4"),
     versions={"calcidem": "0.1.0", "physics": "1", "numpy": "2.4.6"},
 )
-INTEL = replace(ZEN, ranks=(1,), hosts=("b",), processor="skylake-avx512")
+INTEL = replace(ZEN, ranks=(1,), hosts=("b",), processor="skylake-avx512", blas_core="SkylakeX")
 
 
 def described(**variables: str) -> WorkerRecord:
@@ -41,12 +43,17 @@ def described(**variables: str) -> WorkerRecord:
 @pytest.mark.slow
 @pytest.mark.skipif(platform.machine() != "x86_64", reason="the settings name processors of x86-64")
 def test_settings_of_the_libraries_are_seen() -> None:
-    """The names are those that LLVM goes by, whatever made it choose; the rest stays."""
+    """The names are those that LLVM, OpenBLAS and numpy go by, whatever made them choose; the rest stays."""
     own = described()
     assert own == describe_worker(0)
-    other = described(NUMBA_CPU_NAME="nehalem", NUMBA_CPU_FEATURES="+sse4.2,-avx", NUMBA_DISABLE_JIT="1")
-    assert (other.processor, other.features) == ("nehalem", ("sse4.2",))
-    assert replace(other, processor=own.processor, features=own.features) == own
+    other = described(
+        NUMBA_CPU_NAME="nehalem", NUMBA_CPU_FEATURES="+sse4.2,-avx", OPENBLAS_CORETYPE="Nehalem", NUMBA_DISABLE_JIT="1"
+    )
+    assert (other.processor, other.features, other.blas_core) == ("nehalem", ("sse4.2",), "Nehalem")
+    assert replace(other, processor=own.processor, features=own.features, blas_core=own.blas_core) == own
+    if own.numpy_simd:
+        off = [*own.numpy_simd, *os.environ.get("NPY_DISABLE_CPU_FEATURES", "").split()]
+        assert described(NPY_DISABLE_CPU_FEATURES=" ".join(off)).numpy_simd == ()
 
 
 def test_alike_workers_are_described_once() -> None:
@@ -61,11 +68,11 @@ def test_one_kind_of_workers_is_nothing_to_tell() -> None:
 
 
 def test_other_processors_and_libraries_change_no_bit() -> None:
-    """Processors and versions of libraries may differ: it is said that no bit depends on them."""
-    told = describe_unlike([ZEN, replace(INTEL, versions=ZEN.versions | {"numpy": "1.26.0"})])
+    """Processors, BLAS, numpy's level and versions of libraries may differ: it is said that no bit depends on them."""
+    told = describe_unlike([ZEN, replace(INTEL, numpy_simd=(), versions=ZEN.versions | {"numpy": "1.26.0"})])
     assert told.startswith("The ranks are not alike, but no bit of a result depends on it: ")
-    assert "znver4 (x86_64, 1 features), numpy 2.4.6 on a; " in told
-    assert told.endswith("skylake-avx512 (x86_64, 1 features), numpy 1.26.0 on b.")
+    assert "znver4 (x86_64, 1 features), OpenBLAS Zen, numpy X86_V4, numpy 2.4.6 on a; " in told
+    assert told.endswith("skylake-avx512 (x86_64, 1 features), OpenBLAS SkylakeX, numpy baseline, numpy 1.26.0 on b.")
 
 
 @pytest.mark.parametrize(
@@ -91,8 +98,3 @@ def test_many_hosts_are_counted() -> None:
     """Of a hundred machines three are named."""
     many = replace(ZEN, hosts=tuple(f"n{i}" for i in range(100)))
     assert " on n0, n1, n2 and 97 more; " in describe_unlike([many, INTEL])
-
-
-def test_workers_of_an_earlier_calcidem_are_read() -> None:
-    """It also stored what no bit depends on."""
-    assert WorkerRecord.from_json(asdict(ZEN) | {"blas_core": "Zen", "numpy_simd": ["X86_V3"]}) == ZEN

@@ -70,8 +70,10 @@ class Records:
         """Build what the processes of a run on two kinds of machines were."""
         versions = {"calcidem": "0.1.0", "numpy": "2.4.6"}
         return (
-            WorkerRecord((0, 1), ("node7",), "x86_64", "znver4", ("avx2", "fma"), versions),
-            WorkerRecord((2, 3), ("node8", "node9"), "aarch64", "neoverse-v2", ("sve",), versions),
+            WorkerRecord(
+                (0, 1), ("node7",), "x86_64", "znver4", ("avx2", "fma"), "Zen", ("X86_V3", "X86_V4"), versions
+            ),
+            WorkerRecord((2, 3), ("node8", "node9"), "aarch64", "neoverse-v2", ("sve",), None, (), versions),
         )
 
     def done(self, seed: int = 0, content: float = 5.0, **changes: Any) -> CellResult:  # noqa: ANN401

@@ -1,9 +1,12 @@
 """Properties of the processes of a run on which bits could depend, and whether they do."""
 
+import ctypes
 import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
+from types import ModuleType
 
 from calcidem.app.campaign.provenance import library_versions
 from calcidem.app.config.schema import PHYSICS_VERSION
@@ -15,6 +18,9 @@ PORTABLE_ARCHITECTURES = ("x86_64", "aarch64")
 
 _OTHER_NAMES = {"amd64": "x86_64", "arm64": "aarch64"}
 """What Windows and macOS call a family of processors, and Linux."""
+
+_CORE_FUNCTIONS = ("scipy_openblas_get_corename64_", "openblas_get_corename64_", "openblas_get_corename")
+"""Functions of OpenBLAS that tell its core, in numpy's wheels now and before, and in other installations."""
 
 
 @cache  # a process stays what it is
@@ -28,8 +34,39 @@ def describe_worker(rank: int) -> WorkerRecord:
         architecture=_OTHER_NAMES.get(machine, machine),
         processor=processor,
         features=features,
+        blas_core=_blas_core(),
+        numpy_simd=_numpy_simd(),
         versions=library_versions() | {"physics": str(PHYSICS_VERSION)},
     )
+
+
+def _numpy_core() -> ModuleType:
+    """The module of numpy in machine code, where numpy has it since version 2, or else before."""
+    try:
+        return import_module("numpy._core._multiarray_umath")
+    except ImportError:
+        return import_module("numpy.core._multiarray_umath")
+
+
+def _numpy_simd() -> tuple[str, ...]:
+    """Instruction sets beyond its baseline for which numpy chooses functions here; none if it does not tell."""
+    core = _numpy_core()
+    found = getattr(core, "__cpu_features__", {})
+    return tuple(name for name in getattr(core, "__cpu_dispatch__", ()) if found.get(name))
+
+
+def _blas_core() -> str | None:
+    """Processor that numpy's OpenBLAS has chosen its kernels for; None for another BLAS, or if it can't be asked."""
+    try:
+        library = ctypes.CDLL(str(_numpy_core().__file__))  # what it is linked to is searched, too
+    except OSError:
+        return None
+    function = next((getattr(library, name) for name in _CORE_FUNCTIONS if hasattr(library, name)), None)
+    if function is None:
+        return None
+    function.restype = ctypes.c_char_p
+    core: bytes | None = function()
+    return None if core is None else core.decode("ascii", "replace")
 
 
 def group_workers(workers: Iterable[WorkerRecord]) -> tuple[WorkerRecord, ...]:

@@ -1,9 +1,8 @@
 """Frozen records of a run and of its processes."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Self
 
 from calcidem.storage.passwords import hide_passwords
 
@@ -25,23 +24,24 @@ class WorkerRecord:
     """LLVM's name of the processor for which kernels are compiled, such as ``znver4``."""
     features: tuple[str, ...]
     """LLVM's names of the processor features that kernels may use."""
+    blas_core: str | None
+    """Processor for which OpenBLAS has chosen its kernels; None for another BLAS."""
+    numpy_simd: tuple[str, ...]
+    """Instruction sets beyond its baseline for which numpy has chosen functions."""
     versions: Mapping[str, str]
     """Versions of Python, calcidem, its physics and the libraries on which numbers depend."""
 
     def __post_init__(self) -> None:
         """Convert lists from JSON to tuples."""
-        for name in ("ranks", "hosts", "features"):
+        for name in ("ranks", "hosts", "features", "numpy_simd"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
 
     @property
     def kind(self) -> str:
         """Describe these processes in one line."""
-        return f"{self.processor} ({self.architecture}, {len(self.features)} features)"
-
-    @classmethod
-    def from_json(cls, stored: Mapping[str, Any]) -> Self:
-        """Take what was stored; names that an earlier calcidem stored as well are left out."""
-        return cls(**{entry.name: stored[entry.name] for entry in fields(cls)})
+        blas = "BLAS unknown" if self.blas_core is None else f"OpenBLAS {self.blas_core}"
+        simd = self.numpy_simd[-1] if self.numpy_simd else "baseline"
+        return f"{self.processor} ({self.architecture}, {len(self.features)} features), {blas}, numpy {simd}"
 
     @property
     def places(self) -> str:
@@ -82,8 +82,7 @@ class RunRecord:
     def __post_init__(self) -> None:
         """Convert mappings from JSON to workers."""
         known = (
-            worker if isinstance(worker, WorkerRecord) else WorkerRecord.from_json(worker)
-            for worker in self.workers or ()
+            worker if isinstance(worker, WorkerRecord) else WorkerRecord(**worker) for worker in self.workers or ()
         )
         object.__setattr__(self, "workers", tuple(known))
         object.__setattr__(self, "launch_line", hide_passwords(self.launch_line))
