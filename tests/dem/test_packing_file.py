@@ -53,6 +53,17 @@ def test_files_keep_every_bit_and_may_have_more(packing: Packing, tmp_path: Path
     assert numbers[0] == 3
 
 
+def test_ten_disks_are_a_packing(tmp_path: Path) -> None:
+    """Nine are refused."""
+    file = tmp_path / "packing.csv"
+    lines = ["x,y,radius", *(f"{3e-3 * number},1e-3,1e-3" for number in range(10))]
+    file.write_text("\n".join(lines))
+    assert len(_read_disks(file)[0]) == 10
+    file.write_text("\n".join(lines[:-1]))
+    with pytest.raises(PackingFileError, match="has 9 disks; give at least 10"):
+        _read_disks(file)
+
+
 def just_touching(folder: Path) -> tuple[Path, PackingRule]:
     """Disks of a hexagonal lattice that overlap by rounding alone, and a box as wide as they are."""
     radius, columns, rows = 1.25e-3, 5, 6
