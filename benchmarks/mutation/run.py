@@ -6,8 +6,8 @@
 `tests/test_sentinels.py` keeps twenty of them.
 
 A mutant moves a number, or exchanges a sign, an operator, a comparison or a logical word. It is judged by the tests of the
-room that run its line, then by the files that import its module, since programs that tests start, and lines that run
-at import, are not seen. Kernels are left out, since each mutant of one would be compiled anew; their naive twins
+room that run its line, then by the files that import its module and by the bits that are kept in the tree, since
+programs that tests start, and lines that run at import, are not seen. Kernels are left out, since each mutant of one would be compiled anew; their naive twins
 (tests/dem/test_naive.py) compare every term of them. Prints the survivors, and the share of killed mutants of each room.
 """
 
@@ -126,12 +126,16 @@ def tests_by_line(room: str) -> dict[tuple[str, int], set[str]]:
 
 
 def judges(room: str, module: Path) -> list[str]:
-    """Files of tests of the room that import the module, its own one first; all of the room if none does."""
+    """Files of tests of the room that import the module, its own one first; all of the room if none does.
+
+    Bits that are kept in the tree judge the engine as well: a program computes them.
+    """
     dotted = ".".join(module.with_suffix("").parts)
     files = sorted((CHECKOUT / "tests" / room).glob("test_*.py"))
     found = [file for file in files if f"{dotted} import" in file.read_text(encoding="utf-8")]
     found.sort(key=lambda file: file.stem != f"test_{module.stem}")
-    return [str(file) for file in found or files]
+    bits = [CHECKOUT / "tests" / "dem" / "test_portable_bits.py"] if room == "dem" else []
+    return [str(file) for file in dict.fromkeys([*(found or files), *bits])]
 
 
 def is_killed(mutant: Mutant, room: str, tests: set[str]) -> tuple[bool, str]:
