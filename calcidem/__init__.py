@@ -1,16 +1,16 @@
 """Distributed Monte-Carlo campaigns of discrete-element simulations of calcite-cemented sand.
 
-Compute a campaign in this process, look at it, and find what it is:
+Compute a campaign in this process and summarise it:
 
 >>> import calcidem
 >>> with calcidem.run("quick.toml", set={"campaign.seeds": 2}) as campaign:  # doctest: +SKIP
 ...     print(campaign.summary())
 
-`run` computes, `open_campaign` reads a stored campaign, `load_paper_campaign` gives the numbers of the one that comes
-with the package. `compare` puts campaigns beside one another. `load_configuration` reads and checks a TOML file without
-computing anything, `preset_text` gives one of the examples in `PRESETS` to start from, `import_packing` brings disks of
-another program. `calcidem.dem` simulates scenes of your own. Errors that name what is wrong and what helps are
-`ConfigurationError`, `PackingError`, `StoreError`, `LaunchError` and `WorkersLostError`.
+`run` computes a campaign, `open_campaign` reads a stored one, and `load_paper_campaign` returns the numbers of the
+paper's campaign, which the package contains. `compare` compares campaigns. `load_configuration` reads and checks a TOML
+file, `preset_text` returns one of the examples in `PRESETS`, and `import_packing` imports disks of another program.
+`calcidem.dem` simulates scenes of your own. `ConfigurationError`, `PackingError`, `StoreError`, `LaunchError` and
+`WorkersLostError` name the problem and a remedy.
 """
 
 from importlib import import_module
@@ -78,7 +78,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> object:
-    """Import on first use: whoever needs the kernels alone does not wait for the database."""
+    """Import on first use, so that users of the kernels do not load the database."""
     if name == "dem":
         return import_module("calcidem.dem")
     if name not in _HOMES:
@@ -87,5 +87,5 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    """Names of what there is, imported or not."""
+    """All public names, imported or not."""
     return sorted({*(name for name in globals() if name.startswith("_")), *__all__})

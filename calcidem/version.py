@@ -1,3 +1,3 @@
-"""The only place of the version: the wheel, the command and all files that name it take it from here."""
+"""Version, defined only here: the wheel, the command and all other files take it from here."""
 
 __version__ = "1.0.0"

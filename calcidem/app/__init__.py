@@ -1,1 +1,1 @@
-"""Configuration, command line and report: the part of calcidem that knows all the others."""
+"""Configuration, campaigns, studies, command line, report and live page: uses all other parts of calcidem."""

@@ -1,9 +1,9 @@
-"""Discrete elements: packings, contact laws, cement, waves; knows nothing of campaigns and databases.
+"""Discrete elements: packings, contact laws, cement, waves; independent of campaigns and databases.
 
 For scenes of your own: build a `Scene` from arrays, `start` it, `advance` it, and read positions, `contact_forces` and
 `energies`; that is what this package exports. docs/scenes.md explains it with an example.
 
-The rooms: ``kernels`` holds the compiled loop and the contact laws, ``engine`` makes scenes, advances and reads their
+Folders: ``kernels`` has the compiled loop and the contact laws, ``engine`` makes scenes, advances and reads their
 states, ``sample`` makes packings and cements them, ``wave`` transmits a pulse through a sample and picks its arrival.
 """
 
@@ -85,12 +85,12 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> object:
-    """Import on first use: whoever needs a rule or a packing as data does not wait for the engine."""
+    """Import on first use, so that users of rules and packings do not load the engine."""
     if name not in _MODULES:
         raise AttributeError(f"module 'calcidem.dem' has no attribute '{name}'")
     return getattr(import_module(_MODULES[name]), name)
 
 
 def __dir__() -> list[str]:
-    """Names of what there is, imported or not."""
+    """All public names, imported or not."""
     return sorted({*(name for name in globals() if name.startswith("_")), *__all__})

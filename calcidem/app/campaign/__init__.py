@@ -1,1 +1,1 @@
-"""One campaign: from a configuration to results in a store, and stored campaigns opened again."""
+"""One campaign: from a configuration to results in a store, and opening of stored campaigns."""

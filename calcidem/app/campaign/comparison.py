@@ -38,7 +38,7 @@ class CampaignComparison:
     differing: Mapping[str, tuple[str, ...]]
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Return a table with a row for each campaign and content; ends of intervals are columns of their own."""
+        """Return a table with a row for each campaign and content, and separate columns for the ends of intervals."""
         flat = self.table.drop_vars("bound")
         for name in [str(name) for name in flat.data_vars if str(name).endswith("_interval")]:
             low, high = (flat[name].isel(bound=place) for place in (0, 1))
@@ -47,10 +47,9 @@ class CampaignComparison:
         return flat.to_dataframe().reset_index().astype(whole)
 
     def draw(self, ax: "Axes | None" = None) -> "Figure":
-        """Draw means, scatter and differences, and give the whole figure.
+        """Draw means, scatter and differences, and return the whole figure.
 
-        ``ax`` are axes whose place the two panels take, of a figure made by `plt.subplots`; None for a figure of its
-        own.
+        The two panels replace ``ax``, axes of a figure made by `plt.subplots`; None for a new figure.
         """
         from calcidem.analysis.figures.style import drawn_in  # noqa: PLC0415 - matplotlib takes half a second
         from calcidem.analysis.figures.velocities import draw_comparison  # noqa: PLC0415
@@ -59,7 +58,7 @@ class CampaignComparison:
             return draw_comparison(self.table)
 
     def _repr_html_(self) -> str:
-        """The table, for notebooks."""
+        """Table for notebooks."""
         columns = ["campaign", "content", "n", "mean", "standard_deviation", "difference", "paired_difference"]
         lines = [f"<p>{escape(name)}: {escape('; '.join(texts))}</p>" for name, texts in self.differing.items()]
         table = self.to_dataframe()[columns].to_html(index=False, float_format=lambda value: f"{value:.1f}")
@@ -90,7 +89,7 @@ def compare(campaigns: Sequence[Campaign | str | os.PathLike[str]], level: float
 
 
 def _label_apart(campaigns: Sequence[Campaign]) -> list[str]:
-    """Label campaigns by name; equal names get their files, equal files get numbers."""
+    """Label campaigns by name; add files to equal names, and numbers to equal files."""
     labels = [campaign.record.name for campaign in campaigns]
     counts = Counter(labels)
     for place, campaign in enumerate(campaigns):

@@ -1,8 +1,8 @@
-"""Why cells have no velocity: the number that refused each, its section, and values that give one.
+"""Reasons why cells have no velocity, and values of the configuration that give one.
 
-The cell is computed again with all trial values: a plane wave, a wide and deep receiver, a long record. The fewest with
-which Vs agrees with that, or with the static stiffness, are the remedies. A section that is not stored is computed
-again: the same seed and content give the same bits.
+The cell is computed again with all trial values: a plane wave, a wide and deep receiver, a long record. The remedies
+are the fewest values for which Vs agrees with this velocity or with the static speed. A section that is not stored is
+computed again: the same seed and content give the same bits.
 """
 
 import math
@@ -40,10 +40,10 @@ from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure  # takes a second, which only those wait for who draw
+    from matplotlib.figure import Figure  # takes a second to load, needed only for drawing
 
 _Range = tuple[float, float]
-_NewValues = dict[str, Any]  # ``section.key`` and its value
+_NewValues = dict[str, Any]  # value by ``section.key``
 
 _EXPECTED = 1.25  # ratio to the static speed, to either side, within which Vs is expected
 _AGREES = 1.15  # ratio to Vs with all trial values, to either side, within which both are one velocity
@@ -77,33 +77,33 @@ _NAMED = {  # words of a reason, the key that they name, and its value or a fact
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """Why a cell has no velocity, and what gives it one."""
+    """Reason why a cell has no velocity, and remedies."""
 
     key: CellKey
     status: CellStatus
     reason: str
     """The cell, its outcome, and the reason."""
     finding: str
-    """The packing, if all cells of this content failed; the number that refused it; what else was measured."""
+    """Value that caused the refusal, and other measurements; first the packing if all cells of this content failed."""
     remedies: _NewValues
     vs: float | None
-    """Values of the configuration that together give a velocity, and this, m/s; none and None without any."""
+    """Values of the configuration that together give a velocity, and this velocity, m/s; empty and None without any."""
     experiment: Experiment
     section: Section
     reading: Reading
-    """What it was measured with, and what was recorded and read."""
+    """Experiment, section and reading of the cell."""
     expected: tuple[float, float]
-    """Slowest and fastest S wave that the static stiffness of the sample lets expect, m/s."""
+    """Slowest and fastest S wave expected from the static stiffness of the sample, m/s."""
 
     def describe_remedies(self) -> Iterator[str]:
-        """Vs, each value that gives it as a configuration has it, and what this shows."""
+        """Lines with Vs and with each value that gives it, and what this shows."""
         if self.vs is not None:
             yield f"Vs is {self.vs:.0f} m/s with"
         for name, value in self.remedies.items():
             yield f"{name} = {written(value)}".ljust(36) + _WHY.get(name, "a reason asks for it")
 
     def as_row(self) -> dict[str, Any]:
-        """What is said of the cell, for tables."""
+        """Row of the cell for tables."""
         said = {"status": str(self.status), "reason": self.reason, "finding": self.finding, "vs": self.vs}
         return asdict(self.key) | said | {"remedies": "; ".join(self.describe_remedies())}
 
@@ -115,9 +115,9 @@ class Diagnosis:
 
 
 def diagnose(store: Store, selection: Selection) -> Iterator[Diagnosis]:
-    """Say of the selected cells without a velocity why they have none, and what gives them one.
+    """Explain why selected cells have no velocity, and find values that give one.
 
-    Each is computed again up to some twenty times. `UnknownCellError` if there is no such content;
+    Each cell is computed again, up to about twenty times. `UnknownCellError` if there is no such content;
     `CampaignMismatchError` for another version of the physics; `StoreError` if the campaign lacks its packing.
     """
     experiment = lru_cache(lambda index: stored_experiment(store, index))
@@ -128,7 +128,7 @@ def diagnose(store: Store, selection: Selection) -> Iterator[Diagnosis]:
 
 
 def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -> Diagnosis:
-    """Diagnose one cell; ``others_are_read`` tells whether its content has velocities."""
+    """Diagnose one cell; ``others_are_read`` if its content has velocities."""
     if (stored := cell.section) is None:
         (found,) = measure(experiment, cell.key.content, [cell.key.seed])
     section = found.record.section if stored is None else section_of(stored)
@@ -156,7 +156,7 @@ def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -
 def _find_remedies(
     experiment: Experiment, cell: CellResult, section: Section, speed: float, expected: _Range
 ) -> tuple[str, float | None, _NewValues]:
-    """Compare what all trial values read with the static speed, m/s; the fewest that give Vs, m/s, and this."""
+    """Compare Vs of all trial values with the static speed (m/s); return a text, Vs (m/s) and fewest values."""
 
     @cache
     def attempt(*values: tuple[str, Any]) -> Interpretation:
@@ -206,7 +206,7 @@ def _fewest_values(attempt: Callable[..., Interpretation], values: _NewValues, w
 
 
 def _trial_values(experiment: Experiment, section: Section, speed: float) -> _NewValues:
-    """Values that let more be read; ``speed`` is the static speed of the sample, m/s, NaN if it has none."""
+    """Values that make more signals readable; ``speed`` is the static speed of the sample, m/s, NaN without one."""
     wave, box, waves = experiment.wave, experiment.packing, section.frequency * section.distance / speed
     trial = {
         "pick.method": "peak",
@@ -222,7 +222,7 @@ def _trial_values(experiment: Experiment, section: Section, speed: float) -> _Ne
 
 
 def _named_value(experiment: Experiment, values: _NewValues, reason: str) -> _NewValues:
-    """Value that a reason names, if possible one that is not among ``values``; empty without any."""
+    """Value that a reason names, preferably one not among ``values``; empty without any."""
     for words, (name, change) in sorted(_NAMED.items(), key=lambda one: one[1][0] in values):
         if words in reason and (isinstance(change, float) or name not in values):
             old = values.get(name, attrgetter(name)(experiment))
@@ -235,7 +235,7 @@ def _two_digits(value: float) -> float:
 
 
 def _experiment_with(experiment: Experiment, values: _NewValues) -> Experiment:
-    """Experiment with these values; `ValueError` where they are impossible."""
+    """Experiment with these values; `ValueError` if they are impossible."""
     for name, value in values.items():
         section, key = name.split(".")
         changed = {section: replace(getattr(experiment, section), **{key: value})} if key != "frequency" else {}
@@ -244,7 +244,7 @@ def _experiment_with(experiment: Experiment, values: _NewValues) -> Experiment:
 
 
 def _judged_packing(experiment: Experiment) -> str:
-    """What a packing is like, and what is wrong with it, in sentences."""
+    """Description of a packing and its faults, in sentences."""
     packing, report = experiment.packing, experiment.packing.report
     text = (
         f"Porosity {report.porosity:.3f}; {report.coordination_number_without_rattlers:.2f} contacts per disk without"
@@ -255,7 +255,7 @@ def _judged_packing(experiment: Experiment) -> str:
 
 
 def _explain_refusal(experiment: Experiment, section: Section, reading: Reading, bound: float | None) -> str:
-    """Return the number that refused a cell, in a sentence; ``bound`` is that of the numerical error."""
+    """Return a sentence with the value that caused the refusal; ``bound`` is that of the numerical error."""
     pick, ms, candidates = experiment.pick, 1e3 * section.duration, find_candidates(section, experiment.pick.smoothing)
     if reading.verdict is Verdict.SILENT:
         largest = float(np.abs(section.across[:, -1]).max(initial=0)) * RESOLUTION

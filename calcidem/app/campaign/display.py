@@ -1,4 +1,4 @@
-"""Displays of the progress: a live display at the foot of a terminal, lines in a log, a function of the caller."""
+"""Displays of the progress: at the bottom of a terminal, as lines of a log, or by a function of the caller."""
 
 import sys
 import time
@@ -26,8 +26,9 @@ _SPINNER = "|/-\\"
 _MOST_LINES_OF_CONTENTS = 4
 
 _SHORTEST_PAUSE, _LONGEST_PAUSE = 5.0, 600.0
-"""Seconds between two lines of a log: the pause grows by half each time, so that a short run shows something and a run
-of days doesn't fill its log."""
+"""Shortest and longest seconds between two lines of a log. The pause grows by half each time, so that a short run shows
+some lines and a run of days does not fill its log.
+"""
 
 _VERBS = {
     RunStage.STARTING: "Starting",
@@ -39,7 +40,7 @@ _VERBS = {
 
 
 class _CallbackDisplay(ProgressDisplay):
-    """Hands everything to a function of the caller.
+    """Passes the progress to a function of the caller.
 
     Its exceptions end the run.
     """
@@ -48,12 +49,12 @@ class _CallbackDisplay(ProgressDisplay):
         self._callback = callback
 
     def show(self, progress: RunProgress) -> None:
-        """Hand it on."""
+        """Pass it on."""
         self._callback(progress)
 
 
 class _LineDisplay(ProgressDisplay):
-    """Writes a line at growing intervals, for logs of batch systems and for pipes.
+    """Writes lines at increasing intervals, for logs of batch systems and for pipes.
 
     The pause between two lines has limits in seconds.
     """
@@ -65,7 +66,7 @@ class _LineDisplay(ProgressDisplay):
         self._stage = RunStage.STARTING
 
     def show(self, progress: RunProgress) -> None:
-        """Write how far the run is, if it is time to."""
+        """Write the progress if it is due."""
         if progress.stage is not self._stage:
             self._stage, self._pause = progress.stage, self._shortest
             self._next = time.monotonic() + self._pause
@@ -82,7 +83,7 @@ class _LineDisplay(ProgressDisplay):
 
 
 class _ChannelDisplay(ProgressDisplay):
-    """Lets the command that started the ranks draw the display: its terminal is the real one."""
+    """Sends the progress to the command that started the ranks, which has the real terminal."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
@@ -97,7 +98,7 @@ class _ChannelDisplay(ProgressDisplay):
 
 
 class LiveDisplay(ProgressDisplay):
-    """Draws the progress at the foot of a terminal; all other text goes above it.
+    """Draws the progress at the bottom of a terminal; other text appears above it.
 
     A thread redraws it, or the caller of `refresh`.
     """
@@ -118,32 +119,32 @@ class LiveDisplay(ProgressDisplay):
         self._next = 0.0
 
     def show(self, progress: RunProgress) -> None:
-        """Draw this from now on."""
+        """Set the progress to draw."""
         self._progress, self._since = progress, time.monotonic()
 
     def note(self, text: str) -> None:
-        """Write a line above the picture."""
+        """Write a line above the display."""
         self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def refresh(self) -> None:
-        """Draw it again, if it is time to; a terminal that is gone is no error."""
+        """Draw again if due; a closed terminal is not an error."""
         if (now := time.monotonic()) >= self._next:
             self._next = now + 1.0 / _FRAMES_PER_SECOND
             with suppress(OSError):
                 self._live.refresh()
 
     def __enter__(self) -> Self:
-        """Begin to draw."""
+        """Begin drawing."""
         self._live.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Take the picture away."""
+        """Clear the display."""
         with suppress(OSError):
             self._live.stop()
 
     def _picture(self) -> Group:
-        """The picture of this moment."""
+        """Display of the present progress."""
         if self._progress is None:
             return Group()
         progress, passed = self._progress, time.monotonic() - self._since
@@ -174,25 +175,25 @@ class LiveDisplay(ProgressDisplay):
 
 
 def choose_display(progress: Callable[[RunProgress], object] | bool | None) -> ProgressDisplay:
-    """The display that a caller in Python chooses: a function, True, False, or the default."""
+    """Display for Python: a function, True, False, or the default."""
     if callable(progress):
         return _CallbackDisplay(progress)
     console = Console(highlight=False)
-    is_terminal = console.is_terminal and launcher() is None  # mpirun gives a rank a pseudo-terminal that none reads
+    is_terminal = console.is_terminal and launcher() is None  # mpirun gives a rank a pseudo-terminal that nobody reads
     if progress is False or not (progress or is_terminal or console.is_jupyter):
         return ProgressDisplay()
     return LiveDisplay(console) if is_terminal and not console.is_jupyter else _LineDisplay(console)
 
 
 def command_display(console: Console) -> ProgressDisplay:
-    """The display of a command: on a terminal, drawn here or by the command that started the ranks; lines in a log."""
+    """Display of a command: on a terminal, drawn here or by the command that started the ranks; else lines of a log."""
     if not console.is_terminal:
         return _LineDisplay(console)
     return _ChannelDisplay(console) if command_listens() else LiveDisplay(console)
 
 
 def _described(progress: RunProgress) -> list[str]:
-    """Lines on a run, the most important first."""
+    """Lines about a run, the most important first."""
     match progress.stage:
         case RunStage.STARTING:
             return [pluralize(progress.workers + 1, "rank")] if progress.workers else ["calcidem"]
@@ -230,6 +231,6 @@ def _describe_packing(progress: RunProgress) -> Iterator[str]:
 
 
 def _time_left(progress: RunProgress, passed: float = 0.0) -> list[str]:
-    """Time left some seconds after this snapshot, where it is known."""
+    """Time left some seconds after this snapshot, if known."""
     left = progress.seconds_left
     return [] if left is None else [f"{duration(max(left - passed, 0.0))} left"]

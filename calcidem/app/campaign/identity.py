@@ -1,4 +1,4 @@
-"""Checks that a stored campaign is the expected one, and that its cells are those of this program."""
+"""Checks that a stored campaign is the expected one, with cells of this program's physics."""
 
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.storage.errors import CampaignMismatchError
@@ -7,14 +7,14 @@ from calcidem.storage.sql.store import Store
 
 
 def physics_version(record: CampaignRecord) -> object:
-    """`PHYSICS_VERSION` of the program that a stored campaign was computed with."""
+    """`PHYSICS_VERSION` of the program that computed a stored campaign."""
     return record.parameters.get("physics_version", "unknown")
 
 
 def refuse_other_physics(record: CampaignRecord, configuration: Configuration | None = None) -> None:
     """Raise `CampaignMismatchError` unless a campaign was computed with this program's `PHYSICS_VERSION`.
 
-    With a configuration it must have its physics, too.
+    If a configuration is given, the physics must be the same, too.
     """
     stored = physics_version(record)
     if stored != PHYSICS_VERSION:

@@ -1,4 +1,4 @@
-"""Starts calcidem again as the ranks of an MPI launcher, and relays signals and exit code."""
+"""Starts calcidem again as the ranks of an MPI launcher, and forwards signals and exit code."""
 
 import os
 import shutil
@@ -30,40 +30,40 @@ from calcidem.sweep.signals import SignalHandlers
 from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 
 _MPIRUN_VARIABLE = "MPIRUN"
-"""Names the launcher, in place of the one next to Python or in the search path."""
+"""Variable that names the launcher, instead of the one next to Python or in the search path."""
 
 FIRST_WITH_ULFM = 5
-"""Version of Open MPI that continues when a rank is lost."""
+"""First version of Open MPI that continues after the loss of a rank."""
 
 _NO_LISTENER = 213
-"""Exit code of an Open MPI whose own listener did not start, about once in some hundred starts, before any rank."""
+"""Exit code of Open MPI if its own listener did not start, about once in some hundred starts, before any rank."""
 
 _RESTART_PAUSE = 1.0
-"""Seconds before a new start, in which the last processes of the former one are gone."""
+"""Seconds before a restart, in which the last processes of the previous start end."""
 
 _POLL_INTERVAL = 0.2
-"""Seconds between two looks at launcher and signals."""
+"""Seconds between two checks of launcher and signals."""
 
 _TIME_TO_END = 5.0
-"""Seconds that the launcher has for ending its ranks before it is killed."""
+"""Seconds for the launcher to end its ranks, before it is killed."""
 
 _TIME_FOR_LAST_WORDS = 10.0
-"""Seconds in which the ends of the ranks are reported, unless their host is lost."""
+"""Seconds within which the ends of the ranks are reported, unless their host is lost."""
 
 _PATIENCE_OF_USERS = 1.0
-"""Seconds that the ranks have for their end after a second SIGTERM or Ctrl-C."""
+"""Seconds for the ranks to end after a second SIGTERM or Ctrl-C."""
 
 _FORWARDED_VARIABLES = (
     *(*THREAD_VARIABLES, "NUMBA_CACHE_DIR", "CALCIDEM_CACHE", "PYTHONPATH", "TMPDIR"),
     PASSWORDS_VARIABLE,
 )
-"""Variables for ranks on other hosts: ssh does not forward them. Command lines show names, never values."""
+"""Variables to forward to ranks on other hosts, which ssh does not do. Command lines show names, never values."""
 
 _LIBPQ = "PG"
-"""Beginning of the names of the variables that PostgreSQL's own library reads: PGPASSWORD, PGPASSFILE, PGSERVICE."""
+"""Start of the names of variables of PostgreSQL's library: PGPASSWORD, PGPASSFILE, PGSERVICE."""
 
-# On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. SIGUSR2 it forwards, and rank 0 takes it for
-# the same request but has the time to obey it.
+# On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. It forwards SIGUSR2; rank 0 treats it as the
+# same request, and has time to end.
 _FORWARDED = {
     "SIGUSR1": "SIGUSR1",
     "SIGUSR2": "SIGUSR2",
@@ -78,20 +78,20 @@ class Launch:
     """A launch by `calcidem run --ranks`."""
 
     arguments: Sequence[str]
-    """Of the command line of each rank."""
+    """Arguments of the command line of each rank."""
     ranks: int
-    """Number of ranks, of which the first coordinates; 0 for one more than this process has cores, or its Slurm job has
-    tasks.
+    """Number of ranks; the first one coordinates. 0 for one more than the cores of this process, or the tasks of its
+    Slurm job.
     """
     restarts: int = 0
-    """How often to start again when the run was cut off: when ranks, or a host, died and the others could not continue.
-    A run that was stopped by a signal is not started again, nor is one whose database is locked or missing, or whose
-    ranks fail twice in the same manner while they start.
+    """Largest number of restarts of a run that was cut off because ranks or a host died and the others could not
+    continue. There is no restart after a signal, with a locked or missing database, or if ranks fail twice in the same
+    manner while they start.
     """
     start_timeout: float = 120.0
-    """Seconds in which all ranks must have found one another."""
+    """Seconds within which all ranks must have joined."""
     silence_timeout: float = 60.0
-    """Seconds without a sign of life after which a rank's host is given up."""
+    """Seconds without a message after which a rank's host is given up."""
 
     def __post_init__(self) -> None:
         if self.ranks == 0:
@@ -127,9 +127,9 @@ class Launch:
     def _once(
         self, mpirun: str, relay: "_Relay", screen: CommandScreen, hosts: dict[str, int], *, again: bool = True
     ) -> "_LaunchEnd":
-        """Start the launcher, ``again`` if it fails by itself, and see to its end.
+        """Start the launcher, ``again`` if it fails by itself, and wait for its end.
 
-        ``hosts`` are those to use, with their numbers of ranks, if some of the former start are lost; else it is empty.
+        ``hosts`` are the remaining hosts with their numbers of ranks if some were lost; else empty.
         """
         name = Path(mpirun).name
         ranks = sum(hosts.values()) or self.ranks
@@ -145,8 +145,8 @@ class Launch:
             left = {} if launcher_killed else watch.ranks_left()
             enough = sum(left.values()) != 1
             if watch.exit_code is not None:
-                # When ranks die, mpirun itself ends rank 0 with a SIGTERM. Other signals are sent by the user, and a
-                # database that is locked or away is no better a second later.
+                # If ranks die, mpirun itself ends rank 0 with a SIGTERM. Other signals come from the user. A locked or
+                # missing database is the same a second later.
                 curable = watch.exit_code == EXIT_RESUMABLE and watch.exit_reason in {"", signal.SIGTERM.name}
                 return _LaunchEnd(watch.exit_code, worth_a_restart=curable and enough, hosts=left)
             if process.returncode == _NO_LISTENER and again and not watch.anybody_began:
@@ -245,7 +245,7 @@ def _starter_command() -> list[str]:
 
 
 def find_mpirun() -> str:
-    """Path of the MPI launcher; `LaunchError` if there is none."""
+    """Path of the MPI launcher; `LaunchError` without one."""
     own = os.environ.get(_MPIRUN_VARIABLE)
     beside_python = Path(sys.executable).with_name("mpirun")
     found = shutil.which(own) if own else str(beside_python) if beside_python.exists() else shutil.which("mpirun")
@@ -261,7 +261,7 @@ def find_mpirun() -> str:
 def launcher_options(mpirun: str, ranks: int, forwarded: Sequence[str] = ()) -> list[str]:
     """Options of the launcher: number of ranks, free choice of cores, survival of lost ranks.
 
-    ``forwarded`` names variables of the environment that ranks on other hosts are to have, too.
+    ``forwarded`` names environment variables to forward to ranks on other hosts.
     """
     answer = subprocess.run([mpirun, "--version"], check=False, capture_output=True, text=True)  # noqa: S603 - found above
     options = ["-n", str(ranks)]
@@ -277,12 +277,12 @@ def launcher_options(mpirun: str, ranks: int, forwarded: Sequence[str] = ()) -> 
 
 
 class _Relay(SignalHandlers):
-    """Notes signals for the launcher.
+    """Records signals for the launcher.
 
     Attributes
     ----------
     asked
-        Whether any has come.
+        Whether any was received.
     """
 
     def __init__(self) -> None:
@@ -294,11 +294,11 @@ class _Relay(SignalHandlers):
 
     @property
     def impatient(self) -> bool:
-        """Whether a second urgent signal has come some time ago."""
+        """Whether a second urgent signal was received some time ago."""
         return self._second_urgent is not None and time.monotonic() - self._second_urgent > _PATIENCE_OF_USERS
 
     def take(self) -> list[signal.Signals]:
-        """Signals to pass on, each once."""
+        """Signals to forward, each once."""
         noted, self._noted = self._noted, []
         return noted
 

@@ -1,4 +1,4 @@
-"""Joining stored campaigns of one configuration: plans, runs, histories and outcomes, with conflicts found first."""
+"""Merging of stored campaigns of one configuration: plans, runs, histories and outcomes, unless they conflict."""
 
 import math
 from collections import defaultdict
@@ -19,13 +19,13 @@ from calcidem.storage.store import Selection
 from calcidem.sweep.progress import first_of
 
 _OUTCOMES_AT_ONCE = 200
-"""Outcomes written in one transaction; with signals they take a few megabytes of memory."""
+"""Number of outcomes written in one transaction; with sections they take a few megabytes of memory."""
 
 _Values: TypeAlias = tuple[float | None, ...] | None
-"""`EXACT_QUANTITIES` of a done cell, None for one that is not done."""
+"""`EXACT_QUANTITIES` of a done cell, else None."""
 
 _Numbers: TypeAlias = Mapping[tuple[int, CellKey, int], int]
-"""New number of an attempt by its source, its cell and the number that it had there."""
+"""New number of an attempt by its source, its cell and its number there."""
 
 
 class MergeConflictError(StoreError):
@@ -34,7 +34,7 @@ class MergeConflictError(StoreError):
 
 @dataclass(frozen=True, slots=True)
 class _Conflict:
-    """A done cell on which sources disagree."""
+    """A done cell with different values in the sources."""
 
     key: CellKey
     """The cell."""
@@ -51,17 +51,17 @@ class Merged:
     settled: int
     """Number of cells with an outcome."""
     missing: tuple[CellKey, ...]
-    """Cells that are planned and have none."""
+    """Planned cells without an outcome."""
     taken: tuple[int, ...]
     """Outcomes taken from each source."""
     shared: int
-    """Done cells that several sources have with the same values."""
+    """Number of done cells with the same values in several sources."""
     overruled: int
-    """Cells that are done in one source and failed in another."""
+    """Number of cells that are done in one source and failed in another."""
     conflicts: tuple[_Conflict, ...]
-    """Done cells on which sources disagree. If there are any and no source was preferred, nothing was written."""
+    """Done cells with different values. With any and without a preferred source, nothing was written."""
     lacking: tuple[str, ...]
-    """Quantities of done cells that one source has and another lacks, which may be older than they are."""
+    """Quantities of done cells that some source lacks, since it may be older."""
 
     def conflict_lines(self, sources: list[str]) -> list[str]:
         """One line for each conflict, up to a number."""
@@ -76,7 +76,7 @@ class Merged:
         return [f"  {line}" for line in first_of(lines)]
 
     def missing_lines(self) -> list[str]:
-        """One line for each content that has pending cells, with their seeds as ranges."""
+        """One line for each content with pending cells, with their seeds as ranges."""
         lines = []
         for content in sorted({key.content for key in self.missing}):
             seeds = [key.seed for key in self.missing if key.content == content]
@@ -90,11 +90,11 @@ class Merged:
 def merge_databases(
     sources: list[str], out: Path, prefer: str | None = None, campaign_name: str | None = None
 ) -> Merged:
-    """Join the campaign of some databases or URLs, only read, in a new file, which appears only once it is complete.
+    """Merge the campaign of some databases or URLs into a new file, which appears only once it is complete.
 
-    ``prefer`` is the source whose value is taken where sources disagree on a done cell. `FileExistsError` if the file
-    is there already, `MergeConflictError` if sources disagree and none is preferred, `CampaignMismatchError` if
-    configurations or packings differ, and other `StoreError` if a database can't be read.
+    The sources are only read. ``prefer`` is the source whose values count where done cells differ. `FileExistsError` if
+    the file exists, `MergeConflictError` if done cells differ and no source is preferred, `CampaignMismatchError` if
+    configurations or packings differ, other `StoreError` if a database cannot be read.
     """
     if out.exists():
         raise FileExistsError(f"{out} exists already; give another file name for the merged database.")
@@ -118,9 +118,9 @@ def merge_databases(
 def _merge_campaigns(sources: Sequence[Store], target: Store, prefer: int | None) -> Merged:
     """Write the union of some campaigns of one configuration into an empty store, see `merge_databases`.
 
-    A done outcome replaces any other one, that of the preferred source over other done ones. Otherwise that with the
-    most quantities is taken, the first of equals. Attempts of a cell are put in the order of time and numbered again;
-    runs and attempts that several sources have because one is a copy of the other occur once.
+    A done outcome replaces any other; that of the preferred source replaces other done ones. Otherwise the outcome with
+    the most quantities is taken, the first of equal ones. Attempts of a cell are sorted by time and numbered again.
+    Runs and attempts that occur in several sources, since one is a copy of another, are copied once.
     """
     _refuse_other_campaigns(sources)
     packings = _join_packings(sources)
@@ -179,7 +179,7 @@ def _refuse_other_campaigns(sources: Sequence[Store]) -> None:
 
 
 def _join_packings(sources: Sequence[Store]) -> list[PackingRecord]:
-    """All packings of the sources; `CampaignMismatchError` if two differ under one number, or cells have none."""
+    """All packings of the sources; `CampaignMismatchError` if two of the same number differ, or cells have none."""
     first: dict[int, tuple[PackingRecord, str]] = {}
     for position, source in enumerate(sources, 1):
         place = f"database {position}"
@@ -242,10 +242,7 @@ def _copy_history(sources: Sequence[Store], target: Store) -> _Numbers:
 def _copy_outcomes(
     source: Store, position: int, target: Store, choice: Mapping[CellKey, int], numbers: _Numbers
 ) -> None:
-    """Copy the outcomes that were chosen from a source, with their arrays.
-
-    Later writes of a run into the source are left out.
-    """
+    """Copy the outcomes chosen from a source, with their arrays, without later changes of the source."""
     chosen: Iterator[CellResult] = (
         replace(result, attempt=numbers[position, result.key, result.attempt])
         for result in source.results(with_arrays=True)

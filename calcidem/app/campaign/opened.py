@@ -1,6 +1,6 @@
-"""A stored campaign with all that can be computed from it: statistics, graphs, and samples to simulate or to write.
+"""A stored campaign and results computed from it: statistics, graphs, and samples to simulate or export.
 
-The numbers of the paper's campaign, which come with the package, can be loaded without a database.
+The numbers of the paper's campaign, which the package contains, can be loaded without a database.
 """
 
 import os
@@ -81,12 +81,12 @@ class Sample:
     seed, content
         Its identity; content in percent of the sand's mass.
     packing
-        Disks, contacts and the shear forces that they carry.
+        Disks, contacts and their shear forces.
     kind
-        (C,) what each of ``packing.pairs`` carries, see `calcidem.dem.sample.cement.CementKind`.
+        (C,) cement of each of ``packing.pairs``, see `calcidem.dem.sample.cement.CementKind`.
     scene
-        The packing between transmitter and receiver, with its bonds, in the state before the pulse. Start it
-        with ``calcidem.dem.start(sample.scene, preload=sample.packing.preload)``.
+        Packing between transmitter and receiver, with its bonds, in the state before the pulse. Start it with
+        ``calcidem.dem.start(sample.scene, preload=sample.packing.preload)``.
     """
 
     seed: int
@@ -97,13 +97,13 @@ class Sample:
 
     @property
     def bonds(self) -> Bonds | None:
-        """The cemented contacts; None for none."""
+        """Bonds of the cemented contacts; None without any."""
         return self.scene.bonds
 
     def write(self, file: Path) -> Path:
-        """Write it in one step: ``.vtu`` for ParaView, ``.csv`` for its disks alone.
+        """Write it atomically: ``.vtu`` for ParaView, ``.csv`` for its disks alone.
 
-        `ValueError` for another ending, `StoreError` if the library for VTK isn't installed.
+        `ValueError` for another ending, `StoreError` if the library for VTK is not installed.
         """
         suffix = file.suffix.lower()
         if suffix not in SUFFIXES:
@@ -119,8 +119,8 @@ class Sample:
 def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Campaign":
     """Open a campaign for reading; a run may write it meanwhile.
 
-    Give the name where the SQLite file or database URL has several. `StoreError` if it can't be read or has no such
-    campaign.
+    Give the name if the SQLite file or database URL has several campaigns. `StoreError` if it cannot be read or has no
+    such campaign.
 
     Examples
     --------
@@ -133,10 +133,9 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
 
 
 def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLike[str]) -> "Campaign":
-    """Open the campaign of a configuration in a database: the only one there is, or the one of its name.
+    """Open the campaign of a configuration in a database: the only one, or the one of its name.
 
-    `CampaignMismatchError`, with the hashes of both, if it is of another configuration; `StoreError` as
-    `open_campaign`.
+    `CampaignMismatchError`, with both hashes, if it has another configuration; `StoreError` as for `open_campaign`.
     """
     store = Store(path_or_url, read_only=True)
     try:
@@ -150,15 +149,14 @@ def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLik
 
 
 class Campaign(Closable):
-    """A campaign as its readers see it: what is stored of it, and what can be computed from that.
+    """An opened campaign: its stored data and results computed from them.
 
-    Data are read when they are used, and every call sees the cells stored by then. It is a context
-    manager.
+    Every call reads the cells stored at that time. The campaign is a context manager.
 
     Attributes
     ----------
     store : Store
-        With that campaign chosen; closed together with this object.
+        Store with this campaign chosen; closed together with this object.
     """
 
     def __init__(self, store: Store) -> None:
@@ -166,11 +164,11 @@ class Campaign(Closable):
 
     @property
     def record(self) -> CampaignRecord:
-        """Its identity, configuration and plan, as they were when it was opened."""
+        """Identity, configuration and plan at the time of opening."""
         return self.store.record
 
     def __reduce__(self) -> NoReturn:
-        """Raise a `TypeError`: connections end at the border of a process."""
+        """Raise a `TypeError`, since connections cannot be sent to other processes."""
         raise TypeError(
             f"The open campaign '{self.record.name}' cannot be pickled: give other processes the name of its file, "
             "and open it there with calcidem.open_campaign."
@@ -178,11 +176,11 @@ class Campaign(Closable):
 
     @property
     def config(self) -> dict[str, Any]:
-        """The physical configuration."""
+        """Physical configuration."""
         return self.record.parameters
 
     def vs(self) -> xr.DataArray:
-        """Return the shear-wave velocities (seed, content) in m/s, NaN where a cell isn't done.
+        """Return the shear-wave velocities (seed, content) in m/s, NaN for cells that are not done.
 
         Examples
         --------
@@ -193,10 +191,10 @@ class Campaign(Closable):
         return cell_matrices(self.store, ("vs",))["vs"]
 
     def vs_error(self) -> xr.DataArray:
-        """Return the relative standard errors (seed, content) of the velocities, NaN where they are not known.
+        """Return the relative standard errors (seed, content) of the velocities, NaN where unknown.
 
-        Each is made of the errors of reading and simulation (`reading_error`, `numerical_error` in `to_xarray`), and
-        1.96 of them on either side of a velocity hold 95 %.
+        They combine the errors of reading and simulation (`reading_error`, `numerical_error` in `to_xarray`). The 95 %
+        interval of a velocity extends 1.96 of them to either side.
         """
         return cell_matrices(self.store, ("vs_error",))["vs_error"]
 
@@ -223,7 +221,7 @@ class Campaign(Closable):
         """
         names = list(QUANTITY_BY_NAME) if columns is None else list(columns)
         frame = pd.DataFrame(self.store.table(names, Selection(seed, content, status, where)))
-        # Int64 with a capital is the type of pandas for whole numbers some of which are missing.
+        # Int64 with a capital is the type of pandas for whole numbers with missing values.
         return frame.astype({name: "Int64" for name in names if QUANTITY_BY_NAME[name].kind == "whole"})
 
     def select(
@@ -235,12 +233,12 @@ class Campaign(Closable):
         where: str | None = None,
         with_arrays: bool = False,
     ) -> Iterator[CellResult]:
-        """Give the outcomes of the selected cells as frozen records, by seed, then content, as they are consumed.
+        """Yield the outcomes of the selected cells as frozen records, by seed, then content.
 
         Contents are in percent, statuses such as ``"done"``. ``where`` is a filter over
-        `calcidem.storage.records.QUANTITY_BY_NAME` such as ``"vs > 1500 and clusters >= 40"``. ``with_arrays`` brings
-        sections and cement patterns along. `UnknownCellError` for a content that the campaign does not have,
-        `QueryError` for an unknown status, or a filter that is none.
+        `calcidem.storage.records.QUANTITY_BY_NAME` such as ``"vs > 1500 and clusters >= 40"``. ``with_arrays`` also
+        loads sections and cement patterns. `UnknownCellError` for a content that the campaign does not have,
+        `QueryError` for an unknown status or an invalid filter.
 
         Examples
         --------
@@ -252,11 +250,11 @@ class Campaign(Closable):
         return with_patterns(self.store, found) if with_arrays else found
 
     def cell(self, *, seed: int, content: float) -> CellResult:
-        """Return the whole outcome of one cell, with its arrays; `UnknownCellError` if it has none."""
+        """Return the outcome of one cell with its arrays; `UnknownCellError` if it has none."""
         return next(with_patterns(self.store, [self.store.cell(seed=seed, content=content)]))
 
     def recorded_section(self, *, seed: int, content: float) -> RecordedSection:
-        """Return the section of a cell as it is stored; `UnknownCellError` if it was not kept."""
+        """Return the stored section of a cell; `UnknownCellError` if it was not stored."""
         found = self.store.cell(seed=seed, content=content)
         found.refuse_damage()
         if found.section is None:
@@ -269,8 +267,8 @@ class Campaign(Closable):
     def section(self, *, seed: int, content: float) -> xr.DataArray:
         """Return the space-time section of a cell: velocities [m/s] along (time, place, component).
 
-        ``time`` is in s after the pulse began, ``place`` the path from the transmitter in m, the last of which is the
-        receiver, and ``component`` is ``across`` the path or ``along`` it. `UnknownCellError` if it was not kept.
+        ``time`` is in s after the pulse began, ``place`` the path from the transmitter in m (last the receiver), and
+        ``component`` is ``across`` or ``along`` the path. `UnknownCellError` if it was not stored.
 
         Examples
         --------
@@ -292,15 +290,15 @@ class Campaign(Closable):
         )
 
     def packing(self, index: int = 0) -> PackingRecord:
-        """Return a packing of the campaign; `UnknownCellError` if there is none of that index (yet)."""
+        """Return a packing of the campaign; `UnknownCellError` if none is stored under that index."""
         return self.store.packing(index)
 
     def packing_indices(self) -> tuple[int, ...]:
-        """Return the indices of the packings that are stored, ascending."""
+        """Return the indices of the stored packings, ascending."""
         return self.store.packing_indices()
 
     def status_counts(self) -> dict[tuple[float, CellStatus], int]:
-        """Return how many planned cells each content (percent) has of each status; zeros are left out."""
+        """Return the number of planned cells of each content (percent) and status; zeros are left out."""
         return self.store.status_counts()
 
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
@@ -316,7 +314,7 @@ class Campaign(Closable):
         self.store.close()
 
     def __repr__(self) -> str:
-        """Name, size and how many cells have which outcome, as of now."""
+        """Name, size, and present numbers of cells by outcome."""
         counts: Counter[str] = Counter()
         with suppress(StoreError):  # it is closed
             for (_, status), number in self.status_counts().items():
@@ -326,7 +324,7 @@ class Campaign(Closable):
         return f"<calcidem campaign '{self.record.name}': {size}; cells: {cells or 'not readable any more'}>"
 
     def _repr_html_(self) -> str:
-        """The same with a table of Vs at each content, for notebooks."""
+        """The same with a table of Vs at each content for notebooks."""
         head = f"<p>{escape(repr(self)[1:-1])}</p>"
         try:
             found = self.summary()[["n", "missing", "failed", "mean", "standard_deviation"]].to_dataframe()
@@ -338,9 +336,9 @@ class Campaign(Closable):
     def summary(self, level: float = 0.95) -> xr.Dataset:
         """Return the distribution of Vs at each content, with intervals at a level.
 
-        Along content, intervals along bound too: n, missing, failed, mean, standard deviation (m/s), skewness,
-        kurtosis, Jarque-Bera, confidence and prediction intervals, and the errors of the velocities: medians of the
-        relative standard errors, what part of the deviation is reading error (m/s), and the number of cells whose
+        Along content, intervals also along bound: n, missing, failed, mean, standard deviation (m/s), skewness,
+        kurtosis, Jarque-Bera test, confidence and prediction intervals. Errors of the velocities are medians of the
+        relative standard errors, the standard deviation by reading errors alone (m/s), and the number of cells whose
         path_vs departs from vs (`calcidem.analysis.error_budget`).
 
         Examples
@@ -352,15 +350,15 @@ class Campaign(Closable):
         >>> bool(summary.mean_interval[0] < summary["mean"] < summary.mean_interval[1])
         True
         """
-        # Of a large campaign these are a small part of all that `to_xarray` would read.
+        # In a large campaign these are a small part of the data of `to_xarray`.
         cells = self.to_xarray((*BUDGET_QUANTITIES, "status"))
         described = tabulate(describe_contents(cells["vs"], name_outcomes(cells["status"]), level))
         return described.assign(budget_dataset(cells).data_vars)
 
     def small_strain_modulus(self, density: float | None = None) -> xr.DataArray:
-        """Return the shear moduli G0 = rho Vs^2 (Eq. 1) along (seed, content) in Pa, NaN where a cell isn't done.
+        """Return the shear moduli G0 = rho Vs^2 (Eq. 1) along (seed, content) in Pa, NaN for cells that are not done.
 
-        The density of the sample, kg/m^3, is by default the 1659 of the paper's soil.
+        The default density of the sample is that of the paper's soil, 1659 kg/m^3.
 
         Examples
         --------
@@ -379,7 +377,7 @@ class Campaign(Closable):
     def static_speed(self, *, seed: int, content: float) -> StaticSpeed:
         """Compute the speed of long shear waves of a sample, m/s, from the stiffness of its inner part, and its error.
 
-        `UnknownCellError` if the cell has no outcome, or its cement is not known.
+        `UnknownCellError` if the cell has no outcome, or its cement is unknown.
 
         Examples
         --------
@@ -393,13 +391,13 @@ class Campaign(Closable):
     def stiffness(
         self, *, seed: int | Sequence[int], content: float | Sequence[float], window: float = 0.012
     ) -> xr.Dataset:
-        """Compute the shear stiffness of samples from place to place, its variance and its correlation length.
+        """Compute the local shear stiffness of samples, its variance and its correlation length.
 
-        Each takes a second. Stress and strain are averaged in square windows of this side, m; by default a cluster's
-        diameter. The result is that of `calcidem.analysis.random_field.describe_fields`, and
+        A sample takes a second. Stress and strain are averaged in square windows of this side, m; by default the
+        diameter of a cluster. See `calcidem.analysis.random_field.describe_fields` for the result, and
         `calcidem.dem.wave.stiffness_field` for the modulus. ``to_netcdf`` writes it, `plot.stiffness` draws it.
-        `UnknownCellError` if none of the cells has an outcome and cement that is known; `ValueError` if the window is
-        larger than the samples inside of their rim.
+        `UnknownCellError` if no cell has an outcome and known cement; `ValueError` if the window is larger than the
+        samples inside their rim.
         """
         found: dict[tuple[int, float], StiffnessField] = {}
         for cell in product(np.atleast_1d(seed).tolist(), np.atleast_1d(content).tolist()):
@@ -410,9 +408,9 @@ class Campaign(Closable):
         return describe_fields(found).assign_attrs(campaign_attributes(self.store) | {"window": window})
 
     def dispersion(self, *, content: float) -> Dispersion:
-        """Find phase velocity against frequency, and the speed of long waves, from the sections of a content.
+        """Compute phase velocity against frequency, and the speed of long waves, from the sections of a content.
 
-        `UnknownCellError` if fewer than three of its cells have a velocity and a stored section.
+        `UnknownCellError` if fewer than three cells have a velocity and a stored section.
         """
         try:
             return dispersion_of_cells(self.select(content=content, status="done", with_arrays=True))
@@ -420,7 +418,7 @@ class Campaign(Closable):
             raise UnknownCellError(f"Content {content:g} %: {error}.", "Compute with run.store_sections.") from error
 
     def cemented(self, *, seed: int, content: float) -> tuple[Experiment, Flags]:
-        """Return the experiment of a cell, and which of its packing's pairs (C,) are cemented; errors as `sample`."""
+        """Return the experiment of a cell, and flags (C,) of its cemented pairs; errors as for `sample`."""
         index, cement = self._cement(seed, content)
         experiment = self.experiment(index)
         return experiment, _contact_kinds(experiment.packing, cement) != CementKind.NONE
@@ -436,12 +434,11 @@ class Campaign(Closable):
     ) -> Prediction:
         """Predict Vs of a sample, and an interval, from the campaign's samples of that content (%).
 
-        Nothing is simulated. If the campaign has the seed whose cement is drawn, it takes no part in the fit. Instead
-        of a seed, the cement may be given, or features by their names: those of the path in
-        `calcidem.analysis.packing_graph.FEATURES`, `column_share` and `cemented_share`, the shares of the contacts that
-        are cemented, at the height of the receiver and of all. A seed or a pattern predicts by these two. Without any
-        of the three the content alone predicts. `QueryError` if the campaign has too few velocities at the content, or
-        pattern or features do not fit it.
+        Nothing is simulated. Give a seed, whose cement is drawn and which takes no part in the fit, or a cement
+        pattern, or features by name. Features are those of the path in `calcidem.analysis.packing_graph.FEATURES`,
+        `column_share` (cemented share of the contacts at the receiver's height) and `cemented_share` (of all contacts).
+        A seed or a pattern uses the last two. Without all three the prediction uses the content alone. `QueryError` if
+        the campaign has too few velocities at the content, or if pattern or features do not match it.
 
         Examples
         --------
@@ -456,7 +453,7 @@ class Campaign(Closable):
         return predict_velocity(self.analyse(), content, features, level, without_seed=seed)
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
-        """Return the contact graph of a sample as a `networkx.Graph`; errors as `sample`.
+        """Return the contact graph of a sample as a `networkx.Graph`; errors as for `sample`.
 
         Every grain is a vertex with `role` (transmitter, receiver or interior), every contact an edge with `bonded` and
         `weight` by its physical meaning (Eq. 8 of the paper).
@@ -473,10 +470,10 @@ class Campaign(Closable):
         return packed.graph.to_networkx(packed.bonded(cement), packed.weights)
 
     def sample(self, *, seed: int, content: float) -> Sample:
-        """Rebuild a sample as it was before the pulse: the same disks, forces and cement, to the last bit.
+        """Rebuild a sample before the pulse: the same disks, forces and cement, to the last bit.
 
-        `UnknownCellError` if the cell has no outcome, or its cement is not known; `StoreError` if the database was not
-        made by a run, so that its configuration or its packing is incomplete.
+        `UnknownCellError` if the cell has no outcome, or its cement is unknown; `StoreError` if configuration or
+        packing are incomplete, since the database was not made by a run.
 
         Examples
         --------
@@ -495,15 +492,15 @@ class Campaign(Closable):
         return Sample(seed, content, packing, kind, wave_scene(packing, sand, experiment.wave, bonds))
 
     def experiment(self, packing_index: int = 0) -> Experiment:
-        """Return what the cells of a packing share, for `calcidem.dem.wave.measurement.measure`; errors as `sample`."""
+        """Return the experiment of the cells of a packing, for `dem.wave.measurement`; errors as for `sample`."""
         return stored_experiment(self.store, packing_index)
 
     def diagnose(
         self, *, seed: int | Collection[int] | None = None, content: float | Collection[float] | None = None
     ) -> tuple[Diagnosis, ...]:
-        """Say of cells without a velocity why they have none, and which values give them one.
+        """Explain why cells have no velocity, and find values that give one.
 
-        See `calcidem.app.campaign.diagnosis.diagnose`; each has ``draw()``, a picture of its section.
+        See `calcidem.app.campaign.diagnosis.diagnose`; ``draw()`` of a result draws its section.
 
         Examples
         --------
@@ -514,15 +511,15 @@ class Campaign(Closable):
         return tuple(diagnose(self.store, Selection(seed, content)))
 
     def content_hash(self, packing_index: int = 0) -> str | None:
-        """Return the identity of a packing itself, down to its bits; None if it is old and its state damaged.
+        """Return the content hash of a packing; None if it is old and its state damaged.
 
-        All cells of a campaign that have this packing were computed on these very disks and forces.
+        All cells with this packing were computed on the same bits of disks and forces.
         """
         return content_hash_of(self.packing(packing_index))
 
     @cached_property
     def plot(self) -> "CampaignPlots":
-        """Figures of the campaign, which ``dir(campaign.plot)`` lists.
+        """Figures of the campaign; ``dir(campaign.plot)`` lists them.
 
         Examples
         --------
@@ -535,9 +532,9 @@ class Campaign(Closable):
         return CampaignPlots(self.analyse(), self.cemented)
 
     def analyse(self, most_samples: int | None = None) -> CampaignAnalysis:
-        """Return the analysis of the campaign as it is now, each part of it computed at its first use.
+        """Return the analysis of the campaign in its present state; each part is computed at its first use.
 
-        If there are more cells than ``most_samples``, only the samples of the first seeds are analysed for their paths.
+        With more cells than ``most_samples``, paths are analysed only for the samples of the first seeds.
         """
         return CampaignAnalysis(self.store, most_samples, with_patterns)
 
@@ -558,7 +555,7 @@ class Campaign(Closable):
 
 
 def _contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.uint8]:
-    """Return what each of ``packing.pairs`` carries, (C,), see `calcidem.dem.sample.cement.CementKind`.
+    """Return the cement of each of ``packing.pairs``, (C,), see `calcidem.dem.sample.cement.CementKind`.
 
     `ValueError` if the pattern cements two disks that do not touch.
     """
@@ -574,8 +571,8 @@ def _contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.ui
 def _write_vtu(sample: Sample, file: Path) -> None:
     """Write disks as points and contacts as lines.
 
-    The points have `radius` (m); show them with the filter Glyph, scaled by it. The lines have `kind` (0 sand, 1 P,
-    2 C); vertices have the kind -1, so that a threshold parts them from the contacts.
+    The points have `radius` (m); show them with the filter Glyph, scaled by it. The lines have `kind` (0 sand, 1 P, 2
+    C); vertices have the kind -1, so that a threshold separates them from the contacts.
     """
     try:
         import meshio  # type: ignore[import-untyped]  # noqa: PLC0415 - an optional library, without types
@@ -596,12 +593,11 @@ def _write_vtu(sample: Sample, file: Path) -> None:
 
 
 def load_paper_campaign() -> xr.Dataset:
-    """Return every number of the 1,972 samples of the paper's campaign, as computed by calcidem.
+    """Return the quantities of the 1,972 samples of the paper's campaign, as computed by calcidem.
 
-    Along (seed, content): Vs by three readings (m/s), their errors, path features, error, time step and so on, each
-    with unit and meaning. NaN stands for a sample without readable arrival, of which there are 31. Sections and cement
-    patterns are left out. The configuration is in the attribute ``calcidem_config``, versions and machine are in
-    ``calcidem_runs``.
+    Along (seed, content): Vs by three methods (m/s), errors, path features, time step and others, each with unit and
+    meaning. The 31 samples without a velocity have NaN. Sections and cement patterns are left out. The attribute
+    ``calcidem_config`` has the configuration, ``calcidem_runs`` versions and machine.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""The packing of a campaign: taken from where it is kept (`calcidem.app.campaign.stored_packing`), or made."""
+"""Packing of a campaign: taken from storage (`calcidem.app.campaign.stored_packing`), or made."""
 
 from collections.abc import Callable
 from hashlib import sha256
@@ -33,12 +33,12 @@ def provide_packing(
     check: Callable[[], None] = lambda: None,
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
-    """The packing of a campaign: of its database, of calcidem itself, or of the cache; made only if none has it.
+    """Packing of a campaign: from its database, from calcidem itself, or from the cache; made only if none has it.
 
-    A packing whose stored state is damaged is replaced by one of the same content, and by no other. ``check`` is called
-    every fraction of a second while it is made, and may raise to end that; ``watch`` is told as often how far that is.
-    `PackingError` if it has to be made and does not come to rest, `CampaignMismatchError` if the stored one is damaged
-    and what is found or made is another one.
+    A damaged stored packing is replaced only by one of the same content hash. While a packing is made, ``check`` is
+    called every fraction of a second and may raise to end it, and ``watch`` receives the progress. `PackingError` if it
+    has to be made and does not come to rest, `CampaignMismatchError` if the stored one is damaged and the found or new
+    one differs.
     """
     damaged = None
     if store is not None and 0 in store.packing_indices():
@@ -67,7 +67,7 @@ def new_packing(
     check: Callable[[], None] = lambda: None,
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
-    """A new packing of a configuration, whatever is kept; see `provide_packing`."""
+    """New packing of a configuration, without search in storage; see `provide_packing`."""
     draw = configuration.packing_draw
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")
@@ -81,7 +81,7 @@ def new_packing(
 
 
 def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:
-    """The packing that comes with calcidem or is in the cache; None if neither has it."""
+    """Packing from calcidem itself or the cache; None if neither has it."""
     archive = preset_packings().get(packing_hash[:32])
     if archive is not None:
         tell("Packing: comes with calcidem.")
@@ -93,12 +93,12 @@ def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:
 
 
 def _cached_name(packing_hash: str) -> str:
-    """Name in the cache of the packing with this `Configuration.packing_hash`, as the present method makes it."""
+    """File name in the cache of the packing with this `Configuration.packing_hash`, by the present version."""
     return f"packing-{PACKING_METHOD}-{packing_hash[:32]}.npz"
 
 
 def _read_cache(path: Path, tell: Tell) -> Packing | None:
-    """Packing in a file of the cache; None if there is none that is whole."""
+    """Packing in a file of the cache; None without an intact one."""
     try:
         return packing_from_bytes(path.read_bytes())
     except FileNotFoundError:
@@ -109,7 +109,7 @@ def _read_cache(path: Path, tell: Tell) -> Packing | None:
 
 
 def _write_cache(path: Path, packing: Packing, tell: Tell) -> None:
-    """Put a packing into the cache in one step; a cache that cannot be written costs time later, nothing else."""
+    """Put a packing into the cache atomically; a cache that cannot be written only costs time later."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with write_atomically(path) as temporary:

@@ -1,4 +1,4 @@
-"""Batches of a campaign's cells, of all or of one of several parts of about equal effort."""
+"""Batches of a campaign's cells: of all, or of one of several parts of about equal effort."""
 
 from collections.abc import Iterable, Mapping
 from itertools import product
@@ -9,9 +9,9 @@ from calcidem.sweep.batch import Batch, Cell, plan_batches
 
 
 def planned_batches(configuration: Configuration) -> tuple[Batch[Cell], ...]:
-    """All batches of a campaign's plan, or those of the part that ``[run] part`` names.
+    """All batches of a campaign's plan, or those of the part in ``[run] part``.
 
-    The parts depend on the configuration alone. The batches are dealt out, long ones first, to the part with the least
+    The parts depend only on the configuration. The batches, long ones first, are assigned to the part with the least
     effort so far (Graham 1969, doi:10.1137/0117039).
     """
     plan = configuration.campaign
@@ -32,17 +32,17 @@ def planned_batches(configuration: Configuration) -> tuple[Batch[Cell], ...]:
 def batches_of(
     configuration: Configuration, cells: Iterable[Cell], losses: Mapping[Cell, int] | None = None
 ) -> tuple[Batch[Cell], ...]:
-    """Batches of cells of a campaign, of which some may have lost workers."""
+    """Batches of cells of a campaign, some of which may have lost workers."""
     return plan_batches(
         cells, configuration.run.lanes, lambda content: _expected_effort(configuration, content), losses
     )
 
 
 def _expected_effort(configuration: Configuration, content: float) -> float:
-    """Rough effort of a batch of a content: steps to do; only ratios matter, and measured ones replace them.
+    """Rough effort of a batch of a content, in steps; only ratios matter, and measured times replace them.
 
-    Cement makes the stable step about ten times shorter. The velocity rises from 200 to 2100 m/s at 9 %, and a record
-    lasts for the pulse and one and a half travel times.
+    Cement shortens the stable step by a factor of about ten. The velocity increases from 200 to 2100 m/s at 9 %, and a
+    record lasts for the pulse and one and a half travel times.
     """
     steps_per_second = 10.0 if content > 0.0 else 1.0
     velocity = 200.0 + 210.0 * content

@@ -1,4 +1,4 @@
-"""Cement and sections as the store keeps them and as the wave has them; cement that is not stored is drawn again."""
+"""Conversion of cement and sections between store and simulation; cement that is not stored is drawn again."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -19,19 +19,19 @@ from calcidem.storage.sql.store import Store
 
 
 def stored_experiment(store: Store, packing_index: int = 0) -> Experiment:
-    """What the cells of a packing share, as `calcidem.Campaign.experiment`, for modules that one needs."""
+    """Experiment of the cells of a packing, as `calcidem.Campaign.experiment`, for modules that `Campaign` imports."""
     return Configuration.from_physics(store.record.parameters).experiment(readable_packing(store, packing_index))
 
 
 def with_patterns(store: Store, outcomes: Iterable[CellResult]) -> Iterator[CellResult]:
-    """Give outcomes of a store; cement that is not stored is drawn from the seed, as it was for the wave.
+    """Yield outcomes of a store; cement that is not stored is drawn again from the seed.
 
-    An outcome stays without if its cement was never drawn, or if another is drawn now: by another version of the
-    physics, or on a packing that is not stored.
+    An outcome has no cement if it was never drawn, or would differ now: with another physics version, or without the
+    stored packing.
     """
     same_physics = physics_version(store.record) == PHYSICS_VERSION
     experiment = lru_cache(lambda index: stored_experiment(store, index))
-    ordering = lru_cache(1)(lambda index, seed: experiment(index).ordering(seed))  # contents of a seed come together
+    ordering = lru_cache(1)(lambda index, seed: experiment(index).ordering(seed))  # cells are sorted by seed
     for outcome in outcomes:
         if not same_physics or outcome.cement is not None or outcome.bonded_contacts is None:
             yield outcome
@@ -48,13 +48,13 @@ def with_patterns(store: Store, outcomes: Iterable[CellResult]) -> Iterator[Cell
 
 
 def pattern_of(packing: Packing, cement: PlacedCement) -> CementPattern:
-    """Cement as the store keeps it."""
+    """Record of the cement for the store."""
     contacts = packing.pairs[cement.bonded].astype(np.int32)
     return CementPattern(contacts, cement.kind[cement.bonded], cement.centres.astype(float))
 
 
 def stored_section(section: Section) -> RecordedSection:
-    """Section as the store keeps it."""
+    """Record of a section for the store."""
     return RecordedSection(
         sampling_interval=section.sampling_interval,
         start_time=section.start_time,
@@ -67,7 +67,7 @@ def stored_section(section: Section) -> RecordedSection:
 
 
 def section_of(stored: RecordedSection) -> Section:
-    """Section as it is read: with the same bits as when it was recorded."""
+    """Section from a record, with the same bits as recorded."""
     return Section(
         sampling_interval=stored.sampling_interval,
         start_time=stored.start_time,

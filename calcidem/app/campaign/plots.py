@@ -1,4 +1,4 @@
-"""The figures of a campaign for Python: ``campaign.plot``, and the picture of a diagnosis."""
+"""Figures of a campaign in Python, ``campaign.plot``, and the picture of a diagnosis."""
 
 import math
 import os
@@ -44,7 +44,7 @@ Returns
 matplotlib.figure.Figure
     The whole figure."""
 
-_MOST_LINES = 6  # candidates that are shown, the most coherent ones
+_MOST_LINES = 6  # number of displayed candidates, the most coherent ones
 _EXCURSION = 0.75  # largest value of a trace over the mean distance of the stations
 _CHARACTERS = 100  # in a line of text
 _TICKS = tuple(digit * 10**power for power in (1, 2, 3, 4) for digit in (1, 2, 3, 5))  # m/s
@@ -53,13 +53,13 @@ _Method = TypeVar("_Method", bound=Callable[..., Figure])
 
 
 def _with_caption(method: _Method) -> _Method:
-    """Add what is to be seen to the documentation of a method that draws a figure of the report."""
+    """Add the caption to the documentation of a method that draws a figure of the report."""
     method.__doc__ = f"{method.__doc__}\n\n{_FIGURES[method.__name__].caption}\n\n{_ARGUMENTS}"
     return method
 
 
 def _with_step_of(experiment: Experiment, cell: CellResult) -> Experiment:
-    """Return the experiment with the step of a cell: halved if a guard ended its run or its contacts chatter."""
+    """Return the experiment with the step of a cell, halved if a guard ended its run or its contacts chatter."""
     if cell.time_step is None or cell.stability_limit is None:
         return experiment
     wave = experiment.wave
@@ -70,17 +70,17 @@ def _with_step_of(experiment: Experiment, cell: CellResult) -> Experiment:
 class CampaignPlots:
     """Figures of one campaign, each a method.
 
-    Each returns the `matplotlib.figure.Figure` that it drew: a notebook shows it, and ``figure.savefig("vs.pdf")``
-    writes it. Each takes `ax`, axes of the caller's own figure, which is then the one returned. `vs_range` and
-    `weight_scan` are drawn into these axes, where own data can be added. Figures of several panels take the place of
-    the axes, which have to be made by `plt.subplots`.
+    Each returns its `matplotlib.figure.Figure`: a notebook shows it, and ``figure.savefig("vs.pdf")`` writes it. Each
+    accepts `ax`, axes of the caller's own figure, which is then returned. `vs_range` and `weight_scan` are drawn into
+    these axes, where own data can be added. Figures of several panels replace the axes, which have to be made by
+    `plt.subplots`.
 
-    A figure for which the campaign lacks something raises `calcidem.analysis.campaign_analysis.UnavailableError`.
+    A figure without its data raises `calcidem.analysis.campaign_analysis.UnavailableError`.
 
     Attributes
     ----------
     analysis
-        Where the figures have their numbers from; cells that are stored after its first use are not in it.
+        Source of the numbers; it does not contain cells stored after its first use.
 
     Examples
     --------
@@ -126,7 +126,7 @@ class CampaignPlots:
 
     @_with_caption
     def methods(self, ax: Axes | None = None) -> Figure:
-        """Draw Vs by three readings of the arrival."""
+        """Draw Vs by three methods of reading."""
         return self._draw("methods", ax)
 
     @_with_caption
@@ -156,7 +156,7 @@ class CampaignPlots:
 
     @_with_caption
     def narrowing(self, ax: Axes | None = None) -> Figure:
-        """Draw how intervals narrow with the number of seeds."""
+        """Draw the width of intervals against the number of seeds."""
         return self._draw("narrowing", ax)
 
     def signal(self, *, seed: int, content: float, ax: Axes | None = None) -> Figure:
@@ -182,7 +182,7 @@ class CampaignPlots:
             return draw_stiffness(fields)
 
     def _draw(self, name: str, ax: Axes | None) -> Figure:
-        """Draw a figure of the report, in axes of the caller if there are any."""
+        """Draw a figure of the report, in axes of the caller if given."""
         with drawn_in(ax):
             return _FIGURES[name].draw(self.analysis)
 
@@ -195,12 +195,12 @@ class CampaignPlots:
         frames: int = 90,
         watch: Callable[[int, int], None] = lambda _done, _all: None,
     ) -> Path:
-        """Compute one cell's wave again, and write it as moving pictures: .gif, or .mp4 where ffmpeg is installed.
+        """Compute the wave of one cell again, and write a movie: .gif, or .mp4 if ffmpeg is installed.
 
-        Colour is the velocity of the disks along y, lines are cemented contacts; below are the signals and readings of
-        the cell, with a line for the moment shown. There are at most so many frames, of which 15 are shown in a second;
-        ``watch`` is told how much is done, of how much. `OutputRefusedError` for another ending, or without ffmpeg;
-        `UnknownCellError` if the cell has no outcome, or its cement is not known.
+        Colour is the velocity of the disks along y, lines are cemented contacts. Below are the signals and arrivals of
+        the cell, with a line at the time shown. ``frames`` is the largest number of frames, shown at 15 a second.
+        ``watch`` receives the numbers of finished and of all frames. `OutputRefusedError` for another ending, or
+        without ffmpeg; `UnknownCellError` if the cell has no outcome, or its cement is unknown.
         """
         path = Path(file)
         writer = movie_writer(path)
@@ -227,7 +227,7 @@ class CampaignPlots:
         )
         count = len(film.times)
         with write_atomically(path) as temporary:
-            named = temporary.with_suffix(path.suffix)  # which writers go by
+            named = temporary.with_suffix(path.suffix)  # writers use its ending
             try:
                 write_movie(figure, moving, named, writer, lambda done: watch(count + done, 2 * count))
                 named.replace(temporary)
@@ -238,7 +238,7 @@ class CampaignPlots:
 
 @style.apply_style
 def draw_diagnosis(one: Diagnosis) -> Figure:
-    """Draw the traces at their places with the line of each candidate, and below the stack over the velocity."""
+    """Draw the traces at their places with the line of each candidate, and below the stack against velocity."""
     section, smoothing, expected = one.section, one.experiment.pick.smoothing, one.expected
     arrival = None if one.reading.arrival is None else one.reading.arrival.index
     said = f"No velocity: {one.reason}.", one.finding, *one.describe_remedies()
@@ -270,7 +270,7 @@ def draw_diagnosis(one: Diagnosis) -> Figure:
 
 
 def _draw_traces(axes: Axes, section: Section, smoothing: float, clean: Floats | None) -> None:
-    """Draw the motion across the path at each place over its largest value, with the P wave and without it."""
+    """Draw the motion across the path at each place over its largest value, with and without the P wave."""
     across, place = prepare(section, smoothing).across, np.array(section.places) * MM
     time, clean = section.times[: len(across)] * MS, across if clean is None else clean
     largest = np.abs(clean).max(axis=0, initial=0.0)
@@ -284,7 +284,7 @@ def _draw_traces(axes: Axes, section: Section, smoothing: float, clean: Floats |
 
 
 def _draw_spectrum(axes: Axes, section: Section, smoothing: float, found: list[float]) -> None:
-    """Draw the stack over the velocity, from the slowest wave in the record to twice the fastest that was found."""
+    """Draw the stack against velocity, from the slowest wave in the record to twice the fastest candidate."""
     slowest = section.distance / max(section.duration, 1.0 / section.frequency)
     velocities = np.geomspace(slowest, 2.0 * max(found, default=50.0 * slowest), 240)
     axes.plot(velocities, velocity_spectrum(section, smoothing, velocities), color=style.BLUE)

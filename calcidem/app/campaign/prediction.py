@@ -1,4 +1,4 @@
-"""Vs of samples that were not simulated, from those of their content that were."""
+"""Prediction of Vs of samples that were not simulated, from simulated ones of the same content."""
 
 from collections.abc import Collection, Mapping, Sequence
 
@@ -23,7 +23,7 @@ from calcidem.storage.records import CellStatus, CementPattern
 from calcidem.storage.store import Selection
 
 CEMENT_FEATURES = ("column_share", "cemented_share")
-"""Shares of the contacts that are cemented, at the height of the receiver and of all: from these Vs is predicted."""
+"""Cemented shares of the contacts at the receiver's height and of all contacts, from which Vs is predicted."""
 
 _FEATURE_NAMES = (*(feature.name for feature in FEATURES), *CEMENT_FEATURES)
 
@@ -40,9 +40,10 @@ def predict_velocity(
 ) -> Prediction:
     """Predict Vs of a sample of a content (%) of a campaign, with an interval.
 
-    Features of the sample that are known are given by their names in `calcidem.analysis.packing_graph.FEATURES`, or in
-    `CEMENT_FEATURES`; with none the content alone is left. The seed to predict takes no part. `QueryError` if a name is
-    unknown, a value far from those of all samples, or the campaign has too few velocities at the content.
+    Known features of the sample are given by their names in `calcidem.analysis.packing_graph.FEATURES` or
+    `CEMENT_FEATURES`; without any the prediction uses the content alone. The seed to predict takes no part in the fit.
+    `QueryError` if a name is unknown, a value is far from those of all samples, or the campaign has too few velocities
+    at the content.
     """
     names = tuple(features)
     if strange := sorted(set(names) - set(_FEATURE_NAMES)):
@@ -51,7 +52,7 @@ def predict_velocity(
     names = _known_of(names, shares)
     table, vs, seeds = _velocities_at(_cells_with(analysis, names), content, names, shares)
     others = seeds != (-1 if without_seed is None else without_seed)
-    fewest = FEWEST_ROWS + 1 + len(names)  # one more than a fit needs, so that it can be checked
+    fewest = FEWEST_ROWS + 1 + len(names)  # one more than a fit needs, for checking
     if others.sum() < fewest:
         problem = f"{others.sum()} cells at {content:g} % have a velocity and these features."
         raise QueryError(problem, f"Compute at least {fewest} seeds, or give fewer features.")
@@ -65,7 +66,7 @@ def check_predictions(
 ) -> dict[float, PredictorCheck]:
     """Predict every sample from the other seeds of its content, by content.
 
-    Contents with few velocities are left out, and those without scatter: uncemented, all seeds are the same sample.
+    Contents with few velocities or without scatter are left out; without cement all seeds are the same sample.
     """
     contents = analysis.vs["content"].to_numpy().tolist()
     shares = cement_shares(analysis, contents, names)
@@ -87,7 +88,7 @@ def _cells_with(analysis: CampaignAnalysis, names: Sequence[str]) -> xr.Dataset:
 def _refuse_far_features(
     content: float, names: Sequence[str], features: Mapping[str, float], table: npt.NDArray[np.float64]
 ) -> None:
-    """Raise a `QueryError` if a value lies outside those of the samples, (n, k), by more than they differ."""
+    """Raise a `QueryError` if a value is outside the range of the samples, (n, k), by more than this range."""
     for name, low, high in zip(names, table.min(axis=0).tolist(), table.max(axis=0).tolist(), strict=True):
         if high > low and not 2.0 * low - high <= features[name] <= 2.0 * high - low:
             problem = (
@@ -97,12 +98,12 @@ def _refuse_far_features(
 
 
 def _known_of(names: Sequence[str], shares: _Shares) -> tuple[str, ...]:
-    """Names of features that samples of the campaign have: where no cement can be drawn again, the path's alone."""
+    """Names of the features of the campaign's samples; only those of the path if cement cannot be drawn again."""
     return tuple(name for name in names if shares or name not in CEMENT_FEATURES)
 
 
 def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPattern:
-    """Draw the cement of a seed at a content in percent; `QueryError` if the sample cannot hold so much."""
+    """Draw the cement of a seed at a content in percent; `QueryError` if the sample cannot hold it."""
     try:
         cement = experiment.ordering(seed).at(content)
     except CementCapacityError as error:
@@ -111,7 +112,7 @@ def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPat
 
 
 def pattern_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, float]:
-    """`CEMENT_FEATURES` of a pattern, by their names; `QueryError` if it cements grains that do not touch."""
+    """`CEMENT_FEATURES` of a pattern, by name; `QueryError` if it cements grains that do not touch."""
     try:
         return dict(zip(CEMENT_FEATURES, _shares_of(graph, pattern), strict=True))
     except ValueError as error:
@@ -119,7 +120,7 @@ def pattern_features(graph: PackingGraph, pattern: CementPattern) -> dict[str, f
 
 
 def cement_shares(analysis: CampaignAnalysis, contents: Collection[float], names: Sequence[str]) -> _Shares:
-    """`CEMENT_FEATURES`, if any is needed, of samples with a velocity and known cement, by seed and content."""
+    """`CEMENT_FEATURES`, if needed, of samples with a velocity and known cement, by seed and content."""
     shares: _Shares = {}
     if not set(names) & set(CEMENT_FEATURES):
         return shares
@@ -139,7 +140,7 @@ def _shares_of(graph: PackingGraph, pattern: CementPattern) -> tuple[float, floa
 def _velocities_at(
     cells: xr.Dataset, content: float, names: Sequence[str], shares: _Shares
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.int64]]:
-    """Features (n, k), Vs in m/s (n,) and seeds (n,) of the samples at a content that have them all."""
+    """Features (n, k), Vs in m/s (n,) and seeds (n,) of the complete samples at a content."""
     contents = cells["content"].to_numpy()
     if not np.isclose(contents, content).any():
         known = ", ".join(f"{known:g}" for known in contents)

@@ -1,4 +1,4 @@
-"""What a run would do, without doing any of it."""
+"""Preview of a run: checks and estimates without computing."""
 
 import os
 import shutil
@@ -35,12 +35,12 @@ from calcidem.sweep.environment import available_cores
 _LOOSE_DISKS = 20
 """Time to bring a loose lattice to rest (porosity 0.33, 1,440 disks of two sizes) over that to make a packing."""
 _SHORTEST_PATH = 1.0
-"""Wavelengths on the path below which P and S wave arrive as one."""
+"""Number of wavelengths on the path below which P and S wave arrive as one."""
 _SHORTEST_WAVE = 6.0
-"""Grains in a wavelength below which samples scatter it."""
+"""Number of grains in a wavelength below which samples scatter the wave."""
 
 
-_RECORDED_PART = 1.25  # of the pulse and one and a half travel times: when readings are settled
+_RECORDED_PART = 1.25  # over the pulse and one and a half travel times, when readings are settled
 
 # Stability limit of a cemented sample over that of mean disks: 1.18 to 1.20 from 0.66 to 9 % of `paper`.
 _STEP_OVER_MEAN_DISKS = 1.19
@@ -52,38 +52,38 @@ _SECONDS_OF_DISK_STEP = {"linear": 5e-9, "small": 9e-9, "finite": 22e-9}
 
 _SECONDS_WHERE_MEASURED = 2.7e-3  # of `_seconds_of_arithmetic`
 
-_PACKING_SECONDS, _PACKING_DISKS = 15.0, 4700  # the time goes with the power 3/2 of their number
+_PACKING_SECONDS, _PACKING_DISKS = 15.0, 4700  # the time varies as the power 3/2 of their number
 
-# Of memory: Python with NumPy and numba, and more for each disk, and each disk of each lane.
+# Memory: of Python with NumPy and numba, of each disk, and of each disk of each lane.
 _BYTES_OF_PROCESS, _BYTES_OF_DISK, _BYTES_OF_DISK_AND_LANE = 210e6, 1e3, 800.0
 
-# Of a database; the NetCDF file has as many.
+# Bytes in a database; the NetCDF file has as many.
 _BYTES_OF_CAMPAIGN, _BYTES_OF_CELL, _BYTES_OF_CELL_AND_DISK = 150e3, 18e3, 2.0
 
-_MOST_SOLVED = 20_000  # whose stiffness is found in a second or two
+_MOST_SOLVED = 20_000  # disks whose static stiffness takes a second or two
 
 _PACKINGS_OVER_LATTICE = 0.5  # velocity of packings over that of the hexagonal lattice, without cement
 
 
 @dataclass(frozen=True, slots=True)
 class _ExpectedCost:
-    """Cost of cells, each number good to a factor of two."""
+    """Cost of cells, each number within a factor of two."""
 
     seconds: float
-    """On one core of this machine, the kernels compiled and the packing made."""
+    """Time on one core of this machine with compiled kernels and the packing, s."""
     packing_seconds: float
-    """To make the packing."""
+    """Time for the packing, s."""
     memory: float
-    """Bytes of each process that computes."""
+    """Bytes of each computing process."""
     disk: float
     """Bytes of the database and the NetCDF file."""
 
 
 def preview_lines(configuration: Configuration) -> Iterator[str]:
-    """Check a configuration against its database and packing, if there are any, and describe what a run would compute.
+    """Check a configuration against its database and packing, if any, and describe the run.
 
-    `ConfigurationError` if the packing can't hold what is planned; `StoreError` if the database can't be read, or has
-    another campaign of that name, or this one under another.
+    `ConfigurationError` if the packing cannot hold the planned cement; `StoreError` if the database cannot be read, or
+    has another campaign of that name, or this one under another name.
     """
     plan, address = configuration.campaign, Address.parse(configuration.database)
     is_new = address.path is not None and not address.path.exists()
@@ -133,7 +133,7 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
 
 
 def _expected_half_widths(store: Store, configuration: Configuration) -> dict[float, float]:
-    """Half-width (m/s) of the mean's 95 % interval with all planned seeds, by content, where its scatter is known."""
+    """Half-width (m/s) of the mean's 95 % interval with all planned seeds, for contents with known scatter."""
     from calcidem.analysis.planning import mean_half_width  # noqa: PLC0415 - statistics of SciPy take half a second
 
     plan, columns = configuration.campaign, store.table(("content", "vs"))
@@ -142,14 +142,14 @@ def _expected_half_widths(store: Store, configuration: Configuration) -> dict[fl
     return {
         content: mean_half_width(float(np.std(values, ddof=1)), max(len(plan.seed_numbers), 2), 0.95)
         for content, values in known.items()
-        if len(values) >= FEWEST_TO_PLAN and content > 0.0  # without cement nothing scatters
+        if len(values) >= FEWEST_TO_PLAN and content > 0.0  # no scatter without cement
     }
 
 
 def _cost_lines(
     configuration: Configuration, speeds: Mapping[float, float], batches: Sequence[Batch[Cell]], *, is_packed: bool
 ) -> Iterator[str]:
-    """What the cells that are left need of this machine."""
+    """Time, memory and disk that the remaining cells need."""
     if not batches:
         return
     cost, cores = _expected_cost(configuration, speeds, batches), available_cores()
@@ -175,7 +175,7 @@ def _cost_lines(
 
 
 def _waves(configuration: Configuration, packing: Packing, speeds: Mapping[float, float]) -> Iterator[str]:
-    """The frequencies that are chosen, and contents whose wavelength does not suit the path or the grains."""
+    """Chosen frequencies, and contents whose wavelength does not suit the path or the grains."""
     experiment, diameter = configuration.experiment(packing), 2.0 * float(np.mean(packing.radius))
     if configuration.excitation.table is None:
         chosen = (f"{experiment.frequency(content) / 1e3:g} kHz at {content:g} %" for content in sorted(speeds))
@@ -200,7 +200,7 @@ def _waves(configuration: Configuration, packing: Packing, speeds: Mapping[float
 
 
 def _rough_time(seconds: float) -> str:
-    """Some seconds, minutes or hours, in two digits."""
+    """Rounded time in seconds, minutes or hours."""
     for size, unit in ((3600.0, "h"), (60.0, "min")):
         if seconds >= size:
             return f"{float(f'{seconds / size:.2g}'):g} {unit}"
@@ -208,7 +208,7 @@ def _rough_time(seconds: float) -> str:
 
 
 def _available_memory() -> float | None:
-    """Bytes that programs can have without swapping; None where the system does not report it."""
+    """Bytes available without swapping; None if the system does not report them."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
         return next(1024.0 * float(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
@@ -217,7 +217,7 @@ def _available_memory() -> float | None:
 
 
 def _free_space(configuration: Configuration) -> float | None:
-    """Bytes that are free where the database is to be; None if that is on a server."""
+    """Free bytes for the database; None on a server."""
     path = Address.parse(configuration.database).path
     if path is None:
         return None
@@ -226,10 +226,10 @@ def _free_space(configuration: Configuration) -> float | None:
 
 
 def _expected_speeds(configuration: Configuration, packing: Packing | None) -> dict[float, float]:
-    """Shear-wave velocity that is expected at each content of a plan, m/s.
+    """Expected shear-wave velocity at each content of a plan, m/s.
 
-    It is the static speed of one sample, or where there is no packing yet, or a large one, half of that of the
-    hexagonal lattice, increased by the same amount for each percent of calcite: good to a factor of two with cement.
+    It is the static speed of one sample. Without a packing, or for a large one, it is half of that of the hexagonal
+    lattice, increased linearly with the calcite content; with cement this is correct within a factor of two.
     """
     contents = configuration.campaign.contents
     lattice = np.pi * float(np.mean(configuration.packing.diameter)) * cutoff_estimate(configuration, cemented=False)
@@ -241,7 +241,7 @@ def _expected_speeds(configuration: Configuration, packing: Packing | None) -> d
     for content in contents:
         try:
             found[content] = expected_speed(experiment, content, patterns=1)
-        except ValueError:  # it carries no shear
+        except ValueError:  # the sample carries no shear
             found[content] = rough[content]
     return found
 
@@ -249,7 +249,7 @@ def _expected_speeds(configuration: Configuration, packing: Packing | None) -> d
 def _expected_cost(
     configuration: Configuration, speeds: Mapping[float, float], batches: Sequence[Batch[Cell]]
 ) -> _ExpectedCost:
-    """Cost of the batches of a configuration whose waves have these speeds, m/s, at each content."""
+    """Cost of the batches of a configuration with these speeds of waves, m/s, at each content."""
     wave, lanes, table = configuration.wave, configuration.run.lanes, configuration.excitation.table
     disks, path = disks_in_box(configuration), configuration.packing.width
     seconds, cells = 0.0, 0
@@ -272,7 +272,7 @@ def _expected_cost(
 
 
 def _seconds_of_arithmetic() -> float:
-    """CPU time of some arithmetic of NumPy on this machine, s: the least of several, since other programs may run."""
+    """CPU time of some NumPy arithmetic on this machine, s; the shortest of several, since other programs may run."""
     values, least = np.linspace(1.0, 2.0, 4096), np.inf
     for _ in range(5):
         began = thread_time()

@@ -1,6 +1,6 @@
-"""How far a run is: what happens on rank 0 turned into pictures of the whole, for displays, logs and callers.
+"""Progress of a run: events on rank 0 give snapshots for displays, logs and callers.
 
-It loads nothing that is large: the command that starts the ranks reads it, too.
+The module imports nothing large, since the command that starts the ranks imports it, too.
 """
 
 import json
@@ -18,10 +18,10 @@ from calcidem.sweep.progress import Progress, duration, pluralize
 from calcidem.sweep.sweep_end import SweepEnd
 
 _SHORTEST_INTERVAL = 0.2
-"""Seconds between two pictures of the same stage, at least."""
+"""Shortest interval between two snapshots of the same stage, s."""
 
 _LONGEST_TEXT = 3500
-"""Largest snapshot in bytes; a larger one is sent without the contents."""
+"""Largest size of a snapshot in bytes; a larger one is sent without the contents."""
 
 
 class _Forecast:
@@ -85,7 +85,7 @@ class _Forecast:
 
 
 class RunStage(StrEnum):
-    """What a run is busy with."""
+    """Stage of a run."""
 
     STARTING = "starting"
     PACKING = "packing"
@@ -96,28 +96,28 @@ class RunStage(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RunProgress:
-    """The whole progress of a run: each snapshot replaces the last.
+    """Progress of a run; each snapshot replaces the last.
 
     Attributes
     ----------
     stage
-        What it is busy with.
+        Present stage.
     seconds, seconds_left
-        Since this stage began, and until it ends; None where that is not known.
+        Time since the stage began, and until it ends; None if unknown.
     expansion_step, expansion_steps
-        Of a packing: radius step that is being taken, from 1, and their number; one more than it while the lid presses.
+        Packing: current radius step, from 1, and number of radius steps; one step more while the lid presses.
     time_steps, unbalanced_ratio, target_ratio, fraction
-        Of a packing: time steps so far, unbalanced-force ratio now and at rest, part of the work that may be done.
+        Packing: time steps so far, unbalanced-force ratio now and at rest, estimated part of the work done.
     kernel, function, functions
-        Of compiling: which kernel, its function that is compiled now, and how many of its functions are finished.
+        Compilation: kernel, its present function, and number of its finished functions.
     finished, total
-        Cells with an outcome, of those that this run computes.
+        Cells with an outcome, and all cells of this run.
     outcomes
-        How many of them have which, by the names of `calcidem.storage.records.CellStatus`.
+        Numbers of cells by outcome, with the names of `calcidem.storage.records.CellStatus`.
     contents
-        (content in percent, cells finished, cells of this run), in rising order.
+        (content in percent, finished cells, cells of this run), ascending.
     workers, busy
-        Processes that compute cells, and those of them that have something to do.
+        Number of workers, and of those that compute.
     """
 
     stage: RunStage
@@ -140,26 +140,27 @@ class RunProgress:
     busy: int = 0
 
     def to_json(self) -> str:
-        """Text of one line, short enough for `calcidem.launch.channel`."""
+        """Text in one line, short enough for `calcidem.launch.channel`."""
         text = json.dumps(asdict(self))
         return text if len(text) <= _LONGEST_TEXT else replace(self, contents=()).to_json()
 
     @classmethod
     def from_json(cls, text: str) -> Self:
-        """What `to_json` was called of; raises `ValueError`, `KeyError` or `TypeError` for anything else."""
+        """Progress from the text of `to_json`; `ValueError`, `KeyError` or `TypeError` for any other text."""
         values: dict[str, Any] = json.loads(text)
         contents = tuple((content, finished, total) for content, finished, total in values.pop("contents"))
         return cls(RunStage(values.pop("stage")), contents=contents, **values)
 
 
 class ProgressDisplay:
-    """Receives the progress of a run; as a context manager it clears the display on exit. This one shows nothing."""
+    """Receives the progress of a run; as a context manager it clears the display on exit. The base class shows nothing.
+    """
 
     def show(self, progress: RunProgress) -> None:
-        """Show how far the run is, in the place of what was shown before."""
+        """Show the progress, replacing the former display."""
 
     def note(self, text: str) -> None:
-        """Tell a sentence that stays."""
+        """Write a sentence that remains visible."""
 
     def __enter__(self) -> Self:
         """Begin."""
@@ -170,7 +171,7 @@ class ProgressDisplay:
 
 
 class ProgressReporter(Progress):
-    """Tells a display how far a run is."""
+    """Sends the progress of a run to a display."""
 
     def __init__(self, display: ProgressDisplay) -> None:
         self._display = display
@@ -182,11 +183,11 @@ class ProgressReporter(Progress):
         self._outcomes: Counter[str] = Counter()
 
     def begin(self, stage: RunStage) -> None:
-        """Report that a stage begins that has no progress of its own."""
+        """Report the beginning of a stage without further progress."""
         self._tell(RunProgress(stage))
 
     def on_packing(self, packing: PackingStage) -> None:
-        """Tell how far the packing is."""
+        """Report the progress of the packing."""
         seconds = time.monotonic() - self._began
         self._tell(
             RunProgress(
@@ -202,11 +203,11 @@ class ProgressReporter(Progress):
         )
 
     def on_compiling(self, kernel: str, function: str, functions: int) -> None:
-        """Tell which function of a kernel is compiled, and how many are finished."""
+        """Report the function of a kernel that is compiled, and the number of finished ones."""
         self._tell(RunProgress(RunStage.COMPILING, kernel=kernel, function=function, functions=functions))
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
-        """Begin to count cells."""
+        """Begin counting cells."""
         self._forecast = _Forecast(batches)
         self._outcomes.clear()
         self._contents = {}
@@ -227,7 +228,7 @@ class ProgressReporter(Progress):
             self._contents.setdefault(batch.cells[0][1], [0, 0])[1] += len(batch.cells)
 
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
-        """Count, and report a failure."""
+        """Count an outcome, and report a failure."""
         self._forecast.record(outcome)
         self._contents[outcome.batch.cells[0][1]][0] += len(outcome.batch.cells)
         if outcome.failure is None:
@@ -240,15 +241,15 @@ class ProgressReporter(Progress):
         )
 
     def on_loss(self, place: Place, reason: str) -> None:
-        """Tell which worker is lost."""
+        """Report a lost worker."""
         self._display.note(f"lost rank {place.rank} ({place.host}): {reason}")
 
     def on_heartbeat(self, workers: int, running: int) -> None:
-        """Tell how far the cells are."""
+        """Report the progress of the cells."""
         self._tell_cells(workers, running)
 
     def on_end(self, end: SweepEnd) -> None:
-        """Tell how it ended."""
+        """Report the end."""
         self._tell_cells(0, 0, at_once=True)
         self._display.note(_end_line(end))
 
@@ -266,7 +267,7 @@ class ProgressReporter(Progress):
         self._tell(progress, at_once=at_once)
 
     def _tell(self, progress: RunProgress, *, at_once: bool = False) -> None:
-        """Tell the display, but of the same stage not too often."""
+        """Send a snapshot to the display, not too often in the same stage."""
         now = time.monotonic()
         if progress.stage is not self._last.stage:
             self._began, at_once = now, True
@@ -277,7 +278,7 @@ class ProgressReporter(Progress):
 
 
 def _end_line(end: SweepEnd) -> str:
-    """Return one line about how a sweep ended."""
+    """Return one line about the end of a sweep."""
     tally = end.tally
     parts = [
         f"{end.state} after {duration(end.seconds)}",

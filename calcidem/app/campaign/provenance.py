@@ -1,4 +1,4 @@
-"""Where results come from: versions, machine and launch of a run."""
+"""Provenance of results: versions, machine and launch of a run."""
 
 import json
 import os
@@ -15,11 +15,11 @@ from calcidem.sweep.environment import mpi_library_version
 from calcidem.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")
-"""What the numbers and the files depend on, besides Python and calcidem."""
+"""Packages on which numbers and files depend, besides Python and calcidem."""
 
 
 def describe_run(ranks: int) -> RunRecord:
-    """Provenance of the run that begins now, on rank 0 of this number of ranks."""
+    """Provenance of a run that begins now, on rank 0 of this number of ranks."""
     commit, dirty = source_commit()
     return RunRecord(
         versions=library_versions(),
@@ -36,14 +36,14 @@ def describe_run(ranks: int) -> RunRecord:
 
 
 def library_versions() -> dict[str, str]:
-    """Versions of Python, of what the numbers and the files depend on, and of the C library where it is known."""
+    """Versions of Python, of the packages on which numbers and files depend, and of the C library if known."""
     versions = {"python": platform.python_version(), "calcidem": __version__}
     versions |= {name: _version_of(name) for name in _LIBRARIES}
     return versions | ({"libc": " ".join(platform.libc_ver())} if any(platform.libc_ver()) else {})
 
 
 def _version_of(name: str) -> str:
-    """Version of an installed distribution, empty if it is not installed as one."""
+    """Version of an installed distribution; empty if it is not installed."""
     try:
         return version(name)
     except PackageNotFoundError:
@@ -61,7 +61,7 @@ def _cpu_model() -> str:
 
 
 def source_commit() -> tuple[str | None, bool | None]:
-    """Commit of the source that runs, and whether it was changed; None where there is none, as for most wheels."""
+    """Commit of the running source, and whether it was changed; None if unknown, as for most wheels."""
     root = Path(__file__).parents[3]
     git = shutil.which("git")
     if not (root / ".git").exists():
@@ -76,7 +76,7 @@ def source_commit() -> tuple[str | None, bool | None]:
 
 
 def _installed_commit() -> tuple[str | None, bool | None]:
-    """Commit that pip installed from a repository, as it notes it (PEP 610); None for all other installations."""
+    """Commit that pip installed from a repository, as recorded by pip (PEP 610); None for other installations."""
     try:
         noted = distribution("calcidem").read_text("direct_url.json")
     except PackageNotFoundError:
@@ -86,7 +86,7 @@ def _installed_commit() -> tuple[str | None, bool | None]:
 
 
 def _ask(git: str, root: Path, *arguments: str) -> str:
-    """Answer of git about a tree."""
+    """Output of a git command in a tree."""
     command = [git, "-C", str(root), *arguments]
     done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=10)  # noqa: S603 - fixed arguments
     return done.stdout.strip()

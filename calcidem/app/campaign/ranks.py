@@ -1,4 +1,4 @@
-"""One campaign on ranks or an executor: rank 0 prepares, hands out, stores and reports, the others compute."""
+"""One campaign on ranks or an executor: rank 0 prepares, hands out, stores and reports; the others compute."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -23,29 +23,29 @@ from calcidem.sweep.signals import StopRequest
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE, LaunchError, SweepEnd
 
 _CONNECT_TIMEOUT = 10.0
-"""Seconds in which the scheduler has to answer."""
+"""Seconds within which the scheduler has to answer."""
 
 _TIME_TO_CLOSE = 3.0
-"""Seconds in which it cancels running batches; one that has died does not answer."""
+"""Seconds to wait while it cancels running batches; a dead scheduler does not answer."""
 
 
 class RunView(Protocol):
     """Messages and progress of a run on rank 0."""
 
     def say(self, text: str) -> None:
-        """Tell a sentence."""
+        """Write a sentence."""
 
     def display(self) -> ProgressDisplay:
         """Receiver of the progress."""
 
     def begin(self, work: CampaignRun) -> None:
-        """Tell what is about to be computed."""
+        """Describe the coming computation."""
 
     def finish(self, work: CampaignRun, *, in_haste: bool) -> None:
-        """Tell what came out, and write it; in haste only what takes no time."""
+        """Report the results and write files; at an urgent end only what takes no time."""
 
     def refuse(self, error: Exception) -> int:
-        """Tell an error that is the user's to cure and give its exit code; raise any other."""
+        """Report an error that the user can remedy and return its exit code; raise any other."""
 
 
 def run_on_ranks(
@@ -55,8 +55,8 @@ def run_on_ranks(
 ) -> NoReturn:
     """Run a campaign, or its missing cells, and end with the exit code of the result.
 
-    To be called on all ranks; the configuration is loaded, and view and executor are opened, on rank 0 only. If there
-    is an executor its workers compute, and there are no other ranks.
+    All ranks call this; only rank 0 loads the configuration and opens view and executor. With an executor its workers
+    compute, and there are no other ranks.
     """
     keep_freed_memory()
     with Session() as session:
@@ -72,7 +72,7 @@ def run_on_ranks(
 
 @contextmanager
 def dask_executor(address: str) -> Iterator[Executor]:
-    """Connect to a scheduler, and cancel in the end the batches that its workers have not begun.
+    """Connect to a scheduler; at the end cancel batches not yet begun.
 
     `LaunchError` if no scheduler answers at the address, or Dask is not installed.
     """
@@ -90,7 +90,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
     try:
         yield client.get_executor(pure=False)
     finally:
-        with suppress(Exception):  # whatever it was, the outcomes are stored and the client is no longer needed
+        with suppress(Exception):  # any error is harmless: the outcomes are stored and the client is no longer needed
             client.close(timeout=_TIME_TO_CLOSE)
 
 
@@ -101,7 +101,7 @@ def _lead(
     reporter: ProgressReporter,
     open_executor: Callable[[], Executor | None],
 ) -> tuple[int, SweepEnd | None]:
-    """What rank 0 does: prepare, have the cells computed, store them, and report; returns exit code and end."""
+    """Work of rank 0: prepare, have the cells computed, store them, and report; return exit code and end."""
     workers = session.gather(describe_worker(session.rank))
     code, work, executor = 0, None, None
     try:
@@ -119,7 +119,7 @@ def _lead(
     if work is None:
         return code, None
     with work:
-        # The address of the database, which may have a password, stays on this rank.
+        # The address of the database, which may have a password, is not broadcast.
         told = replace(work.configuration, run=replace(work.configuration.run, database=None))
         session.broadcast((told, work.packing, bool(work.batches)))
         view.begin(work)
@@ -133,13 +133,13 @@ def _lead(
             view.finish(work, in_haste=session.stop_request.hurry())
         except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
             code, session.obstacle = view.refuse(error), type(error).__name__
-            # A server that comes back has everything that was stored.
+            # After a restart the server has all stored data.
             return EXIT_RESUMABLE if isinstance(error, StoreUnavailableError) else code, work.end
         return end.exit_code, end
 
 
 def _follow(session: Session) -> tuple[int, SweepEnd | None]:
-    """What a worker does; returns what the program returns, and how the sweep ended."""
+    """Work of a worker; return exit code and end of the sweep."""
     session.gather(describe_worker(session.rank))
     if code := session.broadcast(0):
         return code, None
@@ -153,9 +153,9 @@ def _follow(session: Session) -> tuple[int, SweepEnd | None]:
 
 
 def _end_in_haste(stop_request: StopRequest) -> None:
-    """End the making of the packing if a signal asks for an end at once.
+    """End the packing if a signal requests an end at once.
 
-    `SweepInterrupted` is to be taken for the end of a run that goes on with the same command.
+    `SweepInterrupted` is the end of a run that the same command continues.
     """
     if stop_request.hurry():
         raise SweepInterrupted
@@ -167,18 +167,18 @@ def _compile_on_nodes(
     packing: Packing,
     tell: Callable[[str, str, int], object] = lambda *_: None,
 ) -> None:
-    """Have each kernel compiled by one rank of each node, so that no cell's cost or time limit has it.
+    """Have each kernel compiled by one rank of each node, so that compilation counts for no cell's cost or time limit.
 
-    The first rank of a node has the largest one, so how far rank 0 is tells how far all are.
+    The first rank of a node compiles the largest kernel, so the progress of rank 0 is that of all ranks.
     """
     session.share_on_node(kernel_compilations(configuration, packing, tell))
 
 
 def _refuse_singletons(world_size: int, variables: Mapping[str, str] = os.environ) -> None:
-    """Refuse to run alone where several tasks were requested.
+    """Refuse to run as a single rank if several tasks were requested.
 
-    `srun python` starts N independent programs: each would compute the whole campaign. `LaunchError` if Slurm counts
-    several tasks, no mpirun started this process, and it is the only rank.
+    `srun python` starts N independent programs, each of which would compute the whole campaign. `LaunchError` if Slurm
+    counts several tasks, no mpirun started this process, and it is the only rank.
     """
     tasks = int(variables.get("SLURM_NTASKS", "1"))
     if tasks > 1 and world_size == 1 and "OMPI_COMM_WORLD_SIZE" not in variables:

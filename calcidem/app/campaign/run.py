@@ -1,4 +1,4 @@
-"""One campaign from its configuration to its database: the same in one process and on many ranks."""
+"""One campaign from its configuration to its database, in one process or on many ranks."""
 
 import os
 import socket
@@ -39,11 +39,11 @@ from calcidem.sweep.signals import StopRequest
 from calcidem.sweep.sweep_end import SweepEnd, SweepState, WorkersLostError
 
 if TYPE_CHECKING:
-    from calcidem.app.campaign.opened import Campaign  # statistics, which the ranks do not need
+    from calcidem.app.campaign.opened import Campaign  # for statistics, which the ranks do not need
     from calcidem.app.campaign.until import SeedDemand
 
 _LEASE_POLL = 1.0
-"""Seconds between two looks at a lease that another machine holds."""
+"""Seconds between two checks of a lease that another machine holds."""
 
 
 def run(
@@ -55,34 +55,36 @@ def run(
     progress: Callable[[RunProgress], object] | bool | None = None,
     executor: Executor | None = None,
 ) -> "Campaign":
-    """Compute a campaign, or what is left of it, in this process or on the workers of an executor.
+    """Compute a campaign, or its missing cells, in this process or on the workers of an executor.
 
-    `ConfigurationError` with everything that is wrong with the configuration; `StoreError` if the database cannot be
-    used; `PackingError` if the packing does not come to rest; `WorkersLostError` if the executor ended too early, for
-    instance because one of its processes was killed: what was computed is stored, and the same call with a new executor
-    goes on.
+    `ConfigurationError` with all problems of the configuration; `StoreError` if the database cannot be used;
+    `PackingError` if the packing does not come to rest; `WorkersLostError` if the executor ended too early, for
+    instance because one of its processes was killed. Computed cells are then stored, and the same call with a new
+    executor continues.
 
     Parameters
     ----------
     configuration
-        Or the TOML file that it is in.
+        Configuration, or the name of its TOML file.
     db
-        SQLite file or database URL, instead of that of the configuration.
+        SQLite file or database URL; by default that of the configuration.
     output
-        Folder for the results, instead of that of the configuration.
+        Folder for the results; by default that of the configuration.
     set
-        Values that replace those of the configuration, by section and key: ``{"wave.amplitude": 1e-4}``.
+        Values that replace those of the configuration, such as ``{"wave.amplitude": 1e-4}``.
     progress
-        A function that receives the progress, a few times a second at most; what it raises ends the run, and the
-        same call goes on later. True shows it, False does not; by default it is shown on a terminal and in a notebook.
+        A function that receives the progress, at most a few times a second; its exceptions end the run, which the same
+        call continues later. True shows the progress, False does not; by default it is shown on a terminal and in a
+        notebook.
     executor
-        Whose workers compute: a ``concurrent.futures.ProcessPoolExecutor``, an ``mpi4py.futures.MPIPoolExecutor``,
-        ``Client.get_executor()`` of Dask, or any other. They need this calcidem, not the database. It stays open.
+        Executor whose workers compute: a ``concurrent.futures.ProcessPoolExecutor``, an
+        ``mpi4py.futures.MPIPoolExecutor``, ``Client.get_executor()`` of Dask, or any other. The workers need this
+        version of calcidem, but not the database. The executor stays open.
 
     Returns
     -------
     Campaign
-        Open for reading; to be closed.
+        Opened for reading; close it after use.
 
     Examples
     --------
@@ -112,7 +114,7 @@ def run(
                 if executor is None:
                     for compile_kernel in kernel_compilations(configuration, work.packing, reporter.on_compiling):
                         compile_kernel()
-            end = work.compute(executor, reporter, StopRequest())  # no signal sets it: an interrupt goes to the caller
+            end = work.compute(executor, reporter, StopRequest())  # not set by signals: an interrupt goes to the caller
             if end.state is not SweepState.COMPLETE:
                 raise WorkersLostError(f"{end.detail} (everything stored is safe)")
             for line in work.demand.lines() if work.demand else ():
@@ -121,40 +123,40 @@ def run(
 
 
 def sweep_options(configuration: Configuration) -> SweepOptions:
-    """Limits of the sweep as the configuration has them."""
+    """Limits of the sweep from the configuration."""
     return SweepOptions(time_limit=configuration.run.time_limit)
 
 
 class CampaignRun:
     """State of rank 0 while a campaign is computed: database, packing and remaining batches.
 
-    As a context manager it closes the database and notes how the run ended. An existing database is checked before the
-    packing is made, so that one of another campaign is refused at once; a new one is made after the packing, so that a
-    configuration that the packing cannot fulfil leaves none behind.
+    As a context manager it closes the database and records the end of the run. An existing database is checked before
+    the packing is made, so that one of another campaign is refused at once. A new one is created after the packing, so
+    that a configuration that the packing cannot fulfil creates none.
 
     Parameters
     ----------
     configuration
-        What to compute.
+        Configuration to compute.
     workers
         Description of each rank.
     tell
-        Takes sentences for the user.
+        Receives sentences for the user.
     check
         Called every fraction of a second while the packing is made; may raise to end it.
     watch
-        Told as often how far that is.
+        Called as often with the progress.
 
     Attributes
     ----------
     packing, store
-        Of the campaign.
+        Packing and store of the campaign.
     batches
-        What is left to compute, in order.
+        Remaining batches, in order.
     sink
-        Takes the outcomes.
+        Receiver of the outcomes.
     demand
-        How many seeds each content needs, without `until` in the configuration.
+        Numbers of seeds that each content needs; None without `until` in the configuration.
     end
         Of the sweep; None before it.
     """
@@ -171,7 +173,7 @@ class CampaignRun:
         self.end: SweepEnd | None = None
         self.demand: SeedDemand | None = None
         _refuse_before_writing(configuration)
-        configuration.output.mkdir(parents=True, exist_ok=True)  # before hours are spent on what is written there
+        configuration.output.mkdir(parents=True, exist_ok=True)  # before hours of computation
         store = self._master(tell, check) if _exists(configuration.database) else None
         try:
             self.packing = provide_packing(configuration, store, tell, check, watch)
@@ -186,7 +188,7 @@ class CampaignRun:
             raise
 
     def _master(self, tell: Tell, check: Callable[[], None]) -> Store:
-        """Open the database and become the only one that writes this campaign."""
+        """Open the database and become the only writer of this campaign."""
         configuration = self.configuration
         path = Address.parse(configuration.database).path
         if path is not None:
@@ -249,7 +251,7 @@ class CampaignRun:
         return self.end
 
     def _more(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> tuple[Batch[Cell], ...]:
-        """Further batches that the outcomes require; none unless the number of seeds is open."""
+        """Further batches that the outcomes require, if the configuration has `until`."""
         if self.demand is None:
             return ()
         cells = self.demand.take_in(outcomes)
@@ -260,17 +262,17 @@ class CampaignRun:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Note how it ended and close the database."""
-        with suppress(StoreError), self.store:  # a lost database was reported at the last write
+        """Record the end and close the database."""
+        with suppress(StoreError), self.store:  # the last write has reported a lost database
             if self.end is not None:
                 detail = f": {self.end.detail}" if self.end.detail else ""
                 self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC))
 
 
 def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> tuple[str, ...]:
-    """As `Store.acquire_lease`, after a master on another machine has been silent until its lease ended.
+    """Acquire the lease; wait until the lease of a silent master on another machine ends.
 
-    `LeaseHeldError` if another one lives: on this machine, or it is heard of meanwhile.
+    `LeaseHeldError` if another master lives: on this machine, or with a new heartbeat meanwhile.
     """
     first = None
     while True:
@@ -292,14 +294,14 @@ def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> tuple
 
 
 def _refuse_before_writing(configuration: Configuration) -> None:
-    """Refuse a configuration that its database, or the packing there, does not fit, before any byte is written.
+    """Refuse a configuration that does not match its database or the packing there, before any byte is written.
 
     Errors are those of `choose_campaign`, and `ConfigurationError` if the packing cannot hold what is planned.
     """
     if not _exists(configuration.database):
         return
 
-    # An empty database is foreign to who reads, and new to who writes.
+    # An empty database is refused for reading, and new for writing.
     with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as store:
         if choose_campaign(store, configuration) and store.packing_indices():
             check_against_packing(configuration, readable_packing(store, 0))
@@ -334,6 +336,6 @@ def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) 
 
 
 def _exists(database: str) -> bool:
-    """Whether a database may be there already; a server always is."""
+    """Whether a database may exist; a server always does."""
     path = Address.parse(database).path
     return path is None or path.exists()

@@ -1,4 +1,4 @@
-"""The terminal of the command that starts the ranks: the progress, and above it the output of the ranks."""
+"""Terminal of the command that starts the ranks: the progress, and above it the output of the ranks."""
 
 import os
 import subprocess
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from calcidem.app.campaign.display import LiveDisplay  # rich, which only a terminal needs
 
 _MOST_BYTES = 1 << 16
-"""Bytes that are taken from a pipe at once."""
+"""Number of bytes read from a pipe at once."""
 
 
 class CommandScreen:
     """A context manager that receives the standard output and error of the ranks' launcher.
 
-    On a terminal it reads both from pipes and writes them line by line above the picture, so that neither tears the
-    other. Elsewhere the launcher writes by itself, and rank 0 writes lines instead of the picture.
+    On a terminal it reads both from pipes and writes them line by line above the display. Elsewhere the launcher writes
+    directly, and rank 0 writes lines instead of the display.
     """
 
     def __init__(self) -> None:
@@ -28,7 +28,7 @@ class CommandScreen:
         self._shown = ""
 
     def __enter__(self) -> Self:
-        """Use the terminal, if there is one."""
+        """Use the terminal, if any."""
         if sys.stdout.isatty():
             from rich.console import Console  # noqa: PLC0415 - only a terminal needs it
 
@@ -39,7 +39,7 @@ class CommandScreen:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Leave the terminal as it was."""
+        """Restore the terminal."""
         if self._display is not None:
             self._display.__exit__()
 
@@ -51,7 +51,7 @@ class CommandScreen:
         return subprocess.PIPE, subprocess.PIPE if sys.stderr.isatty() else None
 
     def begin(self, process: "subprocess.Popen[bytes]", ranks: int) -> None:
-        """Have what this launcher writes, which starts so many ranks."""
+        """Receive the output of this launcher, which starts so many ranks."""
         if self._display is None:
             return
         self._display.show(RunProgress(RunStage.STARTING, workers=ranks - 1))
@@ -60,7 +60,7 @@ class CommandScreen:
             os.set_blocking(pipe.fileno(), False)
 
     def update(self, progress: str) -> None:
-        """Write what has come from the ranks, and draw how far they are; ``progress`` is the last that rank 0 said."""
+        """Write the output of the ranks, and draw the progress; ``progress`` is the last snapshot of rank 0."""
         if self._display is None:
             return
         for pipe in self._pipes:
@@ -72,7 +72,7 @@ class CommandScreen:
         self._display.refresh()
 
     def end(self) -> None:
-        """Write the rest of what the launcher has written."""
+        """Write the rest of the launcher's output."""
         for pipe in self._pipes:
             self._read(pipe)
             if rest := self._pipes[pipe]:
@@ -81,7 +81,7 @@ class CommandScreen:
         self._pipes = {}
 
     def say(self, text: str) -> None:
-        """Write a sentence of the command itself."""
+        """Write a message of the command itself."""
         if self._display is not None and sys.stderr.isatty():
             self._display.note(text)
         else:
@@ -89,7 +89,7 @@ class CommandScreen:
             sys.stderr.flush()
 
     def _read(self, pipe: IO[bytes]) -> None:
-        """Write the whole lines that are in a pipe."""
+        """Write the complete lines in a pipe."""
         with suppress(BlockingIOError):
             while data := os.read(pipe.fileno(), _MOST_BYTES):
                 lines, newline, rest = (self._pipes[pipe] + data).rpartition(b"\n")
@@ -98,7 +98,7 @@ class CommandScreen:
                     self._write(lines)
 
     def _write(self, lines: bytes) -> None:
-        """Write lines above the picture, in the colours that they have; a terminal that is gone is no error."""
+        """Write lines above the display, with their colours; a closed terminal is not an error."""
         from rich.text import Text  # noqa: PLC0415 - only a terminal needs it
 
         with suppress(OSError):

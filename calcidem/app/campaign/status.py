@@ -1,4 +1,4 @@
-"""Progress of a campaign: states of its cells, statistics, time left, repeated and failed cells."""
+"""Progress of a campaign: status of its cells, statistics, time left, repeated and failed cells."""
 
 import math
 import os
@@ -29,10 +29,10 @@ _TROUBLES = (
 _TROUBLE_NAMES = frozenset(status.value for status in _TROUBLES)
 
 UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
-"""Outcomes without a velocity that the same computation gives again."""
+"""Outcomes without a velocity that a new computation would repeat."""
 
 _MOST_TIMED = 20_000
-"""Cells whose computing times are read: enough for a mean at each content."""
+"""Number of cells whose computing times are read, enough for a mean at each content."""
 
 _STATUS_BY_NAME = {status.value: status for status in CellStatus}
 
@@ -40,8 +40,8 @@ FEWEST_TO_PLAN = 3
 """Number of velocities below which a standard deviation has no meaning."""
 
 URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
-"""Place of each status, the most severe first; pending ones before done ones."""
-"""Place of each status, the most severe first."""
+"""Rank of each status, the most severe first; pending before done."""
+"""Rank of each status, the most severe first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,18 +55,18 @@ class ContentStatus:
     counts: Mapping[CellStatus, int]
     """Number of cells by status."""
     vs: NDArray[np.float64]
-    """Of the done cells, m/s."""
+    """Velocities of the done cells, m/s."""
     mean: float
     deviation: float
-    """Of them, m/s; NaN where there are too few."""
+    """Mean and standard deviation of these, m/s; NaN with too few."""
     interval: Interval
-    """Of the mean at 95 %, m/s (Student's t)."""
+    """Half-width of the 95 % interval of the mean, m/s (Student's t)."""
     budget: ErrorBudget
     """Errors of its velocities."""
     seconds_per_cell: float
-    """Computing time of a cell so far; NaN before any."""
+    """Mean computing time of a cell so far; NaN before the first."""
     seconds_left: float
-    """Computing time that the pending cells need on one core; NaN if nothing was measured."""
+    """Computing time of the pending cells on one core; NaN if none was measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,21 +78,21 @@ class Trouble:
     """The cell and its present status."""
     attempts: int
     losses: int
-    """Number of attempts, and number of workers lost over it since the last retry."""
+    """Number of attempts, and of workers lost since the last retry."""
     reason: str
     """First line of the reason; empty for a done or pending cell."""
     retry: str = ""
-    """Why its sample was computed again with half the step; empty if it was not."""
+    """Reason why its sample was computed again with half the step; else empty."""
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignStatus:
-    """How far a campaign is."""
+    """Progress of a campaign."""
 
     name: str
     hash: str
     content_hashes: Mapping[int, str | None]
-    """Of its packings, by index; None where it is unknown."""
+    """Content hashes of its packings, by index; None if unknown."""
     seeds: tuple[int, ...]
     contents: tuple[ContentStatus, ...]
     """One for each content, ascending."""
@@ -104,13 +104,13 @@ class CampaignStatus:
     """Cells that failed, were repeated, or needed half the step."""
     last_run: RunRecord | None
     run_number: int | None
-    """The latest run, if there was any."""
+    """Latest run, if any."""
     running: bool
-    """Whether a process writes the campaign at this moment, as far as is known."""
+    """Whether a process writes the campaign now, as far as known."""
     workers: int
-    """Ranks that compute in the latest run."""
+    """Number of computing ranks in the latest run."""
     seconds_left: float
-    """Until all cells are settled on this number of workers; NaN if nothing was measured."""
+    """Time until all cells are settled on this number of workers; NaN if none was measured."""
 
     @property
     def pending(self) -> int:
@@ -119,7 +119,7 @@ class CampaignStatus:
 
     @classmethod
     def of(cls, store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> Self:
-        """Gather how far a campaign is, in a few short queries, from `STATUS_QUANTITIES` of its planned cells."""
+        """Progress of a campaign, in a few short queries, from `STATUS_QUANTITIES` of its planned cells."""
         contents = np.array(sorted(set(columns["content"].tolist())))
         rows = [columns["content"] == content for content in contents]
         seconds = [_mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
@@ -152,7 +152,7 @@ class CampaignStatus:
 
     @classmethod
     def read(cls, database: str | os.PathLike[str], campaign_name: str | None = None) -> Self:
-        """Progress of a stored campaign now; `StoreError` if the database can't be read or has no such campaign."""
+        """Present progress of a stored campaign; `StoreError` if the database is unreadable or lacks the campaign."""
         with read_campaign(database, campaign_name) as store:
             columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"])
             columns["seconds"] = _sampled_seconds(store, columns)
@@ -160,22 +160,22 @@ class CampaignStatus:
 
 
 def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-    """Computing time of each cell, s; of a large campaign that of some seeds only, and NaN elsewhere.
+    """Computing time of each cell, s; in a large campaign only of some seeds, else NaN.
 
-    They are asked for apart: they are those of attempts, and a cell whose attempt is damaged is not damaged itself.
+    They are read in a separate query: they belong to attempts, and a cell with a damaged attempt is not damaged itself.
     """
     seconds = np.full(len(columns["seed"]), np.nan)
     seeds = np.unique(columns["seed"][columns["status"] != CellStatus.PENDING.value])
     chosen = seeds[:: max(1, math.ceil(len(seconds) / _MOST_TIMED))]
     found = store.table(("seconds",), Selection(chosen.tolist()))["seconds"]
     places = np.isin(columns["seed"], chosen)
-    if np.count_nonzero(places) == len(found):  # else cells were planned meanwhile
+    if np.count_nonzero(places) == len(found):  # otherwise cells were planned meanwhile
         seconds[places] = found
     return seconds
 
 
 def _content_hashes(store: Store) -> dict[int, str | None]:
-    """Content hash of each packing, by its index; None where it can't be told."""
+    """Content hash of each packing, by index; None if unknown."""
     known = store.content_hashes()
     if None in known.values():  # an earlier calcidem stored it
         from calcidem.app.campaign.stored_packing import content_hash_of  # noqa: PLC0415 - loads parts of the engine
@@ -209,13 +209,13 @@ def _content_status(
 
 
 def _mean_or_nan(values: NDArray[np.float64]) -> float:
-    """Mean of the finite values, NaN without any."""
+    """Mean of the finite values; NaN without any."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if finite.size else np.nan
 
 
 def _expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Seconds of a cell at each content: measured, or interpolated between the contents that are; both (C,)."""
+    """Seconds of a cell at each content: measured, or interpolated between measured contents; both (C,)."""
     known = np.isfinite(measured)
     if not known.any():
         return np.full(contents.shape, np.nan)
@@ -239,7 +239,7 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
         return {key: str(text or "").partition("\n")[0] for key, text in zip(keys, found[quantity], strict=True)}
 
     reasons = texts("reason", Selection(statuses=_TROUBLES[1:]))
-    if CellStatus.DAMAGED in statuses.values():  # to find all damage takes long
+    if CellStatus.DAMAGED in statuses.values():  # finding all damage takes long
         damaged = texts("reason", Selection(statuses=CellStatus.DAMAGED)).items()
         reasons |= {key: why for key, why in damaged if statuses.get(key) is CellStatus.DAMAGED}
     retries = texts("retry", Selection(where="retry is not None"))
@@ -258,15 +258,15 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
             retries.get(key, ""),
         )
         for key, count in attempts.items()
-        if key in statuses  # else it was planned meanwhile
+        if key in statuses  # otherwise it was planned meanwhile
     ]
     return tuple(sorted(found, key=lambda trouble: (URGENCY[trouble.status], trouble.key)))
 
 
 def _is_being_written(store: Store) -> bool:
-    """Whether a living process holds the lease of a campaign, as far as this machine shows.
+    """Whether a living process holds the lease of a campaign.
 
-    On another machine a process counts as living until its heartbeat is five minutes old.
+    A process on another machine counts as living until its heartbeat is five minutes old.
     """
     holder = store.lease_holder()
     return holder is not None and holder.may_live()

@@ -20,10 +20,10 @@ _RENEWAL_INTERVAL = 30.0
 """Seconds between two renewals of the lease; half of the interval that the store requires."""
 
 _LOCK_PAUSE = 1.0
-"""Seconds until the next attempt to get a lock; SQLite itself has waited for half a minute by then."""
+"""Seconds until the next attempt to lock; SQLite itself has waited half a minute before."""
 
 _MOST_PATIENCE = 600.0
-"""Seconds for which a lock of another process is waited for."""
+"""Longest wait for a lock of another process, s."""
 
 
 T = TypeVar("T")
@@ -35,9 +35,9 @@ class StoreSink:
     Parameters
     ----------
     store
-        With the campaign chosen.
+        Store with the campaign chosen.
     keys
-        The cells that will be computed.
+        Cells that will be computed.
     tell
         Takes sentences for the user.
     workers
@@ -53,18 +53,18 @@ class StoreSink:
     ) -> None:
         self._store, self._tell, self._workers = store, tell, tuple(workers)
         self.busy = Lock()
-        """Held while another thread than the master's uses the store."""
+        """Lock held while a thread uses the store."""
         self._next_renewal = time.monotonic() + _RENEWAL_INTERVAL
         self._counts = store.attempt_counts(keys) if keys else {}
         self._unplanned: deque[CellKey] = deque()
 
     @property
     def losses(self) -> dict[Cell, int]:
-        """Number of workers lost over each cell so far."""
+        """Number of workers lost so far while computing each cell."""
         return {(key.seed, key.content): count.losses for key, count in self._counts.items()}
 
     def plan(self, keys: Iterable[CellKey]) -> None:
-        """Plan cells together with the next stored outcomes; does not wait."""
+        """Plan cells in the transaction of the next stored outcomes; does not wait."""
         self._unplanned.extend(keys)
 
     def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
@@ -95,11 +95,11 @@ class StoreSink:
             self._tell(unlike)
 
     def keep_alive(self) -> None:
-        """Renew the lease if it is time to, for other machines; storing outcomes renews it as well."""
+        """Renew the lease if due, for other machines; storing outcomes also renews it."""
         if time.monotonic() > self._next_renewal and self.busy.acquire(blocking=False):
             try:
                 self._next_renewal = time.monotonic() + _RENEWAL_INTERVAL
-                with suppress(StoreLockedError):  # who has the lock can't take the lease either
+                with suppress(StoreLockedError):  # a process with the lock cannot take the lease meanwhile
                     self._store.renew_lease()
             finally:
                 self.busy.release()
@@ -110,9 +110,9 @@ class StoreSink:
         self._counts |= self._with_patience(lambda: self._store.record_lost(keys, reason))
 
     def _with_patience(self, write: Callable[[], T]) -> T:
-        """Write, and wait for another process that has locked the database: no computed cell is dropped.
+        """Write, and wait while another process has locked the database, so that no computed cell is lost.
 
-        `StoreLockedError` if it keeps the lock for more than ten minutes.
+        `StoreLockedError` if the lock remains for more than ten minutes.
         """
         deadline = time.monotonic() + _MOST_PATIENCE
         with self.busy:

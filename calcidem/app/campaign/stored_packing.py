@@ -1,4 +1,4 @@
-"""A packing as the store and the cache keep it: as bytes, and as a record; reading never makes a packing."""
+"""Packings in store and cache, as bytes and as records; reading never makes a packing."""
 
 import io
 import json
@@ -18,26 +18,26 @@ from calcidem.storage.records import PackingRecord
 from calcidem.storage.sql.store import Store
 
 CACHE_VARIABLE = "CALCIDEM_CACHE"
-"""Names the folder of the cache, if it is not to be ``$XDG_CACHE_HOME/calcidem``."""
+"""Variable with the folder of the cache, instead of ``$XDG_CACHE_HOME/calcidem``."""
 
 _HEADING = b"calcidem packing 1\n"
 _DIGEST_LENGTH = 64
 
 
 class DamagedPackingError(ValueError):
-    """Bytes that are not, or no longer, what `packing_to_bytes` gave."""
+    """Bytes that `packing_to_bytes` did not make, or that were changed."""
 
 
 def cache_folder() -> Path:
-    """Folder in which packings are kept between campaigns; need not exist yet."""
+    """Folder of packings for later campaigns; it may not exist yet."""
     own, shared = os.environ.get(CACHE_VARIABLE), os.environ.get("XDG_CACHE_HOME")
     return Path(own) if own else Path(shared or Path.home() / ".cache") / "calcidem"
 
 
 def readable_packing(store: Store, index: int) -> Packing:
-    """The stored packing; where it is damaged the same one, by its content hash, of calcidem or of the cache.
+    """Stored packing; if it is damaged, the one with the same content hash from calcidem or the cache.
 
-    `DamagedStoreError` if nobody else has it, `UnknownCellError` if there is none of that index.
+    `DamagedStoreError` if neither has it, `UnknownCellError` if none is stored under that index.
     """
     try:
         return stored_packing(store.packing(index))
@@ -53,7 +53,7 @@ def readable_packing(store: Store, index: int) -> Packing:
 
 
 def packing_to_bytes(packing: Packing) -> bytes:
-    """Heading, SHA-256 of the rest, and the arrays and the report in NumPy's npz format."""
+    """Header, SHA-256 of the rest, and arrays and report in NumPy's npz format."""
     body = io.BytesIO()
     np.savez(
         body,
@@ -70,9 +70,9 @@ def packing_to_bytes(packing: Packing) -> bytes:
 
 
 def packing_from_bytes(archive: bytes) -> Packing:
-    """Packing that `packing_to_bytes` was given, bit for bit.
+    """Packing from the bytes of `packing_to_bytes`, bit for bit.
 
-    `DamagedPackingError` if the bytes have been changed or cut off, or are something else.
+    `DamagedPackingError` if the bytes were changed or truncated, or are something else.
     """
     if not archive:
         raise DamagedPackingError("it is empty")
@@ -95,7 +95,7 @@ def packing_from_bytes(archive: bytes) -> Packing:
 
 
 def packing_record(packing: Packing, *, index: int, packing_hash: str) -> PackingRecord:
-    """Packing and report as the store keeps them; there, overlaps are relative to the mean diameter."""
+    """Record of packing and report for the store, where overlaps are relative to the mean diameter."""
     report = packing.report
     diameter = 2.0 * float(packing.radius.mean())
     return PackingRecord(
@@ -120,9 +120,9 @@ def packing_record(packing: Packing, *, index: int, packing_hash: str) -> Packin
 
 
 def stored_packing(record: PackingRecord) -> Packing:
-    """Packing of a record, bit for bit the one that was stored.
+    """Packing of a record, bit for bit the stored one.
 
-    `DamagedStoreError` if the record's state is missing or damaged, or of another packing than the rest of the record.
+    `DamagedStoreError` if the record's state is missing or damaged, or belongs to another packing than the record.
     """
     try:
         packing = packing_from_bytes(record.state)
@@ -145,12 +145,12 @@ def _check_record(record: PackingRecord, packing: Packing) -> None:
 
 
 def identify_packing(record: PackingRecord) -> PackingRecord:
-    """A record with the content hash that an earlier calcidem did not store, checked as `stored_packing` checks it."""
+    """Record with the content hash, which an earlier calcidem did not store; checked as by `stored_packing`."""
     return replace(record, content_hash=stored_packing(record).content_hash) if record.state else record
 
 
 def content_hash_of(record: PackingRecord) -> str | None:
-    """Content hash of a stored packing, also of one that an earlier calcidem stored; None where it is unknown."""
+    """Content hash of a stored packing, also of an earlier calcidem; None if unknown."""
     with suppress(DamagedStoreError):
         record = identify_packing(record)
     return record.content_hash

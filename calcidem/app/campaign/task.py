@@ -1,4 +1,4 @@
-"""The computation of a worker: cells of one content in, records of their outcomes and contact graphs out."""
+"""Computation of a worker: from cells of one content to records of their outcomes."""
 
 import contextlib
 import os
@@ -48,21 +48,22 @@ if sys.platform != "win32":
     import fcntl
 
 _SEEDS_REMEMBERED = 64
-"""Seeds whose cement is not drawn again for each content; 0.3 MB each. Batches of the same seeds follow each other."""
+"""Number of seeds whose cement is kept for the next contents, 0.3 MB each; batches of the same seeds follow each other.
+"""
 
 _AFTER_FIRST_CHUNK = 2
-"""Call of the check by which the kernel has run once; there is one more where samples settle first."""
+"""Number of calls of the check after which the kernel has run once; one more if samples settle first."""
 
 _AT_REST_AT_ONCE = 1e300
-"""Unbalanced-force ratio below which every sample is."""
+"""Unbalanced-force ratio above that of every sample."""
 
 
 @dataclass(frozen=True)
 class CellComputation:
-    """The computation of a batch up to the bytes that are stored, a `calcidem.sweep.attempt.Compute`.
+    """Computation of a batch up to the stored bytes, a `calcidem.sweep.attempt.Compute`.
 
-    It is prepared at its first batch, or where it is unpickled: there, the kernels are compiled first, each by one of
-    the processes of a machine that begin together.
+    It is prepared at its first batch, or when it is unpickled. Then the kernels are compiled first, each by one of the
+    processes that begin together on a machine.
     """
 
     configuration: Configuration
@@ -70,7 +71,7 @@ class CellComputation:
     """Of the campaign."""
 
     def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None], /) -> Sequence[PackedResult]:
-        """Measure the cells of a batch, which share a content."""
+        """Measure the cells of a batch, which have the same content."""
         run, experiment = self.configuration.run, self._experiment
         content = batch.cells[0][1]
         seeds = [seed for seed, _ in batch.cells]
@@ -85,11 +86,11 @@ class CellComputation:
                 replace(result, static_speed=_known_static_speed(experiment, measurement.cement.bonded))
                 for result, measurement in zip(results, measurements, strict=True)
             ]
-        worker = describe_worker(rank=0)  # the master knows the rank
+        worker = describe_worker(rank=0)  # the master sets the rank
         return tuple(replace(result.packed(), worker=worker) for result in results)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Be prepared by the process that unpickles it; the URL of the database, with its password, stays here."""
+        """Pickle for preparation in another process, without the URL of the database, which may have a password."""
         told = replace(self.configuration, run=replace(self.configuration.run, database=None))
         return _prepared_computation, (told, self.packing, _version())
 
@@ -111,12 +112,12 @@ class CellComputation:
 
 
 def _version() -> str:
-    """Versions that decide the bits of a cell."""
+    """Versions that determine the bits of a cell."""
     return f"calcidem {__version__} with physics version {PHYSICS_VERSION}"
 
 
 def _prepared_computation(configuration: Configuration, packing: Packing, version: str) -> CellComputation:
-    """The computation in a process of an executor, with the kernels compiled."""
+    """Computation in a process of an executor, with compiled kernels."""
     if _version() != version:
         raise LaunchError(f"a worker has {_version()}, the program that stores the campaign has {version}")
     keep_freed_memory()
@@ -133,17 +134,17 @@ def _prepared_computation(configuration: Configuration, packing: Packing, versio
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                others.append(file)  # another process compiles it: this one takes the next
+                others.append(file)  # another process compiles it; continue with the next
             else:
                 compile_kernel()
                 fcntl.flock(file, fcntl.LOCK_UN)
         for file in others:
-            fcntl.flock(file, fcntl.LOCK_SH)  # wait for it, and load what it leaves on disk
+            fcntl.flock(file, fcntl.LOCK_SH)  # wait for it, and load the result from disk
     return CellComputation(configuration, packing)
 
 
 def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
-    """Static speed of a sample, m/s; None where its inner part does not determine it."""
+    """Static speed of a sample, m/s; None if its inner part does not determine it."""
     found = static_speed(experiment, bonded)
     return found.speed if found.error <= LARGEST_STATIC_ERROR else None
 
@@ -151,10 +152,10 @@ def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
 def cell_result(
     measurement: Measurement, experiment: Experiment, store_sections: bool, graph: PackingGraph | None = None
 ) -> CellResult:
-    """Measurement of an experiment as the store keeps it; the caller that stores it adds attempt, rank and host.
+    """Record of a measurement for the store; the storing process sets attempt, rank and host.
 
-    Path features and graph summary are left out where there is no ``graph`` of the packing, as in `verify`: no
-    quantity that `is_exact` may need it.
+    Without a ``graph`` of the packing, as in `verify`, path features and graph summary are left out. So no quantity
+    that `is_exact` may need it.
     """
     cement, record, result = measurement.cement, measurement.record, measurement.result
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
@@ -201,7 +202,7 @@ def cell_result(
     )
 
 
-@lru_cache(maxsize=4)  # every cell needs it
+@lru_cache(maxsize=4)  # cached, since every cell needs it
 def _median_diameter(packing: Packing) -> float:
     return median_diameter_by_mass(packing.radius)
 
@@ -211,7 +212,7 @@ def _describe_graph(
 ) -> tuple[GrainPath | None, PathFeatures | None, GraphSummary]:
     """Path, its features and summary of the graph of one sample.
 
-    Where no chain of contacts joins transmitter and receiver there is no path.
+    There is no path if no chain of contacts joins transmitter and receiver.
     """
     bonded = packing.bonded(cement)
     summary = _graph_summary(packing.graph, bonded)
@@ -244,9 +245,8 @@ def _fewest_uncemented_contacts(
 ) -> int | None:
     """Return the fewest uncemented contacts on a path from transmitter to receiver; None without any path.
 
-    ``piece`` (N,) numbers the groups of grains that cement joins: steps within a group cost nothing, so the path leads
-    from group to group.
-    It begins at a piece of its own, which leads to those of the transmitter alone.
+    ``piece`` (N,) numbers the groups of grains joined by cement. Steps within a group cost nothing, so the path leads
+    from group to group. It begins at an additional piece, connected only to those of the transmitter.
     """
     begin = int(piece.max()) + 1
     first, second = piece[graph.pairs[~bonded]].T
@@ -264,18 +264,18 @@ def _fewest_uncemented_contacts(
 
 
 class _EnoughSeen(Exception):  # noqa: N818 - an expected end of a measurement, not an error of the program
-    """Ends a measurement that was only made to have the kernel compiled."""
+    """Ends a measurement made only to compile the kernel."""
 
 
 def kernel_compilations(
     configuration: Configuration, packing: Packing, tell: Callable[[str, str, int], object] = lambda *_: None
 ) -> list[Callable[[], None]]:
-    """Functions that compile the kernels of the campaign, in any order: samples that are started and ended at once.
+    """Functions that compile the kernels of the campaign, in any order, by starting samples and ending them at once.
 
-    ``tell`` hears of each function that is compiled: which kernel it is a part of, its name, and how many are finished.
+    ``tell`` receives each compiled function: its kernel, its name, and the number of finished ones.
     """
     experiment = configuration.experiment(packing)
-    # Samples settle at their first look, so that the kernel of their wave is compiled, too.
+    # Samples settle at the first check, so that the kernel of their wave is also compiled.
     experiment = replace(experiment, wave=replace(experiment.wave, unbalanced_force_ratio=_AT_REST_AT_ONCE))
     seed, lanes = configuration.campaign.seed_numbers[0], configuration.run.lanes
     contents = configuration.campaign.contents

@@ -1,4 +1,4 @@
-"""How many seeds each content needs for the requested intervals of mean and scatter (``[campaign] until``)."""
+"""Number of seeds of each content for the requested intervals of mean and scatter (``[campaign] until``)."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Self
@@ -17,9 +17,9 @@ from calcidem.sweep.outcome import BatchOutcome
 class SeedDemand:
     """Seeds that each content needs so far.
 
-    A content with n seeds gets more, or is done, only once all seeds 1 to n have an outcome, and the number of its
-    seeds depends on their velocities alone. So it ends with the same seeds on any number of ranks, and after any
-    interruption. Known velocities are those of cells that have an outcome, m/s; NaN where it is none.
+    A content with n seeds gets more, or is finished, only once all seeds 1 to n have an outcome. The number of its
+    seeds depends only on their velocities. So it ends with the same seeds on any number of ranks and after any
+    interruption. Known velocities are those of cells with an outcome, m/s; NaN without a velocity.
     """
 
     def __init__(self, plan: CampaignPlan, known: Mapping[Cell, float]) -> None:
@@ -30,11 +30,11 @@ class SeedDemand:
 
     @property
     def cells(self) -> list[Cell]:
-        """All that are needed so far."""
+        """All cells needed so far."""
         return [(seed, content) for content, count in self._counts.items() for seed in range(1, count + 1)]
 
     def take_in(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> list[Cell]:
-        """Note further outcomes; return the cells that are needed now, were not before and are unknown."""
+        """Add outcomes; return unknown cells that are needed only now."""
         known = _outcome_velocities(outcomes)
         self._known |= known
         found: list[Cell] = []
@@ -63,7 +63,7 @@ class SeedDemand:
             self._counts[content] = count
 
     def _next(self, content: float, most: int) -> int:
-        """Number of seeds after the present one; 0 while an outcome is missing, and if there are enough."""
+        """Next number of seeds; 0 while an outcome is missing, or if there are enough."""
         until, count = self._plan.until, self._counts[content]
         cells = [(seed, content) for seed in range(1, count + 1)]
         if until is None or not all(cell in self._known for cell in cells):
@@ -73,7 +73,7 @@ class SeedDemand:
 
     @classmethod
     def of_store(cls, store: Store, plan: CampaignPlan) -> Self:
-        """Take the velocities of the cells of a plan's contents that have an outcome."""
+        """Keep the velocities of cells with an outcome, for the contents of a plan."""
         wanted = Selection(contents=plan.contents)
         pending = {(key.seed, key.content) for key in store.pending(contents=plan.contents)}
         columns = store.table(("seed", "content", "vs"), wanted)

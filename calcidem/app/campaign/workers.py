@@ -1,4 +1,4 @@
-"""Properties of the processes of a run on which bits could depend, and whether they do."""
+"""Properties of the processes of a run on which bits could depend."""
 
 import ctypes
 import platform
@@ -14,16 +14,16 @@ from calcidem.dem.kernels.compiling import target_processor
 from calcidem.storage.records import WorkerRecord
 
 PORTABLE_ARCHITECTURES = ("x86_64", "aarch64")
-"""Families of processors on each of which a bit is the same everywhere; see `_describe_doubt`."""
+"""Families of processors; within each all bits are the same, see `_describe_doubt`."""
 
 _OTHER_NAMES = {"amd64": "x86_64", "arm64": "aarch64"}
-"""What Windows and macOS call a family of processors, and Linux."""
+"""Names of processor families on Windows and macOS, and on Linux."""
 
 _CORE_FUNCTIONS = ("scipy_openblas_get_corename64_", "openblas_get_corename64_", "openblas_get_corename")
 """Functions of OpenBLAS that tell its core, in numpy's wheels now and before, and in other installations."""
 
 
-@cache  # a process stays what it is
+@cache  # cached, since a process does not change
 def describe_worker(rank: int) -> WorkerRecord:
     """Description of this process."""
     processor, features = target_processor()
@@ -84,23 +84,23 @@ def group_workers(workers: Iterable[WorkerRecord]) -> tuple[WorkerRecord, ...]:
 
 
 def _is_alike(one: WorkerRecord, other: WorkerRecord) -> bool:
-    """Whether two records differ only in the places of the workers."""
+    """Whether two records differ only in ranks and hosts."""
     return replace(one, ranks=(), hosts=()) == replace(other, ranks=(), hosts=())
 
 
 def _differing_versions(workers: Sequence[WorkerRecord]) -> tuple[str, ...]:
-    """Names of libraries that these workers have in several versions."""
+    """Libraries of which these workers have several versions."""
     names = dict.fromkeys(name for worker in workers for name in worker.versions)
     return tuple(name for name in names if len({worker.versions.get(name) for worker in workers}) > 1)
 
 
 def _describe_doubt(workers: Sequence[WorkerRecord]) -> str:
-    """Why a cell could have other bits on one of these workers than on another; empty if it can't.
+    """Reason why a cell could have different bits on these workers; empty without one.
 
-    Bits are decided by arithmetic of IEEE 754, in an order and with contractions that the sources fix, and functions
-    that calcidem brings itself. So it depends neither on the features of the processor, nor on BLAS, numpy's vector
-    functions, the C library, or versions of libraries: `tests/dem/bits` compares them on x86-64. Nothing in it is of
-    x86-64 alone, so aarch64 has the same bits by construction, but a campaign on both at once has not been compared.
+    The sources fix the order of the IEEE 754 arithmetic, and calcidem has its own functions. So bits depend neither on
+    features of the processor, nor on BLAS, numpy's vector functions, the C library, or versions of libraries.
+    `tests/dem/bits` compares them on x86-64. By construction aarch64 has the same bits, but a campaign on both at once
+    was not compared.
     """
     architectures = sorted({worker.architecture for worker in workers})
     if len(architectures) > 1:

@@ -202,8 +202,8 @@ class Connections:
 
 
 def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
-    # A reader creates no file. Otherwise it opens one as a writer would: the last connection that closes brings the log
-    # of a killed writer into the database.
+    # A reader creates no file, but opens it as a writer would: the last connection to close copies the log of a killed
+    # writer into the database.
     query: dict[str, str] = {"uri": "true", "mode": "rw" if read_only else "rwc"}
     if read_only and not os.access(path.parent, os.W_OK, effective_ids=True) and not Path(f"{path}-wal").exists():
         # A log needs a writable folder. Without one no process writes, so the file can be read directly.
