@@ -153,8 +153,7 @@ class RunProgress:
 
 
 class ProgressDisplay:
-    """Receives the progress of a run; as a context manager it clears the display on exit. The base class shows nothing.
-    """
+    """Receives the progress of a run; as a context manager it clears the display on exit. This base shows nothing."""
 
     def show(self, progress: RunProgress) -> None:
         """Show the progress, replacing the former display."""
