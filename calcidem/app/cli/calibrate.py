@@ -41,7 +41,7 @@ def calibrate_command(
         ),
     ] = None,
     seeds: Annotated[int, typer.Option(min=3, max=SEEDS_AT_ONCE, help="Seeds at each content.")] = 16,
-    first_seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED - SEEDS_AT_ONCE, help="First of them.")] = 1,
+    first_seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED - SEEDS_AT_ONCE, help="First seed.")] = 1,
     predict: Annotated[
         list[float] | None,
         typer.Option(
@@ -102,7 +102,7 @@ def _calibration_lines(fitted: "FittedParameters") -> Iterator[str]:
 
 
 def _content_line(row: "FittedContent", trials: int) -> str:
-    """One content: what was wanted, what came, and how many seeds it rests on."""
+    """One content: targets, results, and number of seeds."""
     target = row.target
     if row.seeds <= 1:
         return f"{row.role} {row.content:g} %: {row.seeds} of {row.planned} seeds have a velocity"

@@ -1,4 +1,4 @@
-"""``calcidem compare``: campaigns beside one another."""
+"""``calcidem compare``: comparison of campaigns."""
 
 import math
 from contextlib import ExitStack
@@ -37,8 +37,8 @@ def compare_command(
 ) -> None:
     """Compare campaigns with the first of them, content by content: mean and scatter of Vs, and their differences.
 
-    The difference of means takes all samples as independent (Welch). The paired difference takes the shared seeds. It
-    has the narrower interval where a seed places the cement alike in both campaigns.
+    The difference of means treats all samples as independent (Welch). The paired difference uses the shared seeds; its
+    interval is narrower if a seed places the cement alike in both campaigns.
     """
     from calcidem.app.campaign.comparison import compare
     from calcidem.app.campaign.opened import open_campaign
@@ -73,7 +73,7 @@ def compare_command(
 
 
 def _comparison_table(table: "pd.DataFrame", level: float) -> Table:
-    """The table as people read it: contents together, campaigns below one another."""
+    """Table for people: contents together, campaigns below one another."""
     from calcidem.app.cli.tables import make_table
 
     shown = make_table("Shear-wave velocity, m/s", numbers=["content %"])

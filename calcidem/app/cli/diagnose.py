@@ -1,4 +1,4 @@
-"""``calcidem diagnose``: why cells have no velocity, and what to try."""
+"""``calcidem diagnose``: reasons why cells have no velocity, and remedies."""
 
 import textwrap
 from pathlib import Path
@@ -23,8 +23,8 @@ def diagnose_command(
 ) -> None:
     """Explain why cells have no velocity, and propose values of the configuration that may give one.
 
-    Each cell is computed again with all trial values. Named are the fewest that give its velocity, or one near the
-    static speed. Another configuration is another campaign. Nothing is written to the database.
+    Each cell is computed again with trial values. The command names the fewest that give the velocity of all of them,
+    or one near the static speed. The database is not written.
     """
     from calcidem.app.campaign.diagnosis import diagnose
     from calcidem.app.campaign.status import UNREAD

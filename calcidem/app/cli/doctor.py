@@ -1,4 +1,4 @@
-"""``calcidem doctor``: what stands between this machine and a campaign, one finding per line."""
+"""``calcidem doctor``: checks of this machine for a campaign, one finding per line."""
 
 from collections import Counter
 from dataclasses import asdict
@@ -46,6 +46,6 @@ def doctor_command(
 
 
 def _finding_line(finding: "Finding") -> Text:
-    """One line about a finding, the cure on one of its own."""
+    """One line about a finding, and one with its remedy."""
     line = Text(f"{finding.level:<8}", _STYLES[finding.level]).append(f" {finding.subject}: {finding.fact}", "")
     return line.append(f"\n{'':>8} -> {finding.cure}", "bold") if finding.cure else line

@@ -1,4 +1,4 @@
-"""How an error ends a command: one message without a traceback, and an exit code."""
+"""End of a command by an error: one message without a traceback, and an exit code."""
 
 import errno
 import os
@@ -35,13 +35,13 @@ EXIT_ROUNDING = 3
 _BAD_INPUT = (ConfigurationError, LaunchError, PackingFileError, StoreError, OSError)
 
 _CIRCUMSTANCES = (DiskError, InvalidRecordError, LeaseHeldError, LeaseLostError, StoreLockedError)
-"""Errors of the store that no other input would cure."""
+"""Errors of the store that other input would not remedy."""
 
 _NO_THREAD = "can't start new thread"
-"""Text of Python's RuntimeError where there is no memory for the stack of a thread."""
+"""Text of Python's RuntimeError without memory for the stack of a thread."""
 
 _NO_EXCEPTION = "without setting an exception"
-"""Text of Python's SystemError where a function had no memory even for its MemoryError."""
+"""Text of Python's SystemError if a function has no memory for its MemoryError."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
@@ -58,7 +58,7 @@ _CURE_OF_ERRNO = {
 
 
 def _exit_code_of(error: BaseException) -> int:
-    """Exit code of a program that ends because of an error."""
+    """Exit code of a program that ends by an error."""
     if isinstance(error, StoreLockedError | StoreInterruptedError):
         return EXIT_RESUMABLE
     if isinstance(error, OSError):
@@ -97,7 +97,7 @@ def _sentence(error: OSError) -> str:
     """Name of the file, cause and remedy; other texts of Python are kept."""
     if error.errno is None or error.strerror is None:
         return str(error)
-    name = error.filename if error.filename2 is None else error.filename2  # of two, the second is to be replaced
+    name = error.filename if error.filename2 is None else error.filename2  # of two names, the second is the target
     named = "" if name is None else f"{name}: "
     return f"{named}{error.strerror[:1].lower()}{error.strerror[1:]}; " + _CURE_OF_ERRNO.get(
         error.errno, "check the name and the disk"
@@ -105,7 +105,7 @@ def _sentence(error: OSError) -> str:
 
 
 def _log_error(error: BaseException) -> Path | None:
-    """Write the traceback into a new file, in this folder or the one for temporary files; None if none can be made."""
+    """Write the traceback into a new file, in this folder or that for temporary files; None if neither is possible."""
     program = f"calcidem {__version__}, Python {platform.python_version()}, {platform.platform()}"
     text = hide_passwords("\n".join([program, repr(sys.argv), "".join(traceback.format_exception(error))]))
     name = f"calcidem-error-{datetime.now(UTC):%Y%m%d-%H%M%S}-{os.getpid()}.log"

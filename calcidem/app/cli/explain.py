@@ -1,4 +1,4 @@
-"""``calcidem explain``: which parts of the computation a campaign needs, and which are left out."""
+"""``calcidem explain``: parts of the computation that a campaign needs or omits."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,7 +16,7 @@ if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.studies.explain import Explanation
 
 _DEFAULT_CELLS = 8
-"""Seeds of one content that are measured, one batch."""
+"""Number of measured seeds of one content, one batch."""
 
 
 def explain_command(
@@ -28,7 +28,7 @@ def explain_command(
     db: JudgedDatabase = None,
     layout: FormatOption = Format.TABLE,
 ) -> None:
-    """Show which parts of the computation each content needs, and why omitting the others is safe and what it saves.
+    """Show which parts of the computation each content needs, why the others can be omitted, and what this saves.
 
     Times and differences are measured now, errors by 'calcidem accuracy'. By default three contents are shown.
     """
@@ -61,7 +61,7 @@ def explain_command(
 
 
 def _errors_source(measured: "MeasuredErrors | None", configuration: str) -> str:
-    """Where the errors are from, or how to get them."""
+    """Source of the errors, or how to get them."""
     if measured is None:
         return (
             "The errors of this campaign have not been measured yet. To see them here, run "
@@ -89,7 +89,7 @@ def _explanation_table(content: float, rows: "Iterable[Explanation]") -> Table:
 
 
 def _explanation_row(row: "Explanation") -> dict[str, Any]:
-    """What is known of one part."""
+    """Data of one part."""
     part = row.alternative
     return {
         "content": row.content,
@@ -104,5 +104,5 @@ def _explanation_row(row: "Explanation") -> dict[str, Any]:
 
 
 def _percent(error: float | None) -> str:
-    """Error in percent, or that it is not known."""
+    """Error in percent, or text for an unknown one."""
     return "?" if error is None else f"{100.0 * error:.2g} %"

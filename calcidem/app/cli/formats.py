@@ -1,4 +1,4 @@
-"""The formats of what commands answer: a table for people, or JSON, CSV and Parquet for programs."""
+"""Output formats of commands: a table for people, or JSON, CSV and Parquet for programs."""
 
 import csv
 import io
@@ -22,7 +22,7 @@ Format = StrEnum("Format", ["TABLE", "JSON", "CSV", "PARQUET"])
 FormatOption = Annotated[Format, typer.Option("--format", help="Output: a table for people, or rows for programs.")]
 
 RecordRows = Sequence[Mapping[Any, Any]]
-"""RecordRows of the same names; None or NaN where a value is missing, numbers of NumPy as Python's own."""
+"""Rows with the same names; None or NaN where a value is missing, Python numbers instead of NumPy's."""
 
 
 def tell_rows(
@@ -33,15 +33,15 @@ def tell_rows(
     Parameters
     ----------
     rows
-        Values to write; those that are neither numbers nor texts are in JSON alone.
+        Values to write; only JSON has those that are neither numbers nor texts.
     layout
-        Any but the table.
+        Format other than the table.
     out
-        File to write; standard output if there is none.
+        File to write; standard output by default.
     names
-        Of the columns where there are no rows.
+        Names of the columns if there are no rows.
     whole
-        What JSON has instead of the rows.
+        Value for JSON instead of the rows.
     """
     if layout is Format.JSON:
         told: str | bytes = (
@@ -73,7 +73,7 @@ def tell_study(result: "StudyResult", layout: Format, table: Path | None) -> Non
 
 
 def json_value(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
-    """A value with null for what JSON has no number for."""
+    """A value with null for numbers that JSON lacks."""
     if value is None or isinstance(value, str | int):  # most are
         return value
     if isinstance(value, Mapping):
@@ -86,14 +86,14 @@ def json_value(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
 
 
 def _flat(rows: RecordRows, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Numbers and texts of rows, all with the same names."""
+    """Numbers and texts of rows, with the same names in each."""
     left_out = {name for row in rows for name, value in row.items() if isinstance(value, Mapping | list | tuple)}
     wanted = dict.fromkeys([*names, *(str(name) for row in rows for name in row if name not in left_out)])
     return [{name: row.get(name) for name in wanted} for row in rows]
 
 
 def _as_csv(rows: RecordRows, names: Sequence[str]) -> str:
-    """RecordRows as CSV, with texts that no spreadsheet takes for formulas."""
+    """Rows as CSV, with texts that spreadsheets do not evaluate."""
     from calcidem.storage.files import spreadsheet_value
 
     stream = io.StringIO()
@@ -104,7 +104,7 @@ def _as_csv(rows: RecordRows, names: Sequence[str]) -> str:
 
 
 def _as_parquet(rows: RecordRows, names: Sequence[str]) -> bytes:
-    """RecordRows as Parquet; whole numbers stay whole where some are missing."""
+    """Rows as Parquet; whole numbers stay whole even if some are missing."""
     import pandas as pd
 
     frame = pd.DataFrame(list(rows), columns=list(rows[0]) if rows else list(names))

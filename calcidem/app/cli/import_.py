@@ -12,7 +12,7 @@ from calcidem.app.cli.arguments import number_parser
 from calcidem.app.cli.terminal import printable
 
 _RAISED_BY_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
-"""What the library for NetCDF, and who takes its answers, raise where bytes of a file are others."""
+"""Exceptions of the NetCDF library and its callers for changed bytes of a file."""
 
 
 def import_command(
@@ -73,7 +73,7 @@ def _import_campaign(file: Path, database: str) -> None:
 
     path = Address.parse(database).path
     with told_as_damage(file):
-        if path is None:  # a server's database would keep the tables that opening it makes, whatever is refused then
+        if path is None:  # opening a server's database creates tables, which would remain after a refusal
             with TemporaryDirectory() as folder, Store(Path(folder) / "trial.db") as trial:
                 import_netcdf(file, trial, identify_packing)
         is_new = path is not None and (not path.exists() or (path.is_file() and path.stat().st_size == 0))
@@ -86,7 +86,7 @@ def _import_campaign(file: Path, database: str) -> None:
 
 @contextmanager
 def told_as_damage(file: Path) -> Iterator[None]:
-    """Tell whatever is raised by bytes that are not those that were exported."""
+    """Turn exceptions from changed bytes of an exported file into an error message."""
     from calcidem.storage.errors import DamagedStoreError, InvalidRecordError
 
     try:

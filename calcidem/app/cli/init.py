@@ -44,7 +44,7 @@ def init_command(
         str | None, typer.Option(metavar="PERCENT,...", help="Its calcite contents; 0,1,2,4 if not given.")
     ] = None,
 ) -> None:
-    """Write a configuration to start from: an example, or that of a sand of your own."""
+    """Write a configuration to start from: an example, or one for your own sand."""
     if grain_size is None and disks is None:
         for option, value in (("--stress", stress), ("--mineral", mineral), ("--contents", contents)):
             if value is not None:
@@ -79,13 +79,13 @@ def _example_text(preset: Preset, *, full: bool) -> str:
     """Text of an example."""
     if not full:
         return preset_text(preset)
-    from calcidem.app.config.reference import full_text  # the reader of configurations takes a second to load
+    from calcidem.app.config.reference import full_text  # the reader of configurations takes a second to import
 
     return full_text(preset)
 
 
 def _own_text(size: str | Path, stress: str, mineral: str, contents: str, folder: Path) -> str:
-    """Text of the configuration of a sand: its size in words or the file of its disks, the others in words."""
+    """Text of the configuration of a sand, from the texts of the options; its size or the file of its disks."""
     # As above.
     from calcidem.app.config.own_sand import MINERALS, OwnDisks, OwnSand, parse_quantity
 

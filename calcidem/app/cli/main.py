@@ -21,7 +21,9 @@ from calcidem.sweep.environment import TERMINAL_VARIABLE, launcher
 from calcidem.version import __version__
 
 _OBJECTS_BEFORE_COLLECTING = 10_000
-"""Python looks for garbage each 700 new objects, also among libraries that load: a tenth of a short command's time."""
+"""Number of new objects between two garbage collections. Python's 700 cost a tenth of the time of a short command,
+while libraries load.
+"""
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -68,13 +70,13 @@ _COMMON_OPTIONS: dict[str, Any] = {
 
 
 class _LazyGroup(TyperGroup):
-    """Commands whose modules are imported when they are used: they need libraries that take seconds to load.
+    """Commands whose modules are imported on use, since they need libraries that take seconds to load.
 
-    Click's recipe of a lazy group loads all commands to list them, for their summaries; here `PANELS` has these.
+    Click's recipe for a lazy group loads all commands to list their summaries; here `PANELS` has these.
     """
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:  # noqa: ANN401 - Click's own, which typer brings along or does not
-        """Put the command itself in the place of what the list shows of it."""
+        """Replace the entry of the list by the command itself."""
         name, command, rest = super().resolve_command(ctx, args)
         if name is not None:
             command = self.commands[name] = _load_command(name)
@@ -82,9 +84,9 @@ class _LazyGroup(TyperGroup):
 
 
 def main() -> None:
-    """Entry point: run a command, and tell an error in one message."""
+    """Entry point: run a command, and report an error in one message."""
     for variable in _THREADS:
-        os.environ.setdefault(variable, "1")  # each rank has one core; it counts only before numpy is loaded
+        os.environ.setdefault(variable, "1")  # each rank has one core; effective only before numpy is imported
     gc.set_threshold(_OBJECTS_BEFORE_COLLECTING)
     warnings.formatwarning = _format_warning
     _print_any_text()
@@ -102,7 +104,7 @@ def main() -> None:
 
 
 def _show_version(wanted: bool) -> None:
-    """Write the version, with the commit where there is one, and end."""
+    """Write the version, with the commit if known, and end."""
     if wanted:
         from calcidem.app.campaign.provenance import source_commit
 
@@ -113,7 +115,7 @@ def _show_version(wanted: bool) -> None:
 
 
 def _build_application() -> typer.Typer:
-    """Application with a list of all commands, of which only the one that is used will be imported."""
+    """Application with a list of all commands; only the used one is imported."""
     application = typer.Typer(
         cls=_LazyGroup,
         help="How much does the shear-wave velocity of sand vary because calcite cements its grains at random places?"
@@ -138,7 +140,7 @@ def _take_options(
 
 
 def command_function(name: str) -> Callable[..., None]:
-    """Function `<name>_command` in the module of a command's name."""
+    """Function `<name>_command` in the module of a command."""
     word = name.replace("-", "_")
     module = import_module(f"calcidem.app.cli.{'import_' if name == 'import' else word}")
     function: Callable[..., None] = getattr(module, f"{word}_command")
@@ -146,7 +148,7 @@ def command_function(name: str) -> Callable[..., None]:
 
 
 def _load_command(name: str) -> Any:  # noqa: ANN401 - as above
-    """Command of a function, with its docstring as help."""
+    """Command from a function, with its docstring as help."""
     function = command_function(name)
     paragraphs = (" ".join(paragraph.split()) for paragraph in (function.__doc__ or "").split("\n\n"))
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -155,7 +157,7 @@ def _load_command(name: str) -> Any:  # noqa: ANN401 - as above
 
 
 def _with_common_options(name: str, function: Callable[..., None]) -> Callable[..., None]:
-    """A command's function with the options that all commands have."""
+    """Function of a command with the options of all commands."""
 
     @functools.wraps(function)
     def command(*, quiet: bool, verbose: bool, **given: Any) -> None:  # noqa: ANN401 - what the function takes
@@ -182,7 +184,7 @@ def _with_common_options(name: str, function: Callable[..., None]) -> Callable[.
 def _format_warning(
     message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
 ) -> str:
-    """One line for warnings to users; all others with their origin."""
+    """Show warnings for users in one line, others with their origin."""
     if issubclass(category, FutureWarning):
         return printable(f"Warning: {message}\n")
     return printable(f"{filename}:{lineno}: {category.__name__}: {message}\n" + (f"  {line}\n" if line else ""))
@@ -193,23 +195,23 @@ if __name__ == "__main__":
 
 
 def _be_plain_under_mpi() -> None:
-    """Have a rank write no colours and move no cursor unless the command that started it has a terminal.
+    """Let a rank write no colours and no cursor movements unless the command that started it has a terminal.
 
-    mpirun gives its ranks a pseudo-terminal, also where a file or a pipe takes what they write.
+    mpirun gives its ranks a pseudo-terminal, even if their output goes to a file or a pipe.
     """
     if launcher() is not None and TERMINAL_VARIABLE not in os.environ:
         os.environ["TERM"] = "dumb"
 
 
 def _print_any_text() -> None:
-    """Have output written in any encoding: what it lacks, and parts of file names that are no text, as escapes."""
+    """Write output in any encoding: unknown characters, and bytes of file names that are not text, as escapes."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def _strange_argument(arguments: Sequence[str]) -> str:
-    """What is wrong with an argument that has control characters, for a person; empty if none has."""
+    """Message about an argument with control characters; empty without any."""
     for number, argument in enumerate(arguments, 1):
         if (shown := printable(argument)) != argument:
             return f"argument {number} = '{shown}': has control characters; write it without, or rename the file"

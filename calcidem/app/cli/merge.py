@@ -1,4 +1,4 @@
-"""``calcidem merge``: one database from several of the same campaign."""
+"""``calcidem merge``: one database from several databases of the same campaign."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -34,7 +34,7 @@ def merge_command(
 
 
 def _merge_lines(merged: "Merged", sources: list[str], out: Path) -> list[str]:
-    """What was done, for a person."""
+    """Describe the merge."""
     taken = [f"  {number} cells from {source}" for source, number in zip(sources, merged.taken, strict=True)]
     lines = [
         f"Wrote {out}: {merged.settled} of {merged.settled + len(merged.missing)} planned cells are finished",

@@ -1,4 +1,4 @@
-"""``calcidem predict``: Vs of a sample that was not simulated, and how far such predictions can be trusted."""
+"""``calcidem predict``: Vs of a sample that was not simulated, and a check of such predictions."""
 
 import csv
 from collections.abc import Mapping
@@ -41,7 +41,7 @@ def predict_command(
     level: Annotated[
         float,
         typer.Option(
-            parser=number_parser(0.5, 0.999, "is no probability from 0.5 to 0.999"),  # no campaign has samples for more
+            parser=number_parser(0.5, 0.999, "is no probability from 0.5 to 0.999"),
             help="Probability of the interval.",
         ),
     ] = 0.95,
@@ -92,7 +92,7 @@ _parse_value = number_parser(-1e12, 1e12, "is no value; write NAME=VALUE, such a
 
 
 def _read_pattern(path: Path) -> CementPattern:
-    """Cemented contacts in a file; which of them are P and which C does not matter to a path."""
+    """Cemented contacts in a file; P and C contacts have the same effect on a path."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as source:
             lines = [row[:2] for row in csv.reader(source) if row]
@@ -111,7 +111,7 @@ def _read_feature(text: str) -> tuple[str, float]:
 
 
 def _prediction_line(content: float, prediction: "Prediction", level: float) -> str:
-    """What is predicted, and from what."""
+    """Describe a prediction and its basis."""
     interval = prediction.interval
     source = "content and features" if prediction.uses_features else "the content alone"
     return (
@@ -127,7 +127,7 @@ def _check_row(content: float, check: "PredictorCheck", alone: "PredictorCheck")
 
 
 def _check_line(check: "PredictorCheck", alone: "PredictorCheck") -> str:
-    """How such predictions fare on samples that were left out."""
+    """Describe the predictions of samples that were left out."""
     return (
         f"Of {check.n} samples left out one by one {100.0 * check.coverage:.1f} % lay in their interval. "
         f"Mean interval score {check.score:.0f} m/s; {alone.score:.0f} m/s for the content alone."

@@ -1,4 +1,4 @@
-"""``calcidem query``: the cells of a database that meet some conditions, as a table or a file."""
+"""``calcidem query``: cells of a database that meet conditions, as a table or a file."""
 
 import io
 import math
@@ -24,7 +24,7 @@ _FORMAT_OF_ENDING = {f".{layout}": layout for layout in Format if layout is not 
 _DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "vs_error", "seconds")
 
 Columns = Mapping[str, NDArray[Any]]
-"""Columns of equal length by the name of their quantity, as `calcidem.storage.store.Store.table` gives them."""
+"""Columns of equal length by name of their quantity, as from `StoreReader.table`."""
 
 
 def query_command(
@@ -80,7 +80,7 @@ def query_command(
 
 
 def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[RecordRows, str]:
-    """How path features of the selected cells go with Vs within one content, and how many cells these are."""
+    """Correlation of path features of the selected cells with Vs within one content, and number of cells."""
     from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, feature_correlations
     from calcidem.app.campaign.patterns import with_patterns
     from calcidem.storage.sql.store import read_campaign
@@ -95,7 +95,7 @@ def _feature_rows(database: str, selection: Selection, campaign_name: str | None
 
 
 def _split_list(text: str) -> list[str]:
-    """Parts of a list with commas."""
+    """Parts of a list separated by commas."""
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
@@ -106,20 +106,20 @@ def as_rows(columns: Columns) -> RecordRows:
 
 
 def _headings(names: Sequence[str]) -> dict[str, bool]:
-    """What stands above each column of a table, and whether it is of numbers."""
+    """Header of each column of a table, and whether it has numbers."""
     from calcidem.storage.records import QUANTITY_BY_NAME
 
     headings = {}
     for name in names:
         quantity = QUANTITY_BY_NAME[name]
-        bare = quantity.unit == "1" and quantity.kind == "real"  # a fraction or a ratio, and no percent
+        bare = quantity.unit == "1" and quantity.kind == "real"  # a fraction or a ratio, not percent
         unit = " [-]" if bare else f" [{quantity.unit}]" if quantity.unit not in {"", "1"} else ""
         headings[f"{name}{unit}"] = quantity.kind != "text"
     return headings
 
 
 def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
-    """Values of a column as Python's own; NaN where a real number is missing, None where anything else is."""
+    """Values of a column as Python objects; missing real numbers are NaN, other missing values None."""
     from calcidem.storage.records import QUANTITY_BY_NAME
 
     kind = QUANTITY_BY_NAME[name].kind
@@ -131,21 +131,21 @@ def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
 
 
 def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str) -> str:
-    """RecordRows in aligned columns; no wider than the numbers need."""
+    """Rows in aligned columns, no wider than needed."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading, numeric in headings.items():
         table.add_column(Text(heading), justify="right" if numeric else "left", no_wrap=True)
     for row in rows:
         table.add_row(*(Text(_format_value(value)) for value in row.values()))
     stream = io.StringIO()
-    # Rich cuts columns to the width of the terminal; a table that is piped on must stay whole.
+    # Rich cuts columns to the width of the terminal; a table in a pipe must stay complete.
     Console(file=stream, width=100_000, highlight=False).print(table)
     lines = (line.rstrip() for line in stream.getvalue().splitlines())
     return "\n".join([*lines, remark, ""])
 
 
 def _format_value(value: object) -> str:
-    """Value as people read it: six digits, the first line of a text, nothing where it is missing."""
+    """Value for people: six digits, the first line of a text, nothing for a missing value."""
     if value is None or value != value:  # noqa: PLR0124 - NaN
         return ""
     if isinstance(value, float):

@@ -70,7 +70,7 @@ def run_command(
 ) -> None:
     """Compute a campaign, or its missing cells: after a stop, the same command continues.
 
-    Cells that failed, timed out, were quarantined (three workers were lost while computing them) or are damaged are
+    Cells with the status failed, timed_out, quarantined (three workers were lost while computing them) or damaged are
     computed again only with --retry.
     """
     overrides = {"database": database, "output": None if output is None else str(output), "part": part}
@@ -91,7 +91,7 @@ def run_command(
         if ranks is not None and ranks != 1:
             from calcidem.app.campaign.launch import Launch
 
-            if retry:  # here, since the ranks may be started several times
+            if retry:  # only here, since the ranks may be started several times
                 _read_overridden(configuration, overrides, retry)
             arguments = ["run", str(configuration)]
             arguments += ["--db", database] if database is not None else []
@@ -112,7 +112,7 @@ def run_command(
 
 
 def _preview(configuration: "Configuration") -> None:
-    """Describe what would be computed, or only the errors."""
+    """Describe the run, or only the errors of the configuration."""
     from calcidem.app.campaign.preview import preview_lines
 
     typer.echo(printable("\n".join(preview_lines(configuration))))
@@ -131,7 +131,7 @@ def _make_packing_alone(configuration: "Configuration") -> None:
 
 
 def _live_page(configuration: Path, overrides: dict[str, str | None]) -> AbstractContextManager[None]:
-    """The live page of the campaign, for as long as the command runs."""
+    """Live page of the campaign while the command runs."""
     from calcidem.app.serve.address import page_beside_run
     from calcidem.sweep.environment import launcher
 
@@ -146,7 +146,7 @@ def _live_page(configuration: Path, overrides: dict[str, str | None]) -> Abstrac
 def _read_overridden(
     configuration: Path, overrides: dict[str, str | None], retry: Sequence[_Retried] = ()
 ) -> "Configuration":
-    """The configuration, on rank 0 alone; the others do not wait for what reads it. Cells to retry become pending."""
+    """Configuration, on rank 0 alone, so that the others do not import its reader. Cells to retry become pending."""
     from calcidem.app.config.reader import load_configuration
 
     loaded = load_configuration(configuration, overrides)
@@ -161,7 +161,7 @@ def _read_overridden(
 
 
 def _open_view(*, with_report: bool, one_process: bool) -> "TerminalView":
-    """What a person reads, on rank 0 alone."""
+    """View of the run, on rank 0 alone."""
     from calcidem.app.cli.run_view import TerminalView
 
     return TerminalView(with_report=with_report, one_process=one_process)

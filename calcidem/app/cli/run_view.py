@@ -1,4 +1,4 @@
-"""What a person reads of a run."""
+"""Texts and tables of a run for the user."""
 
 import sys
 from collections import Counter
@@ -37,17 +37,17 @@ class TerminalView:
         self.with_report = with_report
 
     def say(self, text: str) -> None:
-        """Write a line as it is, unless only results are wanted."""
+        """Write a line unchanged, unless only results are wanted."""
         if self.quiet:
             return
         self.console.print(printable(text), markup=False, soft_wrap=True)
 
     def display(self) -> ProgressDisplay:
-        """That of `command_display`, unless only results are wanted."""
+        """Display of `command_display`, unless only results are wanted."""
         return ProgressDisplay() if self.quiet else command_display(self.console)
 
     def begin(self, work: CampaignRun) -> None:
-        """Report on the packing, and on cores that stay idle."""
+        """Report on the packing, and on idle cores."""
         for line in packing_lines(work.packing):
             self.say(line)
         if note := calibration_note(work.configuration):
@@ -57,7 +57,7 @@ class TerminalView:
 
     def finish(self, work: CampaignRun, *, in_haste: bool) -> None:
         """Show the velocities, export them and write the report if requested; in haste show them only."""
-        from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf  # after the cells, not before
+        from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf  # imported after the cells
 
         configuration, plan = work.configuration, work.configuration.campaign
         seeds = plan.seed_numbers if work.demand is None else None
@@ -68,7 +68,7 @@ class TerminalView:
         address = Address.parse(configuration.database)
         self.say(f"Database: {address}")
         netcdf = configuration.netcdf
-        if belongs_to_another(netcdf, work.store.record.hash):  # two campaigns of one database, or of one name
+        if belongs_to_another(netcdf, work.store.record.hash):  # two campaigns of one database, or with one name
             netcdf = netcdf.with_stem(f"{netcdf.stem}-{work.store.record.hash[:8]}")
         if in_haste:
             self.say(f"NetCDF:   not written, to end quickly; calcidem export {address} OUT.nc does it")
@@ -81,7 +81,7 @@ class TerminalView:
             self.say(f"Wrote {page}")
 
     def refuse(self, error: Exception) -> int:
-        """Tell an error, and give the exit code it means."""
+        """Report an error, and return its exit code."""
         return tell_error(error)
 
 
@@ -110,7 +110,7 @@ def packing_lines(packing: Packing) -> Iterator[str]:
 
 
 def _vs_table(store: Store, selection: Selection) -> Table:
-    """Table of Vs against content, of the selected cells of the campaign that is chosen in the store."""
+    """Table of Vs against content for selected cells of the store's campaign."""
     others = ("content", "status", "wavelengths_on_path", "seconds", "broken_bonds")
     columns = store.table((*BUDGET_QUANTITIES, *others), selection)
     velocities = ("mean m/s", "sd m/s", "reading m/s", "min m/s", "max m/s")
@@ -151,7 +151,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
 
 
 def _wavelengths_text(on_path: NDArray[np.float64]) -> str:
-    """Median number of wavelengths on the path, with a mark where near field and shear wave are not apart."""
+    """Median number of wavelengths on the path, with a mark if near field and shear wave arrive together."""
     known = on_path[np.isfinite(on_path)]
     if not known.size:
         return "-"
@@ -160,7 +160,7 @@ def _wavelengths_text(on_path: NDArray[np.float64]) -> str:
 
 
 def _moments(vs: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Mean, standard deviation, smallest and largest; NaN where there are too few."""
+    """Mean, standard deviation, smallest and largest value; NaN with too few values."""
     if not vs.size:
         return (np.nan,) * 4
     deviation = float(np.std(vs, ddof=1)) if vs.size > 1 else np.nan
@@ -168,7 +168,7 @@ def _moments(vs: NDArray[np.float64]) -> tuple[float, float, float, float]:
 
 
 def _other_outcomes(statuses: NDArray[np.object_]) -> str:
-    """How many cells have each outcome other than done."""
+    """Numbers of cells by outcome other than done."""
     counts = Counter(CellStatus(status) for status in statuses)
     return ", ".join(
         f"{counts[status]} {status.words}" for status in CellStatus if counts[status] and status is not CellStatus.DONE

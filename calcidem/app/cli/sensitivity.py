@@ -1,4 +1,4 @@
-"""``calcidem sensitivity``: how Vs depends on the choices of a campaign, its frequency and its damping."""
+"""``calcidem sensitivity``: dependence of Vs on the choices of a campaign, its frequency and its damping."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""``calcidem serve``: a page of campaigns in the browser, while they run and afterwards."""
+"""``calcidem serve``: campaigns in the browser, during and after their runs."""
 
 import os
 import sys
@@ -41,4 +41,4 @@ def serve_command(
 
     LivePage(wanted, address).serve(tell, wait=wait)
     sys.stdout.flush()
-    os._exit(0)  # a thread that reads a slow or locked database is not waited for
+    os._exit(0)  # without waiting for a thread that reads a slow or locked database

@@ -1,4 +1,4 @@
-"""``calcidem show``: a closer look at one cell."""
+"""``calcidem show``: quantities and figures of one cell."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""``calcidem status``: the progress of a campaign, even while it is running."""
+"""``calcidem status``: progress of a campaign, also during its run."""
 
 import json
 import time
@@ -33,7 +33,7 @@ def status_command(
             "--halfwidth",
             parser=number_parser(1e-6, 1e6, "is not a number above 0, from 1e-6 to 1e6"),
             metavar="M/S",
-            help="Also estimate seeds and time until the 95 % interval of the means is so narrow.",
+            help="Also estimate the seeds and the time for 95 % intervals of the means with this half-width.",
         ),
     ] = None,
     layout: FormatOption = Format.TABLE,
@@ -63,7 +63,7 @@ def _until_finished(read: "Callable[[], CampaignStatus]", interval: float) -> "I
 def _show_status(
     statuses: "Iterator[CampaignStatus]", half_width: float | None, layout: Format, *, one_per_line: bool
 ) -> None:
-    """Show each status of a campaign, on a terminal in the place of the former."""
+    """Show each status of a campaign, on a terminal replacing the former one."""
     from calcidem.app.cli.status_view import status_as_json, status_view
     from calcidem.app.cli.tables import PLAIN_WIDTH
 

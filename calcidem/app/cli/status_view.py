@@ -1,4 +1,4 @@
-"""The status of a campaign as a person sees it on a terminal, and as JSON."""
+"""Status of a campaign for a terminal, and as JSON."""
 
 import math
 from collections.abc import Iterator
@@ -28,21 +28,21 @@ _STATUS_CHARACTERS = {
     CellStatus.QUARANTINED: ("Q", "bold white on red"),
     CellStatus.DAMAGED: ("D", "bold white on red"),
 }
-"""Character and style of each state of a cell; the characters tell them apart without colours."""
+"""Character and style of each status of a cell; the characters differ, so colours are not needed."""
 
 _UNPLANNED = " "
 
 _PARTLY_DONE = "+"
-"""Some of the cells of a character are done, the others pending."""
+"""Character for cells of which some are done and the others pending."""
 
 _WIDTH_OF_NUMBERS = 78
-"""Columns that the table needs besides the matrix."""
+"""Number of columns that the table needs besides the matrix."""
 
 _NARROWEST_MATRIX = 10
 
 
 def status_view(status: CampaignStatus, width: int, half_width: float | None = None) -> RenderableType:
-    """All there is to see, for a terminal of this many columns, and the seeds that a half-width (m/s) needs."""
+    """Whole status, for a terminal of this many columns, and the seeds for a half-width (m/s)."""
     columns = max(_NARROWEST_MATRIX, width - _WIDTH_OF_NUMBERS)
     parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
     parts += [_matrix_table(status, columns), _legend(status, columns)]
@@ -57,7 +57,7 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
 
 
 def _head_lines(status: CampaignStatus) -> Iterator[str]:
-    """What the campaign is, its progress, and how its last run went."""
+    """Campaign, its progress, and its last run."""
     yield (
         f"Campaign {status.name}: {len(status.seeds)} seeds x {len(status.contents)} contents, hash {status.hash[:12]}"
         + "".join(f", packing {(found or 'unknown')[:12]}" for found in status.content_hashes.values())
@@ -65,7 +65,7 @@ def _head_lines(status: CampaignStatus) -> Iterator[str]:
     total = sum(status.counts.values())
     finished = total - status.pending
     counts = [f"{status.counts[kind]} {kind.words}" for kind in CellStatus if status.counts.get(kind)]
-    # Never 100 % before all is there.
+    # never 100 % before all cells have finished
     percent = f"{math.floor(100 * finished / total)} %" if total else "-"
     yield f"{finished} of {total} cells finished ({percent}): {', '.join(counts)}"
     if status.last_run is not None:
@@ -105,12 +105,12 @@ def _matrix_table(status: CampaignStatus, columns: int) -> Table:
 
 
 def _seeds_per_character(status: CampaignStatus, columns: int) -> int:
-    """Seeds that share a character so that a matrix fits into the columns."""
+    """Number of seeds per character, so that the matrix fits into the columns."""
     return max(1, math.ceil(len(status.seeds) / columns))
 
 
 def _matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: int) -> Text:
-    """One character for each seed of a content, or for several: then the most alarming state of them."""
+    """One character for each seed of a content, or for several seeds with their most severe status."""
     row = Text()
     for start in range(0, len(seeds), per_character):
         planned = [content.statuses[s] for s in seeds[start : start + per_character] if s in content.statuses]
@@ -134,7 +134,7 @@ def _legend(status: CampaignStatus, columns: int) -> Text:
 
 
 def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
-    """Cells that went wrong or were tried again, the most alarming first."""
+    """Cells that failed or were tried again, the most severe first."""
     if not status.troubles:
         return
     yield ""
@@ -160,7 +160,7 @@ def _trouble_line(trouble: Trouble) -> str:
 
 
 def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":
-    """Seeds that a content needs for a half-width in m/s; None if its scatter is not known."""
+    """Seeds that a content needs for a half-width in m/s; None if its scatter is unknown."""
     from calcidem.analysis.planning import SeedPlan  # statistics of SciPy, which take half a second
 
     if len(content.vs) < FEWEST_TO_PLAN:
@@ -169,7 +169,7 @@ def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":
 
 
 def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
-    """What a half-width in m/s needs at each content."""
+    """Seeds and time for a half-width in m/s at each content."""
     yield f"\nSeeds for a mean of +- {half_width:g} m/s (95 %):"
     for content in status.contents:
         plan = _plan_of(content, half_width)
@@ -183,7 +183,7 @@ def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
 
 
 def status_as_json(status: CampaignStatus, half_width: float | None = None) -> dict[str, Any]:
-    """All there is to know, as `tell_rows` takes it; a missing number is NaN."""
+    """Whole status for `tell_rows`; a missing number is NaN."""
     plans = [None if half_width is None else _plan_of(content, half_width) for content in status.contents]
     run = status.last_run
     return {

@@ -1,4 +1,4 @@
-"""What several commands show alike: tables, numbers, marks and what these mean, and the console."""
+"""Common output of commands: tables, numbers, marks with their meaning, and the console."""
 
 import math
 import os
@@ -16,13 +16,13 @@ from calcidem.sweep.environment import TERMINAL_VARIABLE, launcher
 from calcidem.sweep.progress import pluralize
 
 PLAIN_WIDTH = 110
-"""Columns without a terminal."""
+"""Number of columns without a terminal."""
 
 
 def make_console() -> Console:
     """Console for results.
 
-    A rank cannot see by itself whether a terminal reads it, since launchers give it a pseudo-terminal.
+    A rank itself cannot detect a terminal, since launchers give it a pseudo-terminal.
     """
     if launcher() is None and sys.stdout.isatty():
         return Console(highlight=False)
@@ -39,14 +39,14 @@ def make_table(title: str | None, *names: str, numbers: Sequence[str] = ()) -> T
 
 
 def format_number(value: float | None, form: str = "{:.1f}", missing: str = "-") -> str:
-    """Write a number in a form, or what stands for a missing one (None or not finite)."""
+    """Write a number in a format, or a text for a missing one (None or not finite)."""
     return missing if value is None or not math.isfinite(value) else form.format(value)
 
 
 def marks_of(counts: Mapping[CellStatus, int], departing: int) -> str:
-    """Marks beside the number of cells of a content: where failed ones may bias the mean, or two velocities differ.
+    """Marks beside the number of cells of a content, if failed ones may bias the mean, or if two velocities differ.
 
-    `calcidem.analysis.outcomes` has the first; ``departing`` is the number of cells with the second.
+    `calcidem.analysis.doubt` explains the first; ``departing`` is the number of cells with the second.
     """
     done = counts.get(CellStatus.DONE, 0)
     failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0) - counts.get(CellStatus.DAMAGED, 0)
@@ -54,7 +54,7 @@ def marks_of(counts: Mapping[CellStatus, int], departing: int) -> str:
 
 
 def remarks_on(marks: Iterable[str], departing: int) -> Iterator[str]:
-    """What these marks mean, and how to find the cells."""
+    """Meaning of these marks, and how to find the cells."""
     if any("!" in mark for mark in marks):
         yield "! possible selection bias: cells without velocity may shift the mean by more than its standard error"
     if departing:

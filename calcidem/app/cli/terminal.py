@@ -1,4 +1,4 @@
-"""Output on a terminal: text that cannot control it, and a log of unexpected errors. Loads no large library."""
+"""Output on a terminal, with text that cannot control it. Imports no large library."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -6,18 +6,18 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 
 _ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
-"""Control characters (Unicode category Cc, ECMA-48), which move the cursor, colour, or make a terminal answer."""
+"""Control characters (Unicode category Cc, ECMA-48), which move the cursor, colour, or make a terminal respond."""
 
 
 IS_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
 """Whether only results and errors are written; each command sets it."""
 
 IS_VERBOSE: ContextVar[bool] = ContextVar("verbose", default=False)
-"""Whether tracebacks of errors and the time that a command took are wanted, too."""
+"""Whether tracebacks of errors and the time of a command are wanted, too."""
 
 
 def tell(text: str) -> None:
-    """Write the progress, apart from the result."""
+    """Write the progress to standard error, separate from the result."""
     if not IS_QUIET.get():
         sys.stderr.write(printable(f"{text}\n"))
         sys.stderr.flush()
@@ -25,7 +25,7 @@ def tell(text: str) -> None:
 
 @contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
-    """Give a function that receives the numbers of finished and of all parts, for a bar on a terminal."""
+    """Return a function that receives the numbers of finished and of all parts, for a bar on a terminal."""
     from rich.console import Console
     from rich.progress import Progress
 
@@ -36,5 +36,5 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def printable(text: object) -> str:
-    """Text that a terminal shows and does not obey: control characters but line feed and tab as escapes."""
+    """Text with control characters, except line feed and tab, as escapes, so that it cannot control a terminal."""
     return str(text).translate(_ESCAPES)

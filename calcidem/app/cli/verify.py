@@ -33,7 +33,7 @@ def verify_command(
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
-    """Compute random cells of a campaign again, on its own packing, and compare them with what is stored.
+    """Compute random cells of a campaign again, on its own packing, and compare them with the stored ones.
 
     Status, readings, step, cement and stored sections are compared; of a crate also configuration and packing.
     --integrity names all damaged cells; exit code 1 if there are any.
@@ -87,7 +87,7 @@ def _open_any(path: str, campaign_name: str | None) -> Iterator["Campaign"]:
 
 
 def _verify_integrity(database: str, opened: "Campaign", layout: Format) -> None:
-    """Name all that is no longer what was stored; exit code 1 if there is any."""
+    """Name all changed data; exit code 1 if there are any."""
     damaged, others = opened.store.integrity()
     cells = len(opened.store.statuses())
     if layout is not Format.TABLE:
@@ -113,7 +113,7 @@ def _verify_integrity(database: str, opened: "Campaign", layout: Format) -> None
 
 
 def _verification_row(verification: "Verification") -> dict[str, Any]:
-    """What came of one cell."""
+    """Result for one cell."""
     key, name = verification.stored.key, verification.most_different
     size = verification.differences[name] if name else 0.0
     return {
@@ -128,7 +128,7 @@ def _verification_row(verification: "Verification") -> dict[str, Any]:
 
 
 def _verification_line(verification: "Verification") -> str:
-    """What came of one cell, and which quantity differs most, by how much."""
+    """Result for one cell, with the quantity that differs most and its difference."""
     key, name = verification.stored.key, verification.most_different
     text = f"{key}: {verification.agreement}"
     if not name:

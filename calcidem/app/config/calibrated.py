@@ -1,4 +1,4 @@
-"""Calibrated values of the example configurations that are kept for a material that they were not fitted to."""
+"""Detection of calibrated values of example configurations that are used for another material."""
 
 import re
 import tomllib
@@ -11,13 +11,13 @@ from calcidem.app.config.reference import written
 from calcidem.app.config.schema import Configuration
 
 _MATERIAL = ("sand.shear_modulus", "sand.poisson_ratio", "cement.bond_modulus", "cement.linear_modulus")
-"""Keys of what values are calibrated to, as `Configuration.physics` has them."""
+"""Keys of the materials to which values are calibrated, as in `Configuration.physics`."""
 
 _MARKED = re.compile(r"^(\w+) = .*# calibrated", re.MULTILINE)
 
 
 def calibration_note(configuration: Configuration) -> str:
-    """Say which values were calibrated for another material, and what to do; empty if none were."""
+    """Message about values calibrated for another material, with a remedy; empty without any."""
     for preset in PRESETS:
         text = preset_text(preset)
         fitted, default = read_configuration(tomllib.loads(text)), Configuration()
@@ -39,7 +39,7 @@ def calibration_note(configuration: Configuration) -> str:
 
 
 def _calibrated_keys(text: str) -> Iterator[str]:
-    """``section.key`` of the values of a configuration that its comments call calibrated."""
+    """``section.key`` of the values that comments of a configuration mark as calibrated."""
     for name, section in tomllib.loads(text).items():
         part = text.partition(f"[{name}]")[2].partition("\n[")[0]
         yield from (f"{name}.{key}" for key in _MARKED.findall(part) if key in section)

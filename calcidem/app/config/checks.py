@@ -1,4 +1,4 @@
-"""What no section can know alone: whether the parts of a configuration fit together, and fit its packing."""
+"""Checks across sections: whether the parts of a configuration match each other and its packing."""
 
 import os
 import tempfile
@@ -23,23 +23,24 @@ from calcidem.storage.sql.engine import Address
 _SEEDS_ASKED_FIRST = 8
 
 _MOST_DISKS = 10_000_000
-"""Some 10 GB while they are packed."""
+"""Largest number of disks; they need some 10 GB during packing."""
 
 _SHORT_WAVE = 0.5
-"""Of the cut-off frequency: a chain of grains passes it on at ``sin(x) / x = 0.95`` of the long waves' velocity."""
+"""Frequency over the cut-off at which a chain propagates waves at ``sin(x) / x = 0.95`` of the long-wave velocity."""
 
 _BARE_STEP, _CEMENTED_STEP = 1.2, 1.7
-"""Longest limit of the step over that of mean disks: up to 1.08 without cement and 1.61 with it, in 24 packings."""
+"""Largest step limit over that of mean disks: up to 1.08 without cement and 1.61 with it, in 24 packings."""
 
 _OVERLAPS_VARY = 1.5
-"""Above the mean overlap of packings over the expected one, 0.7 to 1.2: what is refused here is refused later, too."""
+"""Factor above the mean overlap of packings over the expected one, 0.7 to 1.2, so that later checks would refuse, too.
+"""
 
 _SAFE_PART = 0.8
-"""Part of the largest content of these seeds that every other seed surely holds."""
+"""Part of the largest content of these seeds that every other seed can certainly hold."""
 
 
 def cross_check(configuration: Configuration) -> list[Problem]:
-    """Everything that does not fit together."""
+    """All contradictions of a configuration."""
     checks = (
         _check_size,
         _check_stress,
@@ -56,7 +57,7 @@ def cross_check(configuration: Configuration) -> list[Problem]:
 
 
 def _check_part(configuration: Configuration) -> Iterator[Problem]:
-    """Parts are dealt out before it is known how many seeds a content needs."""
+    """Refuse parts with `until`, since parts are assigned before the numbers of seeds are known."""
     if configuration.run.part is not None and configuration.campaign.until is not None:
         yield Problem(
             f"run.part = {quote(configuration.run.part)}: campaign.until adds seeds during the run, which parts do not "
@@ -66,7 +67,7 @@ def _check_part(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _check_size(configuration: Configuration) -> Iterator[Problem]:
-    """The disks have room in a computer's memory."""
+    """Refuse more disks than memory can hold."""
     rule = configuration.packing
     disks = disks_in_box(configuration)
     if disks > _MOST_DISKS:
@@ -78,7 +79,7 @@ def _check_size(configuration: Configuration) -> Iterator[Problem]:
 
 
 def disks_in_box(configuration: Configuration) -> float:
-    """Number of disks, whose diameters are uniformly distributed, by the porosity of the box."""
+    """Number of disks of uniformly distributed diameters, from the porosity of the box."""
     rule = configuration.packing
     smallest, largest = rule.diameter
     area = np.pi / 12.0 * (smallest**2 + smallest * largest + largest**2)
@@ -86,7 +87,7 @@ def disks_in_box(configuration: Configuration) -> float:
 
 
 def _check_stress(configuration: Configuration) -> Iterator[Problem]:
-    """The lid does not crush the disks; those of a file are judged by the packing."""
+    """Refuse a stress that would crush the disks; for disks of a file the packing is checked later."""
     rule = configuration.packing
     if configuration.packing_draw.file is not None:
         return
@@ -95,7 +96,7 @@ def _check_stress(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _check_cement(configuration: Configuration) -> Iterator[Problem]:
-    """No cement is wider than the disks it holds together, no cluster larger than the box."""
+    """Refuse cement wider than the smallest disk, and clusters larger than the box."""
     smallest = configuration.packing.diameter[0]
     for name in ("p_diameter", "c_diameter"):
         width = getattr(configuration.pattern, name)
@@ -116,7 +117,7 @@ def _check_cement(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _check_bands(configuration: Configuration) -> Iterator[Problem]:
-    """Transmitter, receiver and damped layers fit into the sample."""
+    """Check that transmitter, receiver and damped layers fit into the sample."""
     half = configuration.packing.height / 2.0
     for name in ("transmitter_half_width", "receiver_half_width", "boundary_thickness"):
         value = getattr(configuration.wave, name)
@@ -145,7 +146,7 @@ def _check_bands(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _check_installation(configuration: Configuration) -> Iterator[Problem]:
-    """Bonds that change the contact forces need a regime in which contacts follow them."""
+    """Check that bonds which change the contact forces have a regime with changing forces."""
     installation = configuration.bonding.installation
     if installation != "preserve" and configuration.wave.regime == "linear":
         yield Problem(
@@ -162,7 +163,7 @@ def _check_installation(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _check_friction(configuration: Configuration) -> Iterator[Problem]:
-    """No contact slips before the wave comes; constant stiffnesses do not ask for that."""
+    """Refuse a friction with which contacts slip before the wave, except in the linear regime."""
     friction, prepared = configuration.sand.friction, configuration.packing.friction_preparation
     if friction < prepared and configuration.wave.regime != "linear":
         yield Problem(
@@ -173,7 +174,7 @@ def _check_friction(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
-    """Every content has a frequency, one that grains pass on and that the time step resolves."""
+    """Check that every content has a frequency that propagates and that the time step resolves."""
     table = configuration.excitation.table
     if table is None:
         return
@@ -205,7 +206,7 @@ def _check_frequencies(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _check_amplitude(configuration: Configuration) -> Iterator[Problem]:
-    """The regime stands for the pulse, as far as this is known without a packing."""
+    """Check that the regime suits the pulse, as far as known without a packing."""
     rule, table = configuration.packing, configuration.excitation.table
     if table is None:
         return
@@ -219,7 +220,7 @@ def _check_amplitude(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _longest_step(configuration: Configuration, content: float) -> float:
-    """Stability limit, s, that the step of a sample hardly exceeds: few contacts are cemented at low contents."""
+    """Stability limit, s, that the step of a sample hardly exceeds; at low contents few contacts are cemented."""
     if content == 0.0:
         return _BARE_STEP * limit_of_mean_disks(configuration, cemented=False)
     few = content <= 2.0 * configuration.pattern.threshold
@@ -227,7 +228,7 @@ def _longest_step(configuration: Configuration, content: float) -> float:
 
 
 def limit_of_mean_disks(configuration: Configuration, *, cemented: bool, single: bool = False) -> float:
-    """Stability limit of disks of the mean size, s, by a bound for each disk by itself, which is on the safe side.
+    """Stability limit of disks of the mean size, s, from a safe bound for each single disk.
 
     Their contacts are cemented or not. A disk has one contact if ``single``, and else the six of a hexagonal lattice.
     """
@@ -256,12 +257,11 @@ def _contact_stiffness(configuration: Configuration, *, cemented: bool) -> tuple
 
 
 def cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
-    """Frequency that surely no sample passes on, Hz: cut-off of a hexagonal lattice of mean disks.
+    """Frequency above which no sample propagates waves, Hz: cut-off of a hexagonal lattice of mean disks.
 
-    Its shear waves have ``V^2 = 3/8 (k_n + k_s) d^2 / m`` (closed form of the hexagonal lattice), those of a chain with
-    contacts of ``3/8 (k_n + k_s)``. All its contacts
-    are cemented, or none, and these carry the force ``stress d`` each. Real packings have fewer contacts and are
-    softer, so what is refused here does not work for certain.
+    Its shear waves have ``V^2 = 3/8 (k_n + k_s) d^2 / m``, as a chain with the contact stiffness ``3/8 (k_n + k_s)``.
+    All contacts are cemented or none, each with the force ``stress d``. Real packings have fewer contacts and are
+    softer, so refused frequencies certainly fail.
     """
     diameter = float(np.mean(configuration.packing.diameter))
     mass = configuration.sand.density * np.pi * diameter**2 / 4.0
@@ -270,7 +270,7 @@ def cutoff_estimate(configuration: Configuration, *, cemented: bool) -> float:
 
 
 def _check_files(configuration: Configuration) -> Iterator[Problem]:
-    """Results can be written where they are wanted."""
+    """Check that results can be written."""
     output = configuration.output
     wrong = ""
     if os.path.exists(output) and not output.is_dir():  # noqa: PTH110 - Path.exists raises where a name is too long
@@ -285,7 +285,7 @@ def _check_files(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _what_is_wrong_with(database: str) -> str:
-    """Why results cannot be stored in a database, and what to do; empty if they can."""
+    """Reason why results cannot be stored in a database, with a remedy; empty if they can."""
     try:
         path = Address.parse(database).path
     except StoreError as error:
@@ -302,22 +302,22 @@ def _what_is_wrong_with(database: str) -> str:
 
 
 def can_make_files(folder: Path) -> bool:
-    """Whether files can be made in a folder, or folders above it where it is yet to be made.
+    """Whether files can be made in a folder, or, if it does not exist yet, in its first existing parent.
 
-    It is tried with a file without name, since permissions do not tell of read-only file systems.
+    This is tried with a file without name, since permissions do not show read-only file systems.
     """
     try:
         existing = next(parent for parent in (folder.absolute(), *folder.absolute().parents) if parent.exists())
         with tempfile.TemporaryFile(dir=existing):
             return True
-    except OSError:  # of a name that is too long, too
+    except OSError:  # also for a name that is too long
         return False
 
 
 def check_against_packing(configuration: Configuration, packing: Packing) -> list[str]:
-    """Refuse what the packing that was made cannot hold; give what is doubtful about it and its waves, a sentence each.
+    """Refuse a plan that the packing cannot hold; return warnings about the packing and its waves, a sentence each.
 
-    `ConfigurationError` with everything that is wrong.
+    `ConfigurationError` with all problems.
     """
     faults = judge_disks(packing, configuration.sand)
     problems = [Problem(f"packing.{fault.text}") for fault in faults if fault.refused]
@@ -356,7 +356,7 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> lis
 
 
 def _sample_problems(configuration: Configuration, experiment: Experiment) -> list[Problem]:
-    """What only samples can tell: whether the first seeds' would be refused when their wave is to be sent."""
+    """Problems of samples of the first seeds that would be refused before their wave."""
     plan, lanes = configuration.campaign, configuration.run.lanes
     orderings = [experiment.ordering(seed) for seed in plan.seed_numbers[:lanes]]
     for content in sorted(plan.contents):
@@ -368,10 +368,9 @@ def _sample_problems(configuration: Configuration, experiment: Experiment) -> li
 
 
 def _tightest_seed(experiment: Experiment, seeds: Sequence[int], content: float) -> tuple[int, float]:
-    """Seed whose sample holds the least calcite, and how much that is, percent.
+    """Seed whose sample holds the least calcite, and this content, percent.
 
-    The first seeds tell enough for a content that is far from it: to draw the cement of every seed takes a while
-    where there are thousands.
+    For a content far from this limit the first seeds suffice, since drawing the cement of thousands of seeds is slow.
     """
     few = seeds[:_SEEDS_ASKED_FIRST]
     room = {seed: experiment.ordering(seed).maximum_content for seed in few}

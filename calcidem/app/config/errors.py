@@ -1,4 +1,4 @@
-"""What is wrong with a configuration, in words that name section, field, value and remedy."""
+"""Errors of a configuration, with messages that name section, field, value and remedy."""
 
 import json
 from dataclasses import dataclass
@@ -17,28 +17,28 @@ _BY_ERROR_TYPE = {
     "too_long": ("has the wrong number of entries", ""),
     "unexpected_keyword_argument": ("is not known", "leave it out"),
 }
-"""Cause, and a remedy where the field names none, for each kind of error that pydantic tells apart."""
+"""Cause, and a remedy if the field has none, for each kind of pydantic's errors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One thing that is wrong."""
+    """One problem of a configuration."""
 
     message: str
-    """``section.field = value: what is wrong; remedy``."""
+    """``section.field = value: problem; remedy``."""
     fields: tuple[str, ...] = ()
-    """The fields that it is about, as ``section.field``."""
+    """Fields that it concerns, as ``section.field``."""
 
 
 class ConfigurationError(ValueError):
-    """A configuration that cannot be computed; lists all its errors at once.
+    """A configuration that cannot be computed; the message lists all its problems.
 
     Attributes
     ----------
     source
-        Where the configuration is from: a file name.
+        Origin of the configuration, such as a file name.
     problems
-        At least one.
+        All problems, at least one.
     """
 
     def __init__(self, source: str, problems: list[Problem]) -> None:
@@ -65,13 +65,13 @@ def quote(value: object) -> str:
     if isinstance(value, dict):
         return f"{{ {', '.join(f'{key} = {quote(item)}' for key, item in value.items())} }}"
     if isinstance(value, int) and value.bit_length() > _LONGEST_QUOTE:
-        return f"a whole number of {value.bit_length()} bits"  # Python refuses to write long ones in decimal
+        return f"a whole number of {value.bit_length()} bits"  # Python refuses to write long numbers in decimal
     text = json.dumps(value, ensure_ascii=False) if isinstance(value, str | bool) else repr(value)
     return text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}..."
 
 
 def phrase(error: ErrorDetails, accepted: str = "") -> str:
-    """Put one of ``ValidationError.errors()`` into words: problem and remedy, see `fields.accepted_values`."""
+    """Problem and remedy of one of ``ValidationError.errors()``, in words; see `fields.accepted_values`."""
     what, cure = _BY_ERROR_TYPE.get(error["type"], ("" if accepted else error["msg"], ""))
     entry = next((f"entry {word + 1} " for word in error["loc"] if isinstance(word, int)), "") if what else ""
     return "; ".join(filter(None, (entry + what, f"give {accepted}" if accepted else cure)))

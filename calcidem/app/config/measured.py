@@ -1,4 +1,4 @@
-"""The file of measured means and scatter of Vs, for a calibration to meet and for figures and reports to show."""
+"""File of measured means and scatter of Vs, for calibrations, figures and reports."""
 
 import csv
 import io
@@ -15,22 +15,22 @@ _COLUMNS = {
     "sd": "a positive number of m/s",
     "samples": "a whole number of 2 or more",
 }
-"""Columns of a file of targets and what they hold; the last two, and entries of them, may be missing."""
+"""Columns of a file of targets and their values; the last two, or entries of them, may be missing."""
 
 _MOST_CHARACTERS = 1_000_000
-"""Characters of a file: far more than a table of all contents has."""
+"""Largest number of characters of a file, far more than a table of all contents has."""
 
 _REQUIRED = ("content", "vs")
 
 
 def read_targets(file: Path) -> tuple[Target, ...]:
-    """Read means, and where they are given standard deviations and numbers of samples, from a CSV file.
+    """Read means and, if given, standard deviations and numbers of samples from a CSV file.
 
-    Lines that begin with ``#`` are comments. `ConfigurationError` with everything that is wrong: columns that are
-    missing or unknown, entries that are no such number, contents that stand twice.
+    Lines that begin with ``#`` are comments. `ConfigurationError` with all problems: missing or unknown columns,
+    invalid numbers, repeated contents.
     """
     with file.open(encoding="utf-8-sig", errors="replace", newline="") as source:
-        text = source.read(_MOST_CHARACTERS)  # no device fills the memory
+        text = source.read(_MOST_CHARACTERS)  # so that a device cannot fill the memory
     try:
         table = [[entry.strip() for entry in line] for line in csv.reader(io.StringIO(text))]
     except csv.Error as error:
@@ -56,7 +56,7 @@ def read_targets(file: Path) -> tuple[Target, ...]:
 
 
 def _header_problems(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[Problem]:
-    """What is wrong with the columns."""
+    """Problems of the columns."""
     for name in (name for name in _REQUIRED if name not in header):
         yield Problem(f"column {name}: is missing; give a header line such as 'content,vs' or 'content,vs,sd,samples'")
     for name in (name for name in header if name not in _COLUMNS or header.count(name) > 1):
@@ -66,7 +66,7 @@ def _header_problems(header: Sequence[str], rows: Sequence[Sequence[str]]) -> It
 
 
 def _row_problems(number: int, header: Sequence[str], row: Sequence[str]) -> Iterator[Problem]:
-    """What is wrong with a row."""
+    """Problems of a row."""
     if len(row) != len(header):
         cure = "give one for each column, with a point in numbers"
         yield Problem(f"row {number} = {','.join(row)}: has {len(row)} entries and not {len(header)}; {cure}")

@@ -1,8 +1,8 @@
-"""The configuration of any sand, from its grain size or its disks, its stress and its mineral: ``calcidem init``.
+"""Configuration of any sand from its grain size or disks, its stress and its mineral: ``calcidem init``.
 
-Each length is a multiple of the grain's diameter d, and each stiffness a multiple of that of the contact between two
-grains under the stress. So the samples of all sands under the same stress over modulus are one sample, and all of them
-are read alike; docs/your-sand.md has the formulas.
+Each length is a multiple of the grain diameter d, and each stiffness a multiple of that of the contact between two
+grains under the stress. So all sands with the same ratio of stress to modulus give scaled copies of the same samples,
+with the same readings; docs/your-sand.md has the formulas.
 """
 
 import json
@@ -33,28 +33,29 @@ MINERALS = {
     "carbonate": _CALCITE,
     "calcite": _CALCITE,
 }
-"""Grains of spheres, of quartz and of calcite: Mavko, Mukerji and Dvorkin (2009), The Rock Physics Handbook,
-doi:10.1017/CBO9780511626753, tables of mineral moduli."""
+"""Materials of the grains: Mavko, Mukerji and Dvorkin (2009), The Rock Physics Handbook, doi:10.1017/CBO9780511626753,
+tables of mineral moduli.
+"""
 
 _UNIT_FACTORS = {
     "grain size": {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0},
     "stress": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6},
 }
-_LIMITS = {"grain size": (1e-6, 1.0), "stress": (1.0, 1e9)}  # beyond, nothing is a sand
+_LIMITS = {"grain size": (1e-6, 1.0), "stress": (1.0, 1e9)}  # beyond these limits a material is not sand
 _EXAMPLES = {"grain size": "0.3mm", "stress": "100kPa"}
 
-# In mean diameters. Of the paper's sand: 0.1 m, 12 mm, 1.06 mm and 1.33 mm over 2.56 mm, and its sizes.
+# In mean diameters, from the paper's sand: 0.1 m, 12 mm, 1.06 mm and 1.33 mm over 2.56 mm, and its sizes.
 _SIZES = (0.83, 1.17)
 _CLUSTER, _P_WIDTH, _C_WIDTH = 4.7, 0.41, 0.52
-# 2.5 wavelengths of 11 grains each, at which dispersion and scattering are small, fit into a width of 30. The side
-# walls, with transmitter and receiver, are wider than the path is long.
+# A width of 30 holds 2.5 wavelengths of 11 grains, with little dispersion and scattering. The side walls, with
+# transmitter and receiver, are wider than the path.
 _BOX = (30.0, 50.0)
 _LISTENING, _LAYER = 4.0, 5.0
-_SOLID = 0.8  # area of disks at rest over that of their box
-# Of the box's height.
+_SOLID = 0.8  # area of disks at rest over area of their box
+# Over the height of the box.
 _TRANSMITTING, _RECEIVING = 0.45, 0.25
 
-_REAL_OVER_LATTICE = 0.5  # velocity without cement: 0.48 to 0.53 from 20 kPa to 1 MPa, of both minerals
+_REAL_OVER_LATTICE = 0.5  # velocity without cement: 0.48 to 0.53 from 20 kPa to 1 MPa, for both minerals
 _GENTLE = 0.01  # stroke of the pulse over the overlap
 
 
@@ -63,18 +64,18 @@ class OwnDisks:
     """Disks in a file, which replace the packing."""
 
     file: str
-    """As the configuration names it."""
+    """Name in the configuration."""
     width: float
     height: float
-    """Of the box, m: up to the rightmost disk, and as high as the disks are expected to stand at rest."""
+    """Size of the box, m: up to the rightmost disk, and the expected height of the disks at rest."""
     diameters: tuple[float, float, float]
-    """Smallest, mean and largest, m."""
+    """Smallest, mean and largest diameter, m."""
     count: int
-    """Number of the disks."""
+    """Number of disks."""
 
     @classmethod
     def read(cls, file: Path, folder: Path) -> Self:
-        """Read disks for a configuration in a folder; `PackingFileError`, naming the line, if they are none."""
+        """Read disks for a configuration in a folder; `PackingFileError`, naming the line, for an invalid file."""
         x, y, radius = checked_disks(file)
         width = float(f"{np.max(x + radius):.6g}")
         at_rest = float(np.pi * np.sum(radius**2)) / (_SOLID * width)  # below the lid, which compresses loose disks
@@ -89,7 +90,7 @@ class OwnDisks:
 
 @dataclass(frozen=True, slots=True)
 class OwnSand:
-    """A sand, as a person describes it."""
+    """A sand as described by the user."""
 
     grain_size: float
     """Mean diameter, m."""
@@ -100,7 +101,7 @@ class OwnSand:
     contents: Sequence[float]
     """Calcite contents, percent of the sand's mass."""
     disks: OwnDisks | None = None
-    """Its disks, where they are given."""
+    """Disks, if given."""
 
     @property
     def box(self) -> tuple[float, float]:
@@ -113,20 +114,20 @@ class OwnSand:
     def sand(self) -> Sand:
         """Material of disks of unit thickness.
 
-        A disk stands for a row of 1 m / d grains side by side. Each of its contacts is that many contacts of spheres
-        in parallel, which multiplies the modulus. Then the overlap over the radius is that of grains under the stress.
+        A disk stands for a row of 1 m / d grains. Each of its contacts is as many contacts of spheres in parallel,
+        which multiplies the modulus. So the overlap over the radius is that of grains under the stress.
         """
         mineral = MINERALS[self.mineral]
         return Sand(mineral.shear_modulus / self.grain_size, mineral.poisson_ratio, mineral.density)
 
     @property
     def overlap(self) -> float:
-        """Expected mean overlap over the radius: ``(3 sqrt(2) (1 - nu) stress / G)^(2/3)``, of any grain size."""
+        """Expected mean overlap over the radius, ``(3 sqrt(2) (1 - nu) stress / G)^(2/3)``, for any grain size."""
         return expected_overlap(self.stress, self.grain_size, self.sand)
 
     @property
     def bond_modulus(self) -> float:
-        """Modulus of a bond that is as stiff as a row of grains welded over the width of the cement, Pa.
+        """Modulus of a bond as stiff as a row of grains welded over the width of the cement, Pa.
 
         ``k_n = 4 G b / (1 - nu)`` for two spheres welded over the radius b: Digby (1981), The effective elastic moduli
         of porous granular rocks, J. Appl. Mech. 48, 803, doi:10.1115/1.3157738. With b = width / 2 and 1 m / d grains.
@@ -144,7 +145,8 @@ class OwnSand:
         """Expected shear-wave velocity without cement, m/s.
 
         Half of that of the hexagonal lattice of such disks, ``V^2 = 3/8 (k_n + k_s) d^2 / m``, since random packings
-        have fewer contacts and yield. It grows with the power 1/6 of the stress, and does not depend on the size.
+        have fewer contacts and are softer. It increases with the power 1/6 of the stress, and does not depend on the
+        grain size.
         """
         tangent = 1.5 * self.stress * self.grain_size / (0.5 * self.overlap * self.grain_size)
         mass = 0.25 * math.pi * self.sand.density * self.grain_size * self.grain_size
@@ -152,22 +154,22 @@ class OwnSand:
         return _REAL_OVER_LATTICE * math.pi * self.grain_size * cutoff_frequency(stiffness, mass)
 
     def text(self) -> str:
-        """Text of the configuration of a sand, with the reason of each number.
+        """Text of the configuration of a sand, with the reason for each number.
 
-        `ConfigurationError` if no such sand can be computed.
+        `ConfigurationError` if such a sand cannot be computed.
         """
         if problems := _content_problems(self):
             raise ConfigurationError("the sand", problems)
         text = _commented(self)
-        if self.disks is None:  # of disks in a file there may be more to say, which 'run --check' does
-            read_configuration(tomllib.loads(text), "the sand")  # refuses a stress that crushes the grains
+        if self.disks is None:  # 'run --check' reports further problems of disks in a file
+            read_configuration(tomllib.loads(text), "the sand")  # refuses a stress that would crush the grains
         return text
 
 
 def parse_quantity(quantity: str, text: str) -> float:
-    """Read a ``grain size`` or a ``stress`` with its unit, such as 0.3mm or 100 kPa; in SI units.
+    """Read a ``grain size`` or a ``stress`` with its unit, such as 0.3mm or 100 kPa; return SI units.
 
-    `ValueError` if it has no such unit, or is no possible value.
+    `ValueError` without a known unit, or for an impossible value.
     """
     units, (low, high) = _UNIT_FACTORS[quantity], _LIMITS[quantity]
     found = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z]+)\s*", text, re.ASCII)
@@ -185,7 +187,7 @@ def parse_quantity(quantity: str, text: str) -> float:
 
 
 def _content_problems(own: OwnSand) -> list[Problem]:
-    """What is wrong with the contents, which no section can tell."""
+    """Problems of the contents, which no section can detect."""
     most = CementRule(sand_density=own.sand.density).pore_content(PackingRule().porosity)
     return [
         Problem(f"contents = {content:g}: calcite fills the pores at {most:.3g} %; leave it out")
@@ -195,7 +197,7 @@ def _content_problems(own: OwnSand) -> list[Problem]:
 
 
 def _commented(own: OwnSand) -> str:
-    """The text, whether it can be computed or not."""
+    """The text, without checks."""
     mineral, d = MINERALS[own.mineral], own.grain_size
     gigapascals, (width, height) = mineral.shear_modulus / 1e9, own.box
     waves = WAVELENGTHS * own.velocity / (width - 0.5 * _LISTENING * d)
@@ -262,7 +264,7 @@ def _commented(own: OwnSand) -> str:
 
 
 def _packing_rows(own: OwnSand) -> tuple[tuple[str, str], ...]:
-    """Lines on box and disks, with their reasons."""
+    """Lines about box and disks, with their reasons."""
     d, (width, height) = own.grain_size, own.box
     if own.disks is not None:
         good = " x ".join(f"{length:g} d" for length in _BOX)

@@ -1,4 +1,4 @@
-"""From a TOML file to a `Configuration`, or to a list of everything that is wrong with it."""
+"""Reads a TOML file as a `Configuration`, or lists all its problems."""
 
 import difflib
 import itertools
@@ -52,36 +52,36 @@ SECTIONS: dict[str, dict[str, type["DataclassInstance"]]] = {
     "pick": {"pick": PickRule},
     "run": {"run": RunOptions},
 }
-"""Sections of the file, and the attributes of `Configuration` that each one gives, with their types."""
+"""Sections of the file, with the attributes of `Configuration` from each, and their types."""
 
 _LARGEST_FILE = 4_000_000
-"""Bytes: 100,000 listed seeds have room, and no device or data file fills the memory."""
+"""Largest size in bytes; it allows 100,000 listed seeds, but no device or data file can fill the memory."""
 
 _DEEPEST = 8
-"""Levels of tables and lists in one another that a file may have; four are needed."""
+"""Largest depth of nested tables and lists; four levels are needed."""
 
 _LARGEST_WHOLE_NUMBER = 2**63 - 1
-"""Of TOML (https://toml.io/en/v1.0.0#integer) and of databases."""
+"""Largest whole number of TOML (https://toml.io/en/v1.0.0#integer) and of databases."""
 
 _SMALLEST_NUMBER, _LARGEST_NUMBER = 1e-30, 1e30
-"""In SI units; the products of several such numbers and their reciprocals are still finite."""
+"""In SI units; products and reciprocals of several such numbers are still finite."""
 
 TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
-"""Keys that a file does not have, because another one has the same meaning."""
+"""Keys that files do not have, since another key has the same meaning."""
 
 
 _CONCERNED = ("packing.file", *(f"packing.{key}" for key in SETTLED_BY_FILE))
-"""Fields that nothing else can be compared with when the file is not as it should be."""
+"""Fields excluded from other checks if the file has problems."""
 
 
 _NOT_TO_BE_READ = {"file", "file_sha256", "sand_density"}
-"""What a configuration in memory has from elsewhere: the content of a file, or another key."""
+"""Fields that a configuration gets from the content of a file or from another key."""
 
 
 def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any] | None = None) -> Configuration:
-    """Read and check a configuration in a TOML file; `ConfigurationError` with everything that is wrong.
+    """Read and check a configuration in a TOML file; `ConfigurationError` with all its problems.
 
-    ``overrides`` are values of section ``[run]`` that replace those of the file; None leaves the file's.
+    ``overrides`` are values of section ``[run]`` that replace those of the file; None keeps the value of the file.
     """
     document = parse_file(Path(path))
     given = {key: value for key, value in (overrides or {}).items() if value is not None}
@@ -112,13 +112,13 @@ def parse_file(path: Path) -> dict[str, Any]:
         problem = f"the file cannot be read ({error.strerror}); give one that can"
     except UnicodeDecodeError as error:
         problem = f"byte {error.start + 1} is not UTF-8 text; save the file as UTF-8"
-    except (ValueError, RecursionError) as error:  # what TOML forbids, numbers too long for Python, brackets too deep
+    except (ValueError, RecursionError) as error:  # invalid TOML, too long numbers, too deep brackets
         problem = f'not TOML: {error}; numbers are written 1.5, strings "...", lists [1, 2]'
     raise ConfigurationError(str(path), [Problem(problem)])
 
 
 def _is_deeper(value: object, levels: int) -> bool:
-    """Whether tables and lists are nested deeper than this number of levels."""
+    """Whether tables and lists are nested more deeply than this."""
     inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
     return any(levels == 0 or _is_deeper(item, levels - 1) for item in inner)
 
@@ -126,9 +126,9 @@ def _is_deeper(value: object, levels: int) -> bool:
 def read_configuration(
     document: Mapping[str, Any], source: str = "configuration", folder: Path = Path()
 ) -> Configuration:
-    """Turn a mapping of sections into a checked configuration; other files that it names are relative to the folder.
+    """Convert a mapping of sections to a checked configuration; file names in it are relative to the folder.
 
-    `ConfigurationError` with everything that is wrong.
+    `ConfigurationError` with all problems.
     """
     problems = [_unknown_name(name, "section", list(SECTIONS)) for name in document if name not in SECTIONS]
     given: dict[str, dict[str, Any]] = {part: {} for parts in SECTIONS.values() for part in parts}
@@ -155,7 +155,7 @@ def read_configuration(
     configuration = replace(
         configuration, pattern=replace(configuration.pattern, sand_density=configuration.sand.density)
     )
-    # A field that is wrong by itself was replaced by its default, with which nothing else should be compared.
+    # A wrong field was replaced by its default, which should not be compared with other fields.
     broken = {field for problem in problems for field in problem.fields}
     problems += [problem for problem in cross_check(configuration) if not broken & set(problem.fields)]
     if problems:
@@ -164,14 +164,14 @@ def read_configuration(
 
 
 def _validate(given: dict[str, dict[str, Any]]) -> tuple[Configuration, list[Problem]]:
-    """Make a configuration of the values of its parts, and list their errors.
+    """Make a configuration from the values of its parts, and list their problems.
 
-    What is wrong is left out, so that it has its default, until nothing is: what a class says of several of its fields,
-    it says only once each of them is right.
+    Wrong values are replaced by their defaults until none is left, since a class checks combinations of fields only
+    when each field is valid.
     """
     problems: list[Problem] = []
     while True:
-        # The text of a file has the types of JSON. Of Python's objects, pydantic would strictly take instances alone.
+        # A file has JSON types. For Python objects pydantic's strict mode would accept only instances.
         text = json.dumps(given)
         try:
             return _validator().validate_json(text), problems
@@ -191,18 +191,18 @@ def _validate(given: dict[str, dict[str, Any]]) -> tuple[Configuration, list[Pro
 
 @cache
 def _validator() -> TypeAdapter[Configuration]:
-    """What pydantic makes of the classes; it takes a moment."""
+    """Pydantic's adapter of the classes; cached, since making it takes a moment."""
     return TypeAdapter(Configuration)
 
 
 def _refusal(place: str, detail: ErrorDetails) -> Problem:
-    """Problem of values that a class refuses together."""
+    """Problem of a combination of values that a class refuses."""
     refused = detail["ctx"]["error"]
     return Problem(f"{place}.{refused}", tuple(f"{place}.{name}" for name in refused.fields))
 
 
 def _value_problems(place: str, value: object, hint: Any, details: list[ErrorDetails]) -> list[Problem]:  # noqa: ANN401 - a type hint
-    """Problems of one value; of a table, which is one of the types it may have, those of its keys."""
+    """Problems of one value; for a table those of its keys."""
     table = _table_in(hint)
     if table is None or not isinstance(value, dict):
         branches = {word for detail in details for word in detail["loc"][2:3] if isinstance(word, str)}
@@ -210,7 +210,7 @@ def _value_problems(place: str, value: object, hint: Any, details: list[ErrorDet
         words = [f"give {accepted}"] if len(branches) > 1 else [phrase(detail, accepted) for detail in details]
         return [Problem(f"{place} = {quote(value)}: {'; '.join(dict.fromkeys(words))}", (place,))]
     problems = []
-    # The kind of value is named where there are several.
+    # With several possible types the type is named.
     own = [detail for detail in details if table.__name__ in detail["loc"][2:3]]
     for detail in own or details:
         inner = detail["loc"][3 if own else 2 :]
@@ -235,14 +235,14 @@ def _table_in(hint: Any) -> type["DataclassInstance"] | None:  # noqa: ANN401 - 
 
 
 def _impossible(value: object) -> str:
-    """Problem and cure of a value that no field can have, whatever its type; empty for all others."""
+    """Problem and remedy of a value that no field can have; empty for all others."""
     if isinstance(value, list | tuple | dict):
         return next(filter(None, map(_impossible, value.values() if isinstance(value, dict) else value)), "")
     if not isinstance(value, str | int | float | None):
         return f"is a {type(value).__name__}, which no key takes; give a number, true or false, text or a list"
     if isinstance(value, int) and abs(value) > _LARGEST_WHOLE_NUMBER:
         return f"has more than 64 bits; give at most {_LARGEST_WHOLE_NUMBER}"
-    # NaN and infinity are the type's business.
+    # The type checks NaN and infinity.
     if isinstance(value, float) and (0.0 < abs(value) < _SMALLEST_NUMBER or _LARGEST_NUMBER < abs(value) < math.inf):
         return f"is out of range; give 0, or a number of {_SMALLEST_NUMBER:g} to {_LARGEST_NUMBER:g} in SI units"
     if isinstance(value, str) and any(unicodedata.category(character) in {"Cc", "Cs"} for character in value):
@@ -251,7 +251,7 @@ def _impossible(value: object) -> str:
 
 
 def _unknown_name(name: str, what: str, known: list[str], section: str = "") -> Problem:
-    """Problem of a name that is not known, with the one that may be meant."""
+    """Problem of an unknown name, with a similar known one."""
     place = f"{section}.{name}" if section else name
     other = TAKEN_FROM_ELSEWHERE.get(place)
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
@@ -267,11 +267,10 @@ def _unknown_name(name: str, what: str, known: list[str], section: str = "") -> 
 def _take_own_disks(
     configuration: Configuration, given: Mapping[str, Any], folder: Path
 ) -> tuple[Configuration, list[Problem]]:
-    """Look at the file of ``[packing]``, and put what it settles into the configuration.
+    """Read the file of ``[packing]``, and put the values that it determines into the configuration.
 
-    ``given`` is the section as it was given; the file's name is relative to ``folder``. Given are the configuration
-    with the size of the box and of the disks, where the file is as it should be, and what is wrong with the file or
-    contradicts it.
+    ``given`` is the section as given; the name of the file is relative to ``folder``. Return the configuration with the
+    size of box and disks, if the file is valid, and problems of the file or contradictions to it.
     """
     problems = [
         Problem(
@@ -288,16 +287,15 @@ def _take_own_disks(
         smallest, largest = (2.0 * float(value) for value in (radius.min(), radius.max()))
         rule = replace(rule, height=float(np.max(y + radius)), diameter=(smallest, largest))
         draw = replace(draw, file=str(path), file_sha256=sha256(path.read_bytes()).hexdigest())
-    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError also where ~ has no folder
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError if ~ has no folder
         problems.append(Problem(f"packing.file = {quote(draw.file)}: {error}", _CONCERNED))
     return replace(configuration, packing=rule, packing_draw=draw), problems
 
 
 def change_configuration(origin: Configuration | str | os.PathLike[str], values: Mapping[str, object]) -> Configuration:
-    """Read a configuration, or the TOML file that it is in, again with other values, all checks included.
+    """Read a configuration, or its TOML file, again with other values, with all checks.
 
-    They are by section and key, such as ``{"wave.amplitude": 1e-4}``. `ConfigurationError` with everything that is
-    wrong.
+    ``values`` are by section and key, such as ``{"wave.amplitude": 1e-4}``. `ConfigurationError` with all problems.
     """
     if not isinstance(origin, Configuration):
         document = parse_file(Path(origin))
@@ -313,7 +311,7 @@ def change_configuration(origin: Configuration | str | os.PathLike[str], values:
 
 
 def _as_document(configuration: Configuration) -> dict[str, Any]:
-    """Sections and keys of a configuration as a file has them."""
+    """Sections and keys of a configuration for a file."""
     return {
         section: {
             key: value
@@ -326,7 +324,7 @@ def _as_document(configuration: Configuration) -> dict[str, Any]:
 
 
 def _put_values(document: dict[str, Any], values: Mapping[str, object]) -> None:
-    """Put each value in the place of its name."""
+    """Set each value by its name."""
     for name, value in values.items():
         *sections, key = name.split(".")
         table = document
@@ -337,7 +335,7 @@ def _put_values(document: dict[str, Any], values: Mapping[str, object]) -> None:
 
 
 def _as_written(value: object) -> object:
-    """A value with lists in place of arrays, at all levels."""
+    """A value with lists instead of arrays, at all levels."""
     if isinstance(value, Mapping):
         return {key: _as_written(inner) for key, inner in value.items()}
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

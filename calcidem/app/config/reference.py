@@ -1,4 +1,4 @@
-"""Every key of a configuration with its type, default, unit, meaning and bounds, taken from the classes that use it."""
+"""Every key of a configuration with its type, default, unit, meaning and bounds, from the classes that use it."""
 
 import inspect
 import json
@@ -28,17 +28,17 @@ class KeyReference:
 
     section: str
     name: str
-    """Of the key."""
+    """Section and name of the key."""
     kind: str
-    """What is written: ``number``, ``list of numbers``, ``text``."""
+    """Type in words: ``number``, ``list of numbers``, ``text``."""
     default: Any
-    """What holds where the key is left out; None if nothing does."""
+    """Default; None without one."""
     unit: str
-    """SI, or percent; empty for numbers without one."""
+    """Unit, SI or percent; empty without one."""
     meaning: str
-    """What it is, from the docstring of the class that has it."""
+    """Meaning, from the docstring of its class."""
     accepted: str
-    """What it takes, in the words with which another value is refused; empty if all that is of its kind."""
+    """Accepted values, in the words of the error message; empty if all values of its type are accepted."""
 
 
 @cache
@@ -48,7 +48,7 @@ def key_references() -> tuple[KeyReference, ...]:
 
 
 def full_text(preset: str) -> str:
-    """Text of an example configuration with every key, its meaning and what it takes."""
+    """Text of an example configuration with every key, its meaning and accepted values."""
     text = preset_text(preset)
     configuration = read_configuration(tomllib.loads(text))
     lines = [line for line in text.partition("\n\n")[0].splitlines() if "left out" not in line]
@@ -67,7 +67,7 @@ def full_text(preset: str) -> str:
 
 
 def written(value: object) -> str:
-    """Value as a configuration has it: numbers with the fewest digits that are exact."""
+    """Value as written in a configuration: numbers with the fewest digits that are exact."""
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(written, value))}]"
     if isinstance(value, bool):
@@ -99,7 +99,7 @@ def _meanings(kind: type) -> Iterator[tuple[str, str]]:
 
 
 def _kind_in_words(hint: Any) -> str:  # noqa: ANN401 - a type hint has no type of its own
-    """What is written for a type."""
+    """Name of a type in words."""
     if is_dataclass(hint):
         return "table"
     inner = [argument for argument in get_args(hint) if argument not in (NoneType, ...)]
@@ -114,8 +114,8 @@ def _kind_in_words(hint: Any) -> str:  # noqa: ANN401 - a type hint has no type 
 def stored_text(record: CampaignRecord, disks: str) -> str:
     """Text of a configuration with the identity of a stored campaign.
 
-    ``disks`` is a CSV file with the disks at rest: it stands for a file of disks that the campaign was made from, which
-    no database has. With it the identity is another one.
+    ``disks`` is a CSV file with the disks at rest, which replaces the campaign's own file of disks, since databases do
+    not contain that. With ``disks`` the identity differs.
     """
     physics, seeds = record.parameters, record.seeds
     plan = {
@@ -135,7 +135,7 @@ def stored_text(record: CampaignRecord, disks: str) -> str:
 
 
 def _lines_of_keys(section: str, values: Mapping[str, Any]) -> Iterator[str]:
-    """Lines of a section; a table within it is written in one line."""
+    """Lines of a section; a nested table takes one line."""
     for name, value in values.items():
         if value is None or f"{section}.{name}" in TAKEN_FROM_ELSEWHERE:
             continue

@@ -1,7 +1,7 @@
-"""What a campaign is: the frozen `Configuration` that a TOML file is turned into.
+"""Frozen `Configuration` of a campaign, read from a TOML file.
 
-Each section of the file is described by one or two dataclasses, whose fields are the keys of the section. Where
-there are two, one comes from `calcidem.dem` and the other holds what a campaign adds to it.
+Each section of the file corresponds to one or two dataclasses, whose fields are its keys. If there are two, one is from
+`calcidem.dem` and the other has additional keys of campaigns.
 """
 
 import itertools
@@ -41,46 +41,46 @@ Section = TypeVar("Section", bound="DataclassInstance")
 _MOST_SEEDS = 1_000_000
 
 _FEWEST_SEEDS_UNTIL = 8
-"""Seeds below which a standard deviation is too uncertain to decide how many more there should be."""
+"""Number of seeds below which a standard deviation is too uncertain to determine further seeds."""
 
 _LONGEST_NAME = 200
-"""Bytes: file systems take 255, and endings and the names of temporary files need some."""
+"""Largest length in bytes; file systems allow 255, of which endings and temporary names need some."""
 
 PHYSICS_VERSION = 4
-"""Raise it with each change of the results of a configuration, or of a default; part of the campaign's hash."""
+"""Part of the campaign's hash; increase it with each change of results or defaults."""
 
 
 def _is_file_name(name: str) -> bool:
-    """Whether files can have this name."""
+    """Whether this is a possible file name."""
     is_plain = name.strip() == name != "" and not set(name) & set("/\\\0\n")
     return is_plain and len(name.encode()) <= _LONGEST_NAME
 
 
 def _are_seeds(seeds: tuple[int, ...]) -> bool:
-    """Whether a list has seeds, none of them twice and no more than can be planned."""
+    """Whether a list has seeds, without repetition and not too many."""
     return 0 < len(seeds) == len(set(seeds)) <= _MOST_SEEDS
 
 
 def _are_contents(contents: tuple[float, ...]) -> bool:
-    """Whether a list has contents, all different for the store."""
+    """Whether a list has contents, all different in the store."""
     return 0 < len(contents) == len({canonical_content(content) for content in contents})
 
 
 @dataclass(frozen=True, slots=True)
 class WantedIntervals:
-    """Table ``until`` of section ``[campaign]``: half-widths of 95 % intervals over what they are of.
+    """Table ``until`` of section ``[campaign]``: relative half-widths of 95 % intervals.
 
     Attributes
     ----------
     mean, sd
-        Of the mean of Vs and of its standard deviation at each content; None for any width.
+        Half-widths for mean and standard deviation of Vs at each content; None for any width.
     """
 
     mean: Annotated[float, Interval(gt=0.0, lt=1.0)] | None = None
     sd: Annotated[float, Interval(gt=0.0, lt=1.0)] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a table that asks for nothing."""
+        """Refuse a table without a value."""
         require_fields(self)
         asked = self.mean is not None or self.sd is not None
         require(asked, "mean", self.mean, "give mean or sd, for instance mean = 0.02", "sd")
@@ -88,7 +88,7 @@ class WantedIntervals:
 
 @dataclass(frozen=True, slots=True)
 class CampaignPlan:
-    """Section ``[campaign]``: which cells are computed.
+    """Section ``[campaign]``: cells to compute.
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class CampaignPlan:
     most_seeds: Annotated[int, Interval(ge=1, le=_MOST_SEEDS)] = 1000
 
     def __post_init__(self) -> None:
-        """Refuse empty, double and negative entries."""
+        """Refuse empty, repeated and negative entries."""
         require_fields(self)
         if self.until is not None:
             cure = f"give a number of {_FEWEST_SEEDS_UNTIL} to campaign.most_seeds, {self.most_seeds}: until adds to it"
@@ -138,13 +138,13 @@ class CampaignPlan:
 
     @property
     def seed_numbers(self) -> tuple[int, ...]:
-        """The seeds one by one."""
+        """All seeds."""
         return tuple(range(1, self.seeds + 1)) if isinstance(self.seeds, int) else self.seeds
 
 
 @dataclass(frozen=True, slots=True)
 class PackingDraw:
-    """The rest of section ``[packing]``: which of the possible packings is made, or the file that the user's is in.
+    """Further keys of section ``[packing]``: seed of the packing, or the user's file of disks.
 
     Attributes
     ----------
@@ -153,7 +153,8 @@ class PackingDraw:
     file
         CSV file of disks (`calcidem.dem.sample.packing_file`), relative to the configuration's folder.
     file_sha256
-        Of the file's content, as 64 hexadecimal digits: it is the content that makes the campaign, not its name.
+        SHA-256 of the file's content, 64 hexadecimal digits; the campaign's identity depends on the content, not the
+        name.
     """
 
     seed: Annotated[int, Interval(ge=0)] = 1
@@ -166,12 +167,12 @@ class PackingDraw:
 
 
 SETTLED_BY_FILE = ("seed", "height", "diameter", "porosity", "expansion_steps")
-"""Keys of ``[packing]`` that have no meaning where the disks are in a file."""
+"""Keys of ``[packing]`` without meaning if the disks are in a file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """The rest of section ``[sand]``.
+    """Further keys of section ``[sand]``.
 
     Attributes
     ----------
@@ -182,13 +183,13 @@ class Calibration:
     wave_stiffness_factor: Annotated[Positive, "a positive factor, 1 for none"] = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse what is not a stiffness."""
+        """Refuse impossible factors."""
         require_fields(self)
 
 
 @dataclass(frozen=True, slots=True)
 class Bonding:
-    """The rest of section ``[cement]``.
+    """Further keys of section ``[cement]``.
 
     Attributes
     ----------
@@ -199,12 +200,12 @@ class Bonding:
     installation: Installation = "preserve"
 
     def __post_init__(self) -> None:
-        """Refuse what is none of the choices."""
+        """Refuse unknown choices."""
         require_fields(self)
 
 
 def _are_rising(contents: tuple[float, ...]) -> bool:
-    """Whether a list has contents, each above the one before."""
+    """Whether a list has increasing contents."""
     return bool(contents) and all(low < high for low, high in itertools.pairwise(contents))
 
 
@@ -240,7 +241,7 @@ class FrequencyTable:
 
 @dataclass(frozen=True, slots=True)
 class Excitation:
-    """The rest of section ``[wave]``.
+    """Further keys of section ``[wave]``.
 
     Attributes
     ----------
@@ -256,12 +257,12 @@ class Excitation:
     ] = None
 
     def __post_init__(self) -> None:
-        """Refuse what is not a frequency."""
+        """Refuse invalid frequencies."""
         require_fields(self)
 
     @property
     def table(self) -> FrequencyTable | None:
-        """The frequencies as a table, however they were given; None where they are chosen from the samples."""
+        """Frequencies as a table; None if they are chosen from the samples."""
         if self.frequency == "auto":
             return None
         if isinstance(self.frequency, FrequencyTable):
@@ -273,14 +274,14 @@ class Excitation:
 
 
 def _is_part(value: object) -> bool:
-    """Whether a value is the text of a part's number and of the number of parts."""
+    """Whether a text has the form K/N of a part's number and the number of parts."""
     found = re.fullmatch("([0-9]{1,6})/([0-9]{1,6})", value, re.ASCII) if isinstance(value, str) else None
     return found is not None and 1 <= int(found[1]) <= int(found[2])
 
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """Section ``[run]``: what does not change the physics.
+    """Section ``[run]``: settings that do not change the physics.
 
     Attributes
     ----------
@@ -306,7 +307,7 @@ class RunOptions:
     time_limit: (
         Annotated[
             float,
-            Interval(gt=0.0, le=1e9),  # clocks of some systems end at 2^31
+            Interval(gt=0.0, le=1e9),  # some clocks end at 2^31 s
             Unit("s"),
             "seconds above 0 and up to 1e9, or leave the key out",
         ]
@@ -330,31 +331,31 @@ class RunOptions:
         return int(number), int(parts)
 
     def __post_init__(self) -> None:
-        """Refuse what the kernel and the file system do not know."""
+        """Refuse values that kernel or file system cannot use."""
         require_fields(self)
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """A campaign, checked as a whole; see `calcidem.app.config.reader` for how it is read.
+    """Configuration of a campaign, checked as a whole; `calcidem.app.config.reader` reads it.
 
     Attributes
     ----------
     campaign, run
-        What is planned, and how it is computed and stored: neither changes what a cell gives.
+        Planned cells, and settings of computing and storing; neither changes the result of a cell.
     packing, packing_draw
-        How the packing is made, and which one.
+        Rule of the packing, and its seed or file.
     sand, calibration, cement, bonding
-        Materials, and how bonds between grains begin.
+        Materials, and initial state of bonds.
     pattern
-        Where cement goes.
+        Distribution of the cement.
     wave, excitation
-        The wave that is sent, and its frequency.
+        Transmitted wave, and its frequency.
     pick, velocity_choice
-        How its arrival is read, and what becomes Vs.
+        Criteria of the arrival, and method for Vs.
     """
 
-    # How pydantic reads values into this class and its parts. A plain mapping: workers load no pydantic.
+    # Settings for pydantic to read this class and its parts; a plain mapping, so that workers do not import pydantic.
     __pydantic_config__: ClassVar[dict[str, object]] = {"strict": True, "allow_inf_nan": False, "extra": "forbid"}
 
     campaign: CampaignPlan = field(default_factory=CampaignPlan)
@@ -372,9 +373,9 @@ class Configuration:
 
     @classmethod
     def from_physics(cls, physics: Mapping[str, Any]) -> Self:
-        """Rebuild what cells are computed with, but not what the packing is made from nor which cells are planned.
+        """Rebuild the physics of cells, without the making of the packing and the planned cells.
 
-        `StoreError` if a section of `physics` is missing, `ValueError` if one holds what this calcidem refuses.
+        `StoreError` if a section of `physics` is missing, `ValueError` if this version refuses a value.
         """
         sections = ("root_seed", "sand", "cement", "pattern", "wave", "pick")
         if missing := [name for name in sections if name not in physics]:
@@ -399,7 +400,7 @@ class Configuration:
 
     @cached_property
     def physics(self) -> dict[str, Any]:
-        """Everything that changes what a cell gives, section by section, ready for JSON."""
+        """All settings that change the result of a cell, by section, ready for JSON."""
         table = self.excitation.table
         return {
             "physics_version": PHYSICS_VERSION,
@@ -414,32 +415,32 @@ class Configuration:
 
     @property
     def packing_origin(self) -> dict[str, Any]:
-        """What the packing is made from, ready for JSON: no key that does not matter, and no file name."""
+        """Settings that determine the packing, ready for JSON, without irrelevant keys and file names."""
         values = _to_stored(self.packing) | _to_stored(self.packing_draw)
         left_out = ("file", *(SETTLED_BY_FILE if values["file"] is not None else ()))
         return {name: value for name, value in values.items() if name not in left_out and value is not None}
 
     @cached_property
     def hash(self) -> str:
-        """Identity of the campaign's physics, 64 hexadecimal digits: SHA-256 of what departs from the defaults.
+        """Identity of the campaign's physics: SHA-256 of the values that differ from the defaults, 64 hexadecimal digits.
 
-        A key at its default is not hashed, so that a new key leaves the identity of all campaigns as it is. Keys that
-        only choose cells or machines are not part of `physics`, and never hashed.
+        A key at its default is not hashed, so a new key does not change the identity of campaigns. Keys that only
+        choose cells or machines are not part of `physics`.
         """
         return canonical_hash({"physics_version": PHYSICS_VERSION} | _departures(self.physics, Configuration().physics))
 
     @cached_property
     def packing_hash(self) -> str:
-        """Identity of the packing: hash of everything that it is made from and that is not at its default."""
+        """Identity of the packing's rule: hash of its settings that differ from the defaults."""
         departures = _departures(self._packing_maker, Configuration()._packing_maker)  # noqa: SLF001 - the same class
         return canonical_hash({"identity_of": "packing", "physics_version": PHYSICS_VERSION} | departures)
 
     @property
     def _packing_maker(self) -> dict[str, Any]:
-        """What makes the packing. The friction of the sand does not, since the packing has its own."""
+        """Settings that determine the packing, without the sand's friction, which the packing does not use."""
         sand = _to_stored(replace(self.sand, friction=self.packing.friction_preparation))
         maker = {"packing": self.packing_origin, "sand": sand}
-        # Disks from a file have nothing random.
+        # Disks from a file are not random.
         return maker if self.packing_draw.file is not None else maker | {"root_seed": self.campaign.root_seed}
 
     @property
@@ -456,12 +457,12 @@ class Configuration:
 
     @property
     def netcdf(self) -> Path:
-        """File name of the export: beside the database, or in the output folder if that is on a server."""
+        """File name of the export: beside the database, or in the output folder for a database on a server."""
         path = Address.parse(self.database).path
         return self.output / f"{self.campaign.name}.nc" if path is None else path.with_suffix(".nc")
 
     def record(self) -> CampaignRecord:
-        """Return the campaign as it is stored, without its plan."""
+        """Return the record of the campaign, without its plan."""
         return CampaignRecord(
             hash=self.hash,
             name=self.campaign.name,
@@ -472,7 +473,7 @@ class Configuration:
         )
 
     def experiment(self, packing: Packing) -> Experiment:
-        """Everything that the cells share, with the packing they are made from."""
+        """Common settings of all cells, with their packing."""
         table = self.excitation.table
         return Experiment(
             packing=packing,
@@ -489,7 +490,7 @@ class Configuration:
 
 
 def _departures(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Keys, at all levels, whose values are not those of the defaults."""
+    """Keys, at all levels, with values other than the defaults."""
     found: dict[str, Any] = {}
     for key, value in values.items():
         default = defaults.get(key)
@@ -500,11 +501,11 @@ def _departures(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[
 
 
 def _to_stored(section: "DataclassInstance") -> dict[str, Any]:
-    """Keys and values of a section as stored configurations have them, ready for JSON."""
+    """Keys and values of a section for stored configurations, ready for JSON."""
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(section).items()}
 
 
 def _from_stored(kind: type[Section], stored: Mapping[str, Any]) -> Section:
-    """Make a section of what `_to_stored` gave; keys that are not its own are left alone."""
+    """Make a section from the result of `_to_stored`; other keys are ignored."""
     values = {field.name: stored[field.name] for field in fields(kind) if field.name in stored}
     return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})

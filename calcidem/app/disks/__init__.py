@@ -1,1 +1,1 @@
-"""Disks of other programs, brought into the form of a packing."""
+"""Import of disks of other programs as a packing."""

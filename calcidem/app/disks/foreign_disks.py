@@ -1,4 +1,4 @@
-"""Disks as other programs write them: LAMMPS data and dump files, text exports of YADE, tables such as PFC's lists."""
+"""Readers of disks of other programs: LAMMPS data and dump files, text exports of YADE, tables such as PFC's lists."""
 
 import csv
 import gzip
@@ -17,12 +17,12 @@ _ATOM_STYLES = {
     "sphere": ("id", "type", "diameter", "density", "x", "y", "z"),
     "bpm/sphere": ("id", "molecule", "type", "diameter", "density", "x", "y", "z"),
 }
-"""Columns of the atom styles of LAMMPS that have a size (manual, command read_data)."""
+"""Columns of the LAMMPS atom styles with sizes (manual, command read_data)."""
 
 _ATOMS_LINE = r"\s*\d+\s+atoms\b"
 _IMAGE_FLAGS = 3
 _UNIT_STYLES = {"si": "m", "cgs": "cm", "micro": "um", "nano": "nm"}
-"""Unit of length of those unit styles of LAMMPS that have one a packing may be in (manual, command units)."""
+"""Unit of length of LAMMPS unit styles that suit a packing (manual, command units)."""
 
 _PLACE = re.compile(
     r"(?:ball)?(?:pos(?:ition)?|coord(?:inate)?|cent(?:er|re)|centroid|c)?([xyz])(?:u|pos(?:ition)?|cent(?:er|re))?"
@@ -43,33 +43,33 @@ _MOST_SHOWN_STEPS = 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ForeignDisks:
-    """Content of a file, in its own unit and frame."""
+    """Content of a file, in its unit and frame."""
 
     form: str
     evidence: str
-    """What the file was taken for, and why."""
+    """Detected format of the file, and evidence for it."""
     lines: Integers
     """(N,) line of each disk in the file."""
     place: Floats
-    """(N, 3) centres; without a column z the third is 0."""
+    """(N, 3) centres; z is 0 without such a column."""
     radius: Floats
     """(N,)."""
     kinds: tuple[str, ...] | None = None
     """(N,) types, groups or materials, as text; None without such a column."""
     box: Floats | None = None
-    """(3, 2) lowest and highest x, y and z of the box that the file names; None if it names none."""
+    """(3, 2) lowest and highest x, y and z of the box in the file; None without one."""
     unit: str = ""
-    """Unit of length that the file names; empty if it names none."""
+    """Unit of length in the file; empty without one."""
     skipped: tuple[int, ...] = ()
-    """Lines below the first disk that are none."""
+    """Lines below the first disk that are not disks."""
 
     @staticmethod
     def read(file: Path, columns: Sequence[str] = (), timestep: int | None = None) -> "ForeignDisks":
-        """Read the disks of a file, text or text compressed with gzip, whose format its content tells.
+        """Read the disks of a file, text or text compressed with gzip; its content determines the format.
 
-        ``columns`` are names of the columns from the left, in place of those in the file; what is called otherwise than
-        x, y, z, radius, diameter, type or id is left alone. Of a LAMMPS dump the snapshot of a timestep is read, by
-        default the last one. `PackingFileError` names file, line and cure.
+        ``columns`` are names of the columns from the left, instead of those in the file; names other than x, y, z,
+        radius, diameter, type and id are ignored. In a LAMMPS dump the snapshot of ``timestep`` is read, by default the
+        last one. `PackingFileError` names file, line and remedy.
         """
         try:
             content = file.read_bytes()
@@ -89,7 +89,7 @@ class ForeignDisks:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """Numbered lines of a file cut into entries, and what their columns are called; the rest as in `ForeignDisks`."""
+    """Numbered lines of a file split into entries, and names of the columns; other fields as in `ForeignDisks`."""
 
     form: str
     evidence: str
@@ -101,7 +101,7 @@ class _Rows:
 
 
 def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int | None], _Rows]:
-    """Reader for what the first lines are."""
+    """Reader for the format of the first lines."""
     head = next((line for line in lines if line.strip()), "")
     if head.startswith("ITEM:"):
         return _read_dump
@@ -113,7 +113,7 @@ def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int |
 
 
 def _find_line(lines: list[str], pattern: str) -> int | None:
-    """Index of the first line that begins like a pattern."""
+    """Index of the first line that matches a pattern."""
     return next((index for index, line in enumerate(lines) if re.match(pattern, line)), None)
 
 
@@ -188,7 +188,7 @@ def _read_dump(file: Path, lines: list[str], timestep: int | None) -> _Rows:
 
 
 def _refuse_missing(file: Path, line: str, entries: list[tuple[int, list[str]]]) -> None:
-    """Refuse fewer or more atoms than a line states."""
+    """Refuse another number of atoms than stated."""
     if int(line.split(maxsplit=1)[0]) != len(entries):
         raise PackingFileError(f"{file} says '{line.strip()}', but has {len(entries)} atoms; was it cut off?")
 
@@ -202,7 +202,7 @@ def _read_yade(_file: Path, lines: list[str], _timestep: int | None) -> _Rows:
 
 
 def _read_table(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
-    """Table with named columns: CSV with any delimiter, or a list as PFC prints it."""
+    """Table with named columns: CSV with any delimiter, or a list printed by PFC."""
     first = next((index for index, line in enumerate(lines) if _has_numbers(_cut(line))), None)
     if first is None:
         raise PackingFileError(f"{file} has no line of numbers; give a table with the columns x, y and radius")
@@ -234,12 +234,12 @@ def _read_table(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
 
 
 def _delimiter_of(line: str) -> str:
-    """What separates the entries of a line; empty for white space."""
+    """Delimiter of the entries of a line; empty for white space."""
     return "" if "(" in line else next((mark for mark in _DELIMITERS if mark in line), "")
 
 
 def _cut(line: str, delimiter: str | None = None) -> list[str]:
-    """Entries of a line; a vector in brackets is several, and where a comma separates nothing it is a decimal one."""
+    """Entries of a line; a vector in brackets gives several; a comma other than the delimiter is decimal."""
     delimiter = _delimiter_of(line) if delimiter is None else delimiter
     if not delimiter:
         return re.sub(r"[()\[\],]", " ", line).split()
@@ -248,12 +248,12 @@ def _cut(line: str, delimiter: str | None = None) -> list[str]:
 
 
 def _names(line: str, delimiter: str, count: int) -> list[str]:
-    """Names of the columns in a line; one of a vector stands for its components, of which rows of `count` have more."""
+    """Names of the columns in a line; of a vector those of its components, if rows have `count` entries."""
     line = line.strip().lstrip("#;%").strip()
     if delimiter:
         return [name.strip() for name in next(csv.reader([line], delimiter=delimiter), [])]
     line = re.sub(r"\b(pos\w*|coord\w*|cent\w*)[\s.:-]+([xyz])\b", r"\1\2", line, flags=re.IGNORECASE)
-    line = re.sub(r"\s+([\[(]\s*\w+\s*[\])])", r"\1", line)  # a unit belongs to the name before it
+    line = re.sub(r"\s+([\[(]\s*\w+\s*[\])])", r"\1", line)  # a unit belongs to the preceding name
     line = re.sub(r"\bball\s+(id|radius)\b", r"\1", line, flags=re.IGNORECASE)
     names: list[str] = []
     words = line.replace(",", " ").split()
@@ -272,13 +272,13 @@ def _is_number(word: str) -> bool:
 
 
 def _has_numbers(words: list[str]) -> bool:
-    """Whether a line can be a disk: three numbers or more, and at least half of its entries."""
+    """Whether a line can be a disk: at least three numbers, which are at least half of its entries."""
     count = sum(map(_is_number, words))
     return count >= _NUMBERS_OF_A_DISK and 2 * count >= len(words)
 
 
 def _meaning_of(name: str) -> str:
-    """What a column of that name holds; the name itself if nothing that counts."""
+    """Meaning of a column of that name; the name itself if unknown."""
     plain = re.sub(r"[^a-z0-9]", "", _UNIT_IN_NAME.sub("", name.strip()).lower())
     place = _PLACE.fullmatch(plain)
     if place:
@@ -289,7 +289,7 @@ def _meaning_of(name: str) -> str:
 
 
 def _disks_of(file: Path, rows: _Rows) -> ForeignDisks:
-    """Disks of rows, in the order of their numbers if they have some."""
+    """Disks of rows, in the order of their numbers if given."""
     columns: dict[str, int] = {}
     for place, name in enumerate(rows.names):
         columns.setdefault(_meaning_of(name), place)

@@ -1,4 +1,4 @@
-"""Disks of another program made a file that ``[packing] file`` takes, and a report on what was read."""
+"""Import of disks of another program into a file for ``[packing] file``, with a report."""
 
 import os
 from collections import Counter
@@ -19,44 +19,44 @@ _LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
 """Metres in each unit."""
 
 _OUT_OF_PLANE = 0.1
-"""Of its radius: disks farther from the plane of the others are no part of it."""
+"""Distance over its radius, above which a disk does not belong to the plane of the others."""
 _WALL_OVERLAP = 0.01
-"""Of the smallest radius: as deep as disks lie in a wall. As near to a round number, the wall is taken to be there."""
+"""Overlap with a wall over the smallest radius; a wall as near to a round number is placed there."""
 _LARGEST_SAND = 0.02
 _SMALLEST_SAND = 2e-5
-"""m; mean diameters beyond these are told, since a unit may be meant otherwise."""
+"""m; mean diameters beyond these are reported, since the unit may be wrong."""
 _LOOSE = 1.0
-"""Touching pairs over disks, below which it is told: nothing stands with fewer than 1.5."""
+"""Touching pairs over disks below which a note is given; below 1.5 a packing is unstable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedPacking:
-    """What was read from a file, and what became of it; its text is the report."""
+    """Imported disks of a file; its text is the report."""
 
     source: Path
     out: Path
-    """The file that was read, and the one that was written."""
+    """File that was read, and file that was written."""
     form: str
     evidence: str
-    """What the source was taken for, and why."""
+    """Detected format of the source, and evidence for it."""
     x: Floats
     y: Floats
     radius: Floats
     """(N,) m; left wall and floor are at 0."""
     width: float
     height: float
-    """Of the box: between the walls, and up to the highest disk, m."""
+    """Size of the box: between the walls, and up to the highest disk, m."""
     origin: tuple[float, float]
     """Left wall and floor in the frame of the source, m."""
     left_out: tuple[str, ...]
-    """Sentences on disks and lines that are not part of it."""
+    """Sentences about disks and lines that were left out."""
     remarks: tuple[str, ...]
-    """Sentences on the unit, the walls and what looks strange."""
+    """Sentences about the unit, the walls and suspicious values."""
     pairs: int
     """Number of touching pairs."""
     mean_overlap: float
     largest_overlap: float
-    """Of them, m; 0 without any."""
+    """Mean and largest overlap of these, m; 0 without any."""
 
     @property
     def porosity(self) -> float:
@@ -64,7 +64,7 @@ class ImportedPacking:
         return 1.0 - float(np.pi * np.sum(self.radius**2)) / (self.width * self.height)
 
     def __str__(self) -> str:
-        """Report, a line for each thing."""
+        """Report in lines."""
         return "\n".join(self._lines())
 
     def _lines(self) -> Iterator[str]:
@@ -93,31 +93,31 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
     walls: Sequence[float] | None = None,
     timestep: int | None = None,
 ) -> ImportedPacking:
-    """Read the disks of another program, and write them as a CSV file that ``[packing] file`` takes.
+    """Read the disks of another program, and write them to a CSV file for ``[packing] file``.
 
-    `PackingFileError` if the source can't be read as disks, or they lie in one another or in several planes.
+    `PackingFileError` if the source cannot be read as disks, or they overlap deeply or lie in several planes.
 
     Parameters
     ----------
     source
         LAMMPS data file or text dump, text export of YADE, list of PFC, or a table with named columns; its content
-        tells which.
+        determines the format.
     out
         CSV file with x, y and radius in m, floor and left wall at 0.
     unit
-        Unit of length: m, cm, mm, um or nm. By default that of the file, and m if it has none.
+        Unit of length: m, cm, mm, um or nm. By default that of the file, or m without one.
     columns
-        Names of the columns from the left, in place of the file's: x, y, z, radius or diameter, type, id; what is
-        called otherwise is left alone.
+        Names of the columns from the left, instead of those in the file: x, y, z, radius or diameter, type, id; other
+        names are ignored.
     types
         Only disks of these types, groups or materials.
     plane
         Axes of the source that become x and y.
     walls
-        Left wall, right wall, floor and lid, in the source's unit and frame; disks that reach beyond are left out. By
-        default the outermost disks touch them, or nearly so those of a box in the file, or round numbers.
+        Left wall, right wall, floor and lid, in the source's unit and frame; disks beyond them are left out. By default
+        the outermost disks touch the walls. A box in the file or round numbers nearby are preferred.
     timestep
-        Which snapshot of a LAMMPS dump; by default the last one.
+        Snapshot of a LAMMPS dump; by default the last one.
 
     Examples
     --------
@@ -173,7 +173,7 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
 
 
 def _metres(found: ForeignDisks, unit: str | None) -> tuple[float, list[str]]:
-    """Metres in the source's unit, and where that is from."""
+    """Source's unit in metres, and its origin."""
     if unit is not None and unit not in _LENGTH_UNITS:
         raise PackingFileError(f"unit = '{unit}' is none of {', '.join(_LENGTH_UNITS)}; give one of them")
     if unit is not None:
@@ -194,7 +194,7 @@ def _axes(plane: str) -> list[int]:
 def _choose_disks(
     source: Path, found: ForeignDisks, place: Floats, radius: Floats, types: Sequence[str]
 ) -> tuple[Flags, list[str]]:
-    """Disks (N,) of the given types that have a size and lie in one plane, and sentences on the others."""
+    """Disks (N,) of the given types with a size, in one plane, and sentences about the others."""
     kept = np.ones(len(radius), dtype=bool)
     left_out = []
     if found.skipped:
@@ -226,7 +226,7 @@ def _choose_disks(
 
 
 def _box_of(place: Floats, radius: Floats, bounds: Floats | None, given: Floats | None) -> tuple[Floats, str]:
-    """Walls [[left, right], [floor, lid]] in m, and where they are from."""
+    """Walls [[left, right], [floor, lid]] in m, and their origin."""
     if given is not None:
         if not (np.diff(given) > 0.0).all():
             raise PackingFileError("walls have to be left, right, floor and lid, each pair from low to high")
@@ -246,13 +246,13 @@ def _box_of(place: Floats, radius: Floats, bounds: Floats | None, given: Floats 
 
 
 def _reach_beyond(place: Floats, radius: Floats, box: Floats) -> Flags:
-    """Disks (N,) that lie in a wall or the lid by more than a disk may."""
+    """Disks (N,) that overlap a wall or the lid too deeply."""
     gap = np.minimum(place[:, :2] - box[:, 0], box[:, 1] - place[:, :2]).min(axis=1)
     return np.asarray(gap < (1.0 - LARGEST_OVERLAP) * radius)
 
 
 def _suspicions(radius: Floats, pairs: int, deepest: float) -> Iterator[str]:
-    """What looks as if something were meant otherwise."""
+    """Notes about suspicious values."""
     mean = 2.0 * float(radius.mean())
     if not _SMALLEST_SAND <= mean <= _LARGEST_SAND:
         yield f"Is the unit right? A mean diameter of {mean:.3g} m is no sand's."

@@ -1,14 +1,14 @@
-"""Example configurations, and the packings they are computed on."""
+"""Example configurations, and their packings."""
 
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
 PRESETS = ("quick", "paper", "paper-small-pulse", "paper-literal", "paper-locked")
-"""Names of the example configurations that come with calcidem."""
+"""Names of the example configurations in calcidem."""
 
 
 def preset_text(name: str) -> str:
-    """Text of one of the example configurations in `PRESETS`; `ValueError` for another name."""
+    """Text of an example configuration in `PRESETS`; `ValueError` for another name."""
     if name not in PRESETS:
         raise ValueError(f"name = '{name}': there is no such preset; give one of {', '.join(PRESETS)}")
     return files(__name__).joinpath(f"{name}.toml").read_text(encoding="utf-8")
