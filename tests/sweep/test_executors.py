@@ -8,7 +8,6 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
@@ -242,9 +241,10 @@ def test_the_heart_beats_twice_a_second() -> None:
     progress: Any = SimpleNamespace(on_heartbeat=lambda **_: None)
     nothing: Any = None  # is asked
     master = _Master(nothing, sink, progress, nothing, SweepOptions(), nothing)
+    begun = time.monotonic()
     while len(beats) < 3:
         master._beat(workers=1, running=1)
-    assert min(later - beat for beat, later in pairwise(beats)) >= 0.5
+    assert beats[-1] - begun >= 1.0
 
 
 @pytest.mark.parametrize(("batch", "hurried"), [(None, False), (Batch(1, ((3, 5.0),)), True)])
