@@ -422,7 +422,7 @@ class Configuration:
 
     @cached_property
     def hash(self) -> str:
-        """Identity of the campaign's physics: SHA-256 of the values that differ from the defaults, 64 hexadecimal digits.
+        """Identity of the campaign's physics: SHA-256 of the values other than defaults, 64 hexadecimal digits.
 
         A key at its default is not hashed, so a new key does not change the identity of campaigns. Keys that only
         choose cells or machines are not part of `physics`.
