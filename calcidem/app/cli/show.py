@@ -33,7 +33,7 @@ def show_command(
     from calcidem.storage.store import Selection
 
     with read_campaign(database, campaign) as store:
-        store.cell(seed=seed, content=content)  # raises a clear error if there is none
+        store.cell(seed=seed, content=content)  # raises an error if there is none
         (row,) = as_rows(store.table(tuple(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,))))
     if layout is Format.TABLE:
         from calcidem.app.cli.tables import make_console, make_table

@@ -1,1 +1,1 @@
-"""What a campaign needs of a machine, each point checked by trying it out."""
+"""Checks of a machine for a campaign, each by a trial."""

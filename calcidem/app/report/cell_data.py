@@ -1,4 +1,4 @@
-"""What the page needs to show single cells: records, signals, cement patterns and paths, compressed."""
+"""Data of single cells for the page: records, signals, cement patterns and paths, compressed."""
 
 import json
 import zlib
@@ -24,11 +24,11 @@ from calcidem.storage.store import ALL_CELLS, Selection
 
 MOST_FULL_RECORDS = 10_000
 SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")
-"""Quantities of a cell where the campaign has more cells than that."""
+"""Quantities of a cell if the campaign has more cells than this."""
 
 _MOST_POINTS = 300
 _LEVELS = 2000
-"""Times at which a signal is kept, and steps from zero to its largest value: both finer than a screen's pixels."""
+"""Numbers of times of a signal, and of levels from zero to its largest value; both are finer than a screen's pixels."""
 
 _MICROMETRES = 1e6
 
@@ -36,28 +36,29 @@ _MICROMETRES = 1e6
 _MOST_TIMES = 90
 
 _TRACE_LEVELS = 40
-"""Times at which a trace is kept, and steps from zero to its largest value: finer than the lines of the drawing."""
+"""Numbers of times of a trace, and of levels from zero to its largest value; both are finer than the drawing's lines.
+"""
 
 _MOST_PEAKS = 5
-"""Peaks that are shown, the most coherent ones."""
+"""Number of displayed peaks, the most coherent ones."""
 
-_SAME = 1e-3  # of a travel time, by which a peak is that of the stored velocity
+_SAME = 1e-3  # relative difference of travel times below which a peak is that of the stored velocity
 
 
 @dataclass(frozen=True, slots=True)
 class _CellData:
-    """What the script of the page reads."""
+    """Data for the script of the page."""
 
     blocks: Mapping[str, str]
-    """Compressed JSON in base64 by the id of its element: "records", "packing-0", ..., "seed-1", ..."""
+    """Compressed JSON in base64 by id of its element: "records", "packing-0", ..., "seed-1", ..."""
     remarks: tuple[str, ...]
-    """What is left out, in sentences."""
+    """Sentences about omitted data."""
 
 
 def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
-    """Gather records of all cells, signals and samples of as many seeds as fit, and then sections of as many.
+    """Gather records of all cells, signals and samples of as many seeds as fit, and then sections likewise.
 
-    All blocks together may take ``room`` bytes of the page; records and packings are always there.
+    All blocks together may take ``room`` bytes of the page; records and packings are always included.
     """
     blocks: dict[str, str] = {}
     remarks: list[str] = []
@@ -101,7 +102,7 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
 
 
 def _analysed_samples(analysis: CampaignAnalysis) -> dict[tuple[int, float], MeasuredSample]:
-    """Give the samples whose paths were analysed, by seed and content: their cement is not drawn again."""
+    """Return the samples with analysed paths, by seed and content, whose cement need not be drawn again."""
     try:
         return {(sample.seed, sample.content): sample for sample in analysis.samples}
     except UnavailableError:
@@ -111,14 +112,14 @@ def _analysed_samples(analysis: CampaignAnalysis) -> dict[tuple[int, float], Mea
 def _with_unknown_cement(
     analysis: CampaignAnalysis, cells: list[CellResult], known: Mapping[tuple[int, float], MeasuredSample]
 ) -> list[CellResult]:
-    """Give the cells of a seed, those that are not known with their cement."""
+    """Return the cells of a seed, unknown ones with their cement."""
     strange = [cell for cell in cells if (cell.key.seed, cell.key.content) not in known]
     with_cement = {cell.key: cell for cell in analysis.with_cement(analysis.store, strange)}
     return [with_cement.get(cell.key, cell) for cell in cells]
 
 
 def _gather_sections(analysis: CampaignAnalysis, seeds: Sequence[int], room: int) -> tuple[int, dict[str, str]]:
-    """Gather the sections of as many of the seeds as fit: how many seeds, and the blocks of those that have some."""
+    """Gather the sections of as many seeds as fit; return the number of seeds, and the blocks of their sections."""
     blocks: dict[str, str] = {}
     for drawn, seed in enumerate(seeds):
         sections = describe_sections(analysis, analysis.store.results(Selection(seed), with_arrays=("section",)))
@@ -132,7 +133,7 @@ def _gather_sections(analysis: CampaignAnalysis, seeds: Sequence[int], room: int
 
 
 def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str, Any]:
-    """Give quantities as columns over seeds, then contents; those that no cell has are left out."""
+    """Return quantities as columns over seeds, then contents, without those that no cell has."""
     cells = analysis.cells.assign(status=analysis.status)
     columns = {name: numbers_or_none(cells[name].to_numpy().ravel()) for name in names}
     shown = [
@@ -146,9 +147,9 @@ def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str,
 
 
 def describe_axes(seeds: NDArray[np.int64], contents: NDArray[np.float64], names: Collection[str]) -> dict[str, Any]:
-    """Give what the script has to know of all records: seeds as texts, contents (percent), and the quantities."""
+    """Return the header of the records for the script: seeds as texts, contents (percent), and quantities."""
     return {
-        "seeds": [str(seed) for seed in seeds.tolist()],  # a number of 63 bits would not be exact there
+        "seeds": [str(seed) for seed in seeds.tolist()],  # JavaScript cannot hold a number of 63 bits exactly
         "contents": contents.tolist(),
         "quantities": [
             {"name": q.name, "kind": q.kind, "unit": readable_unit(q.unit), "meaning": q.meaning}
@@ -161,14 +162,14 @@ def describe_axes(seeds: NDArray[np.int64], contents: NDArray[np.float64], names
 
 
 def numbers_or_none(values: NDArray[Any]) -> list[Any]:
-    """Give numbers with six digits, whole ones as such, and None for what is missing."""
+    """Return numbers with six digits, whole ones unchanged, and None for missing ones."""
     if values.dtype.kind != "f":
         return [value or "" for value in values.tolist()]
     return [None if value != value else float(f"{value:.6g}") for value in values.tolist()]  # noqa: PLR0124 - NaN
 
 
 def packing_block(analysis: CampaignAnalysis, graph: PackingGraph) -> dict[str, Any]:
-    """Give disks in micrometres, contacts by the steps of their first grains, and the bands of the walls."""
+    """Return disks in micrometres, contacts by differences of their first grains, and the bands of the walls."""
     packing, wave = graph.packing, analysis.config["wave"]
     return {
         **{name: _rounded(getattr(packing, name) * _MICROMETRES) for name in ("x", "y", "radius")},
@@ -185,9 +186,9 @@ def describe_cells(
     graphs: tuple[PackingGraph, ...],
     known: Mapping[tuple[int, float], MeasuredSample],
 ) -> Iterator[dict[str, Any]]:
-    """Give signals, paths, and what each cell has cemented otherwise than the one before: far fewer contacts.
+    """Return signals, paths, and the changes of cemented contacts from cell to cell, which are few.
 
-    Of samples that are ``known`` by seed and content neither cement nor path is looked for again.
+    For samples ``known`` by seed and content, cement and path are not computed again.
     """
     before: dict[int, NDArray[np.uint8]] = {}
     for cell in cells:
@@ -201,7 +202,7 @@ def describe_cells(
             changed = kinds != before.get(cell.packing_index, np.zeros_like(kinds))
             before[cell.packing_index] = kinds
             described["cement"] = [_steps(np.flatnonzero(changed & (kinds == kind))) for kind in (0, 1, 2)]
-            with suppress(ValueError):  # of samples through which no path leads
+            with suppress(ValueError):  # for samples without a path
                 stored = tuple(cell.path.grains.tolist()) if cell.path else ()
                 path = sample.path if sample else graph.path(kinds > 0, stored)
                 described["path"] = _steps(path.grains)
@@ -209,7 +210,7 @@ def describe_cells(
 
 
 def describe_sections(analysis: CampaignAnalysis, cells: Iterable[CellResult]) -> list[dict[str, Any]]:
-    """Give the sections of the cells of one seed that have one."""
+    """Return the sections of the cells of one seed."""
     return [
         {"content": cell.key.content} | _describe_section(analysis, cell, cell.section)
         for cell in cells
@@ -218,9 +219,9 @@ def describe_sections(analysis: CampaignAnalysis, cells: Iterable[CellResult]) -
 
 
 def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, Any]:
-    """Give both signals as steps between levels, their peaks, and the arrivals in milliseconds."""
+    """Return both signals as differences of levels, their peaks, and the arrivals in milliseconds."""
     arrival = read_arrival(analysis, cell)
-    # Records without a reading are long, and are examined more closely.
+    # Records without a reading are long, and get more times.
     stride = -(-arrival.time.size // (_MOST_POINTS if cell.vs else 5 * _MOST_POINTS))
     described: dict[str, Any] = {
         "start": 1e3 * float(arrival.time[0]),
@@ -241,22 +242,22 @@ def _rounded(values: ArrayLike) -> list[int]:
 
 
 def _steps(values: ArrayLike) -> list[int]:
-    """Give whole numbers as differences, which compress better."""
+    """Return whole numbers as differences, which compress better."""
     return _rounded(np.diff(_rounded(values), prepend=0))
 
 
 def _compress(described: object) -> str:
-    """Give data as the page holds them: JSON, deflated, in base64."""
+    """Return data for the page: JSON, deflated, in base64."""
     return pack(json.dumps(described, separators=(",", ":"), allow_nan=False).encode())
 
 
 def pack(content: bytes) -> str:
-    """Give bytes as the page holds them, deflated, in base64."""
+    """Return bytes for the page: deflated, in base64."""
     return b64encode(zlib.compress(content, 9)).decode()
 
 
 def _describe_section(analysis: CampaignAnalysis, cell: CellResult, stored: RecordedSection) -> dict[str, Any]:
-    """Give the motion across the path without the P wave at each place, in steps between levels, and the peaks.
+    """Return the motion across the path without the P wave at each place, as differences of levels, and the peaks.
 
     Times are in milliseconds, places in millimetres.
     """
@@ -266,7 +267,7 @@ def _describe_section(analysis: CampaignAnalysis, cell: CellResult, stored: Reco
     travel = None if cell.vs_peak is None else section.distance / cell.vs_peak
     chosen = [one for one in candidates if travel is not None and abs(one.travel_time / travel - 1.0) < _SAME]
     motion = np.asarray(section.across, dtype=float)
-    if chosen:  # nothing later decides
+    if chosen:  # later samples do not matter
         motion = chosen[0].clean[: max(2, round(chosen[0].decided / section.sampling_interval))]
     elif candidates:
         motion = max(candidates, key=lambda one: one.coherence).clean

@@ -1,4 +1,4 @@
-"""A campaign as an RO-Crate: everything that others need to read it, to cite it and to compute its cells again.
+"""A campaign as an RO-Crate, with everything needed to read it, to cite it and to compute its cells again.
 
 An RO-Crate is a folder, or a zip file of one, with a description of its files in JSON-LD:
 https://w3id.org/ro/crate/1.2.
@@ -54,7 +54,7 @@ _GET_IT_AGAIN = "Get the crate again from where it was published; nothing was co
 
 
 def is_crate(path: str) -> bool:
-    """Whether a path is a folder or a zip file, by its beginning: a database may have an archive within it."""
+    """Whether a path is a folder or a zip file, by its first bytes, since a database may contain an archive."""
     try:
         with open(path, "rb") as file:  # noqa: PTH123 - Path raises where a name is too long
             return file.read(len(_ZIP)) == _ZIP
@@ -65,7 +65,7 @@ def is_crate(path: str) -> bool:
 
 
 def _refuse_missing_library() -> None:
-    """Raise before anything is computed if crates cannot be written.
+    """Raise an error before the computation if crates cannot be written.
 
     `OutputRefusedError` if the package rocrate is not installed.
     """
@@ -84,11 +84,11 @@ def write_crate(
     authors: Sequence[str] = (),
     watch: Callable[[int, int], None] = lambda _, __: None,
 ) -> Path:
-    """Write a campaign with its configuration, packing, report and description, and give the path of the crate.
+    """Write a campaign with its configuration, packing, report and description, and return the path of the crate.
 
-    That is a zip file, replaced if it is there, or a folder that is not there yet. The licence is an SPDX identifier,
-    or an address of its text; ``watch`` is told how many parts of the report are made. `OutputRefusedError` if the
-    crate's name is taken, or rocrate is not installed; `StoreError` if the database can't be read.
+    It is a zip file, which is replaced, or a new folder. The licence is an SPDX identifier or an address of its text.
+    ``watch`` receives the numbers of finished and of all parts of the report. `OutputRefusedError` if the name of the
+    crate is taken, or rocrate is not installed; `StoreError` if the database cannot be read.
     """
     _refuse_missing_library()
     target, is_zip = Path(out), Path(out).suffix == ".zip"
@@ -166,7 +166,7 @@ def _describe_crate(folder: Path, store: Store, licence: str, authors: Sequence[
 
 
 def _campaign_in_words(record: CampaignRecord) -> str:
-    """What a campaign is, in a sentence or two."""
+    """Describe a campaign in a sentence or two."""
     return (
         f"Monte-Carlo campaign of discrete-element simulations: {len(record.seeds)} seeds at {len(record.contents)} "
         f"calcite contents. Physics version {record.parameters['physics_version']}, campaign hash {record.hash}. "
@@ -175,7 +175,7 @@ def _campaign_in_words(record: CampaignRecord) -> str:
 
 
 def _software(run: RunRecord) -> dict[str, object]:
-    """Version of the program of a run, where it can be found, and its libraries."""
+    """Version of the program of a run, its source, and its libraries."""
     version = run.versions.get("calcidem", "")
     needed = ", ".join(f"{name} {found}" for name, found in run.versions.items() if name != "calcidem" and found)
     # A commit is its own identifier, which Software Heritage resolves: https://www.swhid.org.
@@ -186,10 +186,9 @@ def _software(run: RunRecord) -> dict[str, object]:
 
 @contextmanager
 def open_crate(path: str | os.PathLike[str]) -> Iterator[Campaign]:
-    """Open the campaign of a crate, a folder or zip file, rebuilt from its files in a folder that is gone afterwards.
+    """Open the campaign of a crate, a folder or zip file, rebuilt from its files in a temporary folder.
 
-    `DamagedStoreError` if it is no crate of calcidem, a file is not the one that was described, or two files contradict
-    each other.
+    `DamagedStoreError` if it is not a crate of calcidem, a file was changed, or two files contradict each other.
     """
     crate = Path(path)
     with TemporaryDirectory() as name:
@@ -203,7 +202,7 @@ def open_crate(path: str | os.PathLike[str]) -> Iterator[Campaign]:
 
 
 def _copy_files(crate: Path, folder: Path) -> None:
-    """Copy the files of a crate, each compared with its checksum."""
+    """Copy the files of a crate, and compare each with its checksum."""
     described = _described_files(crate)
     for name in _FILES:
         if name not in described:
@@ -215,7 +214,7 @@ def _copy_files(crate: Path, folder: Path) -> None:
 
 
 def _described_files(crate: Path) -> dict[str, dict[str, Any]]:
-    """Entities of a crate's description by their names."""
+    """Entities of a crate's description by name."""
     try:
         entities = json.loads(_content_of_file(crate, _DESCRIPTOR))["@graph"]
         return {str(entity["@id"]): dict(entity) for entity in entities}
@@ -237,7 +236,7 @@ def _content_of_file(crate: Path, name: str) -> bytes:
 
 
 def _check_configuration(crate: Path, folder: Path, store: Store) -> None:
-    """Refuse a configuration or a packing that is not that of the NetCDF file."""
+    """Refuse a configuration or a packing other than that of the NetCDF file."""
     write_packing_csv(readable_packing(store, 0), folder / "stored.csv")
     if (folder / "stored.csv").read_bytes() != (folder / _DISKS).read_bytes():
         raise DamagedStoreError(f"{crate}: {_DISKS} is not the packing of {_NETCDF}.", _GET_IT_AGAIN)
@@ -245,7 +244,7 @@ def _check_configuration(crate: Path, folder: Path, store: Store) -> None:
         configuration = load_configuration(folder / _CONFIGURATION)
     except ConfigurationError as error:
         raise DamagedStoreError(f"{crate}: {_CONFIGURATION} cannot be used: {error}", _GET_IT_AGAIN) from error
-    # Disks of a user's file count by the bytes of that file, which no crate has.
+    # The identity of disks in a user's file depends on the bytes of that file, which crates do not contain.
     own_disks = configuration.packing_draw.file is not None
     found, stored = ({**physics, "packing": {}} for physics in (configuration.physics, store.record.parameters))
     same = canonical_hash(found) == canonical_hash(stored) if own_disks else configuration.hash == store.record.hash

@@ -1,4 +1,4 @@
-"""The report: one HTML page that needs nothing else, and the same figures, tables and numbers as files."""
+"""The report: one self-contained HTML page, and its figures, tables and numbers as files."""
 
 import csv
 import os
@@ -32,22 +32,22 @@ from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.sweep.progress import pluralize
 
 _FEW_SAMPLES = 30
-"""Below this a skewness, a kurtosis and the test of normality have little meaning."""
+"""Number of samples below which skewness, kurtosis and the test of normality have little meaning."""
 
 _MOST_SAMPLES = 5000
-"""Number of samples whose paths are analysed, in a minute."""
+"""Largest number of samples with analysed paths; they take a minute."""
 
 _PAGE_BYTES = 3_000_000
-"""Of a page: what one waits a second for."""
+"""Bytes of a page that loads in a second."""
 
 _BYTES_OF_TEXT = 200_000
-"""Of these, for tables, style and script."""
+"""Bytes of these for tables, style and script."""
 
 _HEAD_BYTES = 50_000
-"""Of a page: style and head."""
+"""Bytes of style and head."""
 
 _LEAST_FOR_CELLS = 200_000
-"""Of a page that many pictures fill."""
+"""Bytes for cells in a page with many pictures."""
 
 
 _MEANINGS: Mapping[str, str] = {
@@ -78,7 +78,7 @@ _MEANINGS: Mapping[str, str] = {
     "unbalanced-force ratio": "Mean net force on a grain over the mean contact force; near 0 at rest.",
     "porosity": "Area of the voids over area of the box.",
 }
-"""Meanings by the words of headers and of first columns, units left out."""
+"""Meanings by words in headers and first columns, without units."""
 
 _NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
     "distributions": lambda analysis: tabulate(analysis.distributions),
@@ -87,36 +87,36 @@ _NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
     "correlations_within_content": lambda analysis: analysis.correlations.within,
     "correlations_by_content": lambda analysis: analysis.content_correlations,
 }
-"""What NetCDF files hold, by their names."""
+"""Contents of NetCDF files by name."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Picture:
-    """A figure in a page."""
+    """Figure in a page."""
 
     name: str
     title: str
     caption: str
-    """As in the registry."""
+    """Name, title and caption as in the registry."""
     source: str = ""
-    """The picture itself: a data URI, or what is in the block `packed`; empty where there is none."""
+    """Picture: a data URI, or the contents of the block `packed`; empty without one."""
     inches: float = 0.0
     ratio: float = 1.0
-    """Width for which its letters were chosen, and width over height."""
+    """Width for which the size of its letters was chosen, and width over height."""
     reason: str = ""
-    """Why there is none."""
+    """Reason for a missing picture."""
     pictorial: bool = False
-    """Whether it shows grains, whose colours stay as they are on dark screens."""
+    """Whether it shows grains, whose colours do not change on dark screens."""
 
     @property
     def packed(self) -> str:
-        """Name of the block of the page that has it compressed; empty for a data URI."""
+        """Name of the page's block with its compressed data; empty for a data URI."""
         return f"picture-{self.name}" if self.source and not self.pictorial else ""
 
 
 @dataclass(frozen=True, slots=True)
 class _PageSection:
-    """A part of the page."""
+    """Part of the page."""
 
     anchor: str
     title: str
@@ -125,7 +125,7 @@ class _PageSection:
     """Paragraphs."""
     tables: tuple[Table, ...] = ()
     pictures: tuple[_Picture, ...] = ()
-    """In the order in which they are shown, tables after pictures."""
+    """In the order of display, tables after pictures."""
     folded: tuple[Table, ...] = ()
     """Tables that open on a click."""
 
@@ -140,13 +140,13 @@ def write_report(
     measured: tuple[Target, ...] = (),
     watch: Callable[[int, int], None] = lambda _, __: None,
 ) -> Path:
-    """Write the report of a campaign as one HTML file, replaced only when the new one is complete; give its path.
+    """Write the report of a campaign as one HTML file, replaced only when the new one is complete; return its path.
 
-    A run may go on writing the database. Results of `calcidem.app.studies.frequency_and_damping`, named "frequency" and
-    "damping", are shown, too; all figures, tables and numbers go to a folder of ``files``; laboratory velocities are
-    laid over figures of Vs, with a table of the misfit. ``watch`` is told after each section how many of how many parts
-    are made; the last part is the cells. `StoreError` if the database can't be read, `OSError` if the file can't be
-    written.
+    A run may write the database meanwhile. Results of `calcidem.app.studies.frequency_and_damping`, named "frequency"
+    and "damping", are included. ``files`` is a folder for all figures, tables and numbers. Laboratory velocities are
+    drawn in figures of Vs, with a table of the misfit. After each section ``watch`` receives the numbers of finished
+    and of all parts; the last part is the cells. `StoreError` if the database cannot be read, `OSError` if the file
+    cannot be written.
     """
     target = Path(out)
     with read_campaign(database, campaign_name) as store:
@@ -158,9 +158,9 @@ def write_report(
 
 
 def unnamed_page(store: Store) -> Path:
-    """Give the page of a campaign for which no name is given: beside its database, or here if that is on a server.
+    """Return the default page of a campaign: beside its database, or in the present folder for a server.
 
-    `OutputRefusedError` if a file of that name is no report of this campaign.
+    `OutputRefusedError` if a file of that name is not a report of this campaign.
     """
     database = store.address.path
     page = Path(f"{Path(store.record.name).name}.html") if database is None else database.with_suffix(".html")
@@ -170,14 +170,14 @@ def unnamed_page(store: Store) -> Path:
 
 
 def _identity(store: Store) -> str:
-    """What the head of a page says of its campaign alone."""
+    """Text in the head of a page that identifies its campaign."""
     return f"campaign {store.record.hash[:16]}"
 
 
 def _render_page(
     analysis: CampaignAnalysis, studies: Mapping[str, xr.Dataset], watch: Callable[[int, int], None]
 ) -> str:
-    """Give the page as text."""
+    """Return the page as text."""
     sections: list[_PageSection] = []
     parts = len(PAGE_SECTIONS) + 1
     for plan in PAGE_SECTIONS:
@@ -209,7 +209,7 @@ def _render_page(
 
 
 def _key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
-    """Give the key numbers of the campaign."""
+    """Return the key numbers of the campaign."""
     outcomes, (error, parts) = analysis.outcomes, analysis.budget.texts
     done, failed = int(outcomes["measured"].sum()), int(outcomes["failed"].sum())
     missing = int(outcomes["missing"].sum())
@@ -229,7 +229,7 @@ def _key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
 
 
 def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _PageSection:
-    """Make the tables and figures of a section, as far as the campaign allows."""
+    """Make the tables and figures of a section for which the campaign has data."""
     remarks = _velocity_remarks(analysis) if plan.anchor == "velocities" else []
     read, planned = len(analysis.analysed_seeds), analysis.vs.sizes["seed"]
     if plan.anchor == "paths" and read < planned:
@@ -253,7 +253,7 @@ def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _PageSection
 
 
 def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
-    """Give sentences about what few samples, no cement or long waves mean for the velocities."""
+    """Return warnings about few samples, missing cement or long waves."""
     remarks = []
     measured = [row.vs.n for row in analysis.distributions if row.vs.n]
     if measured and min(measured) < _FEW_SAMPLES:
@@ -282,7 +282,7 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
 
 
 def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture:
-    """Draw one figure, or give the reason why it cannot be drawn."""
+    """Draw one figure, or return the reason why it cannot be drawn."""
     figure, reason = make_or_explain(entry.draw, analysis)
     if figure is None:
         return _Picture(entry.name, entry.title, entry.caption, reason=reason)
@@ -298,7 +298,7 @@ def _study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[_Picture]:
 
 
 def _picture_of(figure: Figure, name: str, title: str, caption: str, *, pictorial: bool) -> _Picture:
-    """Give a figure as part of a page that needs no other file: grains as pixels, curves as compressed vectors."""
+    """Return a figure as part of a self-contained page: grains as pixels, curves as compressed vectors."""
     if pictorial:
         source = f"data:image/png;base64,{b64encode(render(figure, 'png', colours=256)).decode()}"
     else:
@@ -308,7 +308,7 @@ def _picture_of(figure: Figure, name: str, title: str, caption: str, *, pictoria
 
 
 def _explained_terms(table: Table) -> tuple[tuple[str, str], ...]:
-    """Give the terms of a table, from its header and its first column, with their meanings."""
+    """Return the terms in header and first column of a table, with their meanings."""
     words = (*table.header, *(row[0] for row in table.rows))
     found = dict.fromkeys(word.partition(" (")[0] for word in words)
     return tuple((word, _MEANINGS[word]) for word in found if word in _MEANINGS)
@@ -317,8 +317,8 @@ def _explained_terms(table: Table) -> tuple[tuple[str, str], ...]:
 def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
     """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
-    It is made if missing; files of the same names are replaced. Given is what could not be made, by name, with the
-    reason. `OSError` if the folder can't be written.
+    The folder is made if missing; files of the same names are replaced. Return reasons for omitted outputs by name.
+    `OSError` if the folder cannot be written.
     """
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
@@ -339,7 +339,7 @@ def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dic
 
 
 def _write_table(table: Table, file: Path) -> None:
-    """Write a table as CSV, with the numbers as they stand in the report; the exact ones are in the NetCDF files."""
+    """Write a table as CSV, with rounded numbers as in the report; the NetCDF files have the exact ones."""
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(table.header)
@@ -347,5 +347,5 @@ def _write_table(table: Table, file: Path) -> None:
 
 
 def _typed(value: str) -> str:
-    """Value with the signs that programs read: the minus of a keyboard, and nothing where it is missing."""
+    """Value for programs: with an ASCII minus, and empty if missing."""
     return "" if value == ABSENT else value.replace("\N{MINUS SIGN}", "-")

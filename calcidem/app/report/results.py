@@ -1,4 +1,4 @@
-"""Tables of what came out: velocities, outcomes, growth, features, laws, numerical error and run time."""
+"""Tables of results: velocities, outcomes, growth, features, laws, numerical error and run time."""
 
 import math
 from collections import Counter
@@ -119,7 +119,7 @@ def _meaning_table(analysis: CampaignAnalysis) -> Table:
 
 
 def near_field_rows(analysis: CampaignAnalysis) -> list[int]:
-    """Contents, by their place, where half of the cells or more have too few wavelengths on the path."""
+    """Indices of contents at which at least half of the cells have too few wavelengths on the path."""
     found = (
         median_known(analysis.cells["wavelengths_on_path"].sel(content=row.content)) for row in analysis.distributions
     )
@@ -127,7 +127,7 @@ def near_field_rows(analysis: CampaignAnalysis) -> list[int]:
 
 
 def _outcome_table(analysis: CampaignAnalysis) -> Table | None:
-    """Cells without a velocity by outcome and reason, the most frequent first; None if there are none."""
+    """Cells without a velocity by outcome and reason, the most frequent first; None without any."""
     status, reason = analysis.status.to_numpy(), analysis.cells["reason"].to_numpy()
     contents = np.broadcast_to(analysis.vs["content"].to_numpy(), status.shape)
     rows = tuple(
@@ -142,9 +142,9 @@ def _outcome_table(analysis: CampaignAnalysis) -> Table | None:
 def count_reasons(
     status: NDArray[np.object_], reason: NDArray[np.object_], content: NDArray[np.float64]
 ) -> list[tuple[str, str, list[float], int]]:
-    """Give outcome, reason, contents (percent) and number of cells without a velocity, the most frequent first.
+    """Return outcome, reason, contents (percent) and number of cells without a velocity, the most frequent first.
 
-    Given are columns of all cells, (N,); the status is empty where there is no outcome.
+    The arguments are columns of all cells, (N,); the status is empty without an outcome.
     """
     failed = np.flatnonzero((status != "") & (status != "done"))
     found: Counter[tuple[str, str]] = Counter()
@@ -157,7 +157,7 @@ def count_reasons(
 
 
 def _growth_table(analysis: CampaignAnalysis) -> Table | None:
-    """Growth of the mean in the published four stages; None for other sands, or if no stage has two contents."""
+    """Growth of the mean in the four published stages; None for other sands, or if no stage has two contents."""
     if not published_study().has_sand_of(analysis.config):
         return None
     published = {stage.name: stage.rate for stage in published_study().stages}
@@ -183,7 +183,7 @@ def _growth_table(analysis: CampaignAnalysis) -> Table | None:
 
 
 def _feature_table(analysis: CampaignAnalysis) -> Table:
-    """The eight features, their definitions, and how they go with Vs."""
+    """The eight features, their definitions, and their correlation with Vs."""
     matrices, tests = analysis.correlations, analysis.feature_tests
 
     def coefficient(matrix: xr.Dataset, name: str) -> str:
@@ -263,7 +263,7 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
 
 
 def _cost_table(analysis: CampaignAnalysis) -> Table:
-    """Numerical error beside statistical error, and what the cells cost."""
+    """Numerical and statistical errors, and run times."""
     cells = analysis.cells
     rows = []
     for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
@@ -305,7 +305,7 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
 
 
 def _departure_table(analysis: CampaignAnalysis) -> Table | None:
-    """How far path_vs and vs agree at each content, and where they do not; None where no cell has both."""
+    """Agreement of path_vs and vs at each content, and seeds where they differ; None if no cell has both."""
     if not analysis.budget.compared:
         return None
     rows = []
@@ -342,4 +342,4 @@ RESULT_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "errors_and_cost": _cost_table,
     "two_velocities": _departure_table,
 }
-"""Makers of these tables by their names in files; None where a campaign has nothing to show."""
+"""Functions that make these tables, by name in files; they return None without data."""

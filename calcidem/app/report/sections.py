@@ -1,4 +1,4 @@
-"""What a report has: tables by name, and the sections in which tables and figures stand.
+"""Contents of a report: tables by name, and sections with tables and figures.
 
 Here are the tables of what was run, and those that hold the campaign beside the published study and measured
 velocities; `calcidem.app.report.results` has those of what came out.
@@ -47,11 +47,11 @@ _CHOSEN = {
     "cement.bond_stiffness_ratio": (_UNKNOWN, "normal over shear stiffness of a bond"),
     "cement.installation": (_UNKNOWN, "what happens to a contact's force when it is cemented"),
 }
-"""Keys without a published value: the value that a literal reading gives, if any, and what they mean."""
+"""Keys without a published value: value by a literal reading, if any, and meaning."""
 
 
 def _published_table(analysis: CampaignAnalysis) -> Table | None:
-    """Mean, deviation and normality beside the published ones; None for other sands and contents."""
+    """Mean, deviation and normality compared with the published ones; None for other sands and contents."""
     published = published_velocities(analysis)
     if not published:
         return None
@@ -96,7 +96,7 @@ def _published_table(analysis: CampaignAnalysis) -> Table | None:
 
 
 def _measured_table(analysis: CampaignAnalysis) -> Table | None:
-    """Mean and scatter beside measured ones; None if none are given."""
+    """Mean and scatter compared with measured ones; None without measurements."""
     if not analysis.measured:
         return None
     found = misfits(analysis.distributions, analysis.measured)
@@ -135,7 +135,7 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
 
 
 def _differs(here: Distribution, published: PublishedVelocity) -> bool:
-    """Say whether two means differ; a mean without scatter cannot be compared."""
+    """Return whether two means differ significantly; False for a mean without scatter."""
     if not here.standard_deviation > 0:
         return False
     test = stats.ttest_ind_from_stats(
@@ -155,7 +155,7 @@ def _normal(verdict: bool | None) -> str:
 
 
 def _parameter_table(config: Mapping[str, Any]) -> Table | None:
-    """Calibrated and chosen parameters, and those unlike the published ones (marked); None for other sands."""
+    """Calibrated and chosen parameters, and those other than published (marked); None for other sands."""
     if not published_study().has_sand_of(config):
         return None
     flat, published = flat_parameters(config), published_study().parameters
@@ -180,7 +180,7 @@ def _parameter_table(config: Mapping[str, Any]) -> Table | None:
 
 
 def _configuration_table(analysis: CampaignAnalysis) -> Table:
-    """The whole physical configuration, with the frequencies that were chosen by themselves."""
+    """Whole physical configuration, with automatically chosen frequencies."""
     texts = {key: _value_text(value) for key, value in flat_parameters(analysis.config).items()}
     if texts.get("wave.frequency") == "auto":
         chosen = analysis.cells["frequency"].max("seed").dropna("content")
@@ -190,7 +190,7 @@ def _configuration_table(analysis: CampaignAnalysis) -> Table:
 
 
 def _value_text(value: object) -> str:
-    """Give a value of a configuration as people read it."""
+    """Return a value of a configuration for people."""
     match value:
         case None:
             return "none"
@@ -207,7 +207,7 @@ def _value_text(value: object) -> str:
 
 
 def _run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
-    """Each run of the program on this campaign."""
+    """Runs of the program on this campaign."""
     rows = tuple(
         (
             str(run_number),
@@ -296,12 +296,12 @@ TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = RESULT_TABLES | 
     "runs": lambda analysis: _run_table(analysis.store.runs()),
     "configuration": _configuration_table,
 }
-"""Makers of tables by their names in files; None where a campaign has nothing to show."""
+"""Functions that make tables, by name in files; they return None without data."""
 
 
 @dataclass(frozen=True, slots=True)
 class SectionPlan:
-    """What stands in a section of the page."""
+    """Section of the page."""
 
     anchor: str
     title: str
@@ -309,7 +309,7 @@ class SectionPlan:
     figures: tuple[str, ...] = ()
     tables: tuple[str, ...] = ()
     folded: tuple[str, ...] = ()
-    """Names of `CAMPAIGN_FIGURES` and of `TABLES`, in their order; folded tables open on a click."""
+    """Names of `CAMPAIGN_FIGURES` and of `TABLES` in order; folded tables open on a click."""
 
 
 PAGE_SECTIONS = (
@@ -333,7 +333,7 @@ PAGE_SECTIONS = (
 
 
 def make_or_explain(make: Callable[[CampaignAnalysis], Made], analysis: CampaignAnalysis) -> tuple[Made | None, str]:
-    """Give what a maker makes and no reason, or nothing and the reason why the campaign lacks what it needs."""
+    """Return the result of a function and no reason, or None and the reason why data are missing."""
     try:
         return make(analysis), ""
     except UnavailableError as error:

@@ -1,4 +1,4 @@
-"""Numbers as people read them."""
+"""Numbers as text for people."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from calcidem.analysis.intervals import Interval
 ABSENT = "\N{EN DASH}"
 
 EXCEPTIONAL = frozenset({"broken_bonds"})
-"""Quantities of which zero is nothing to tell."""
+"""Quantities that are not shown if they are zero."""
 
 _SMALL_P = 0.001
 _LEAST_PLAIN, _MOST_PLAIN = 1e-3, 1e5
@@ -17,27 +17,27 @@ _MINUTE, _HOUR = 60.0, 3600.0
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table of a report."""
+    """Table of a report."""
 
     caption: str
-    """What it shows, and how to read it."""
+    """Caption: contents of the table, and how to read it."""
     header: tuple[str, ...]
     """Name of each column; units in brackets."""
     rows: tuple[tuple[str, ...], ...]
     """Cells as text, each row as long as the header."""
     marked: frozenset[int] = frozenset()
-    """Rows that need attention, by their place."""
+    """Indices of rows that need attention."""
 
 
 def decimal(value: float | None, decimals: int = 0) -> str:
-    """Give a number with a fixed number of decimals, and a dash for what is missing."""
+    """Return a number with a fixed number of decimals; a dash if missing."""
     if value is None or not math.isfinite(value):
         return ABSENT
     return f"{value:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Give a number with some significant digits, large and small ones with a power of ten."""
+    """Return a number with some significant digits, large and small ones with a power of ten."""
     if value is None or not math.isfinite(value):
         return ABSENT
     rounded = float(f"{value:.{digits}g}")
@@ -51,36 +51,36 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 
 def _superscript(exponent: int) -> str:
-    """Give an exponent in raised digits."""
+    """Return an exponent in superscript digits."""
     return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def bounds(interval: Interval, decimals: int = 0) -> str:
-    """Give both ends of an interval, or a dash for an undefined one."""
+    """Return both ends of an interval; a dash if undefined."""
     if not math.isfinite(interval.low):
         return ABSENT
     return f"{decimal(interval.low, decimals)} to {decimal(interval.high, decimals)}"
 
 
 def with_bounds(value: float, interval: Interval, decimals: int = 0) -> str:
-    """Give a value with its interval in brackets."""
+    """Return a value with its interval in brackets."""
     return f"{decimal(value, decimals)} ({bounds(interval, decimals)})"
 
 
 def probability(value: float) -> str:
-    """Give a p-value with two digits."""
+    """Return a p-value with two digits."""
     if not math.isfinite(value):
         return ABSENT
     return f"< {_SMALL_P:g}" if value < _SMALL_P else f"{value:.2g}"
 
 
 def readable_unit(unit: str) -> str:
-    """Give a UDUNITS string as people write it; nothing for pure numbers."""
+    """Return a UDUNITS string for people; empty for pure numbers."""
     return {"1": "", "percent": "%", "m s-1": "m/s"}.get(unit, unit)
 
 
 def time_span(seconds: float) -> str:
-    """Give a time span in the unit that suits it."""
+    """Return a duration in a suitable unit."""
     if not math.isfinite(seconds):
         return ABSENT
     if seconds < _MINUTE:

@@ -1,1 +1,1 @@
-"""The live page: campaigns in a browser while they run, and afterwards. It reads databases and writes none."""
+"""Live page: campaigns in a browser during and after their runs. It only reads databases."""

@@ -1,4 +1,4 @@
-"""The live page beside a run: what it is to show comes on the standard input, and it ends with the run."""
+"""Live page of a run: it reads its task from standard input, and ends with the run."""
 
 import json
 import os
@@ -13,7 +13,7 @@ _LOW_PRIORITY = 10
 
 
 def _show_run() -> None:
-    """Serve the page until a signal, or the end of the process that started this one."""
+    """Serve the page until a signal, or the end of the parent process."""
     if sys.platform == "linux":
         die_with_parent()
     os.nice(_LOW_PRIORITY)

@@ -1,4 +1,4 @@
-"""Where the live page can be opened: a free port, and a token that cannot be guessed; and the page beside a run.
+"""Address of the live page: a free port and a token that cannot be guessed; live page of a run.
 
 It loads nothing large.
 """
@@ -21,26 +21,26 @@ _USUAL_HOST = "127.0.0.1"
 _NEEDED = ("starlette", "uvicorn")
 
 _TIME_TO_TELL = 3.0
-"""Seconds that the page has for telling browsers how the run has ended."""
+"""Seconds for the page to report the end of the run to browsers."""
 
 
 @dataclass(frozen=True, slots=True)
 class PageAddress:
-    """A socket that listens, and the secret of the page behind it."""
+    """Listening socket, and secret token of the page."""
 
     listener: socket.socket
     """The socket."""
     host: str
-    """Its name, as it was given."""
+    """Host name as given."""
     token: str = field(repr=False)
-    """What opens the page."""
+    """Token that opens the page."""
     port: int = field(init=False)
-    """Of the socket."""
+    """Port of the socket."""
     url: str = field(init=False, repr=False)
-    """What to type into a browser."""
+    """Address for a browser."""
 
     def __post_init__(self) -> None:
-        """Note the port: the socket may be closed later."""
+        """Record the port, since the socket may be closed later."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         port = self.listener.getsockname()[1]
         object.__setattr__(self, "port", port)
@@ -50,8 +50,8 @@ class PageAddress:
     def take(cls, host: str = _USUAL_HOST, port: int = 0) -> Self:
         """Listen on a port, 0 for any that is free.
 
-        `OSError`, naming field, value and remedy, if the port is in use or not to be had, the host is none of this
-        machine, or a library is not installed.
+        `OSError`, naming field, value and remedy, if the port is in use or forbidden, the host is not of this machine,
+        or a library is missing.
         """
         missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
         if missing:
@@ -93,7 +93,7 @@ def page_beside_run(database: str | os.PathLike[str], campaign: str, say: Callab
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         pass_fds=[descriptor],
-        process_group=0,  # Ctrl-C is for the run, which ends in order
+        process_group=0,  # Ctrl-C is for the run, which ends regularly
     )
     told = {"database": os.fspath(database), "campaign": campaign, "descriptor": descriptor}
     assert process.stdin is not None  # noqa: S101 - it is a pipe

@@ -1,4 +1,4 @@
-"""The columns of a campaign's cells in memory: a matrix of seeds and contents that rows of the store fill in."""
+"""Columns of a campaign's cells in memory: a matrix of seeds and contents, filled by rows of the store."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -13,26 +13,26 @@ from calcidem.app.report.wording import EXCEPTIONAL
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 
 _WORD_OF_ARRAYS = 8
-"""Bytes: typed arrays of the browser begin at multiples of their numbers' size."""
+"""Alignment in bytes: typed arrays of browsers begin at multiples of their element size."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellColumns:
-    """Quantities of all cells of a campaign; a cell's place is that of its seed times contents, plus its content's."""
+    """Quantities of all cells of a campaign; the index of a cell is seed index x number of contents + content index."""
 
     seeds: NDArray[np.int64]
     contents: NDArray[np.float64]
-    """Ascending, (S,) and (C,); contents in percent."""
+    """Seeds (S,) and contents (C,), percent, ascending."""
     planned: NDArray[np.bool_]
-    """Whether a cell is, (S * C,)."""
+    """Flags of planned cells, (S * C,)."""
     values: dict[str, NDArray[Any]]
-    """Quantities by name, (S * C,): float64 with NaN where missing, or texts, "" where missing. The status of a cell
-    without an outcome is "".
+    """Quantities by name, (S * C,): float64 with NaN if missing, or texts, "" if missing. The status of a cell without
+    an outcome is "".
     """
 
     @classmethod
     def empty(cls, rows: Mapping[str, NDArray[Any]], names: Sequence[str]) -> Self:
-        """Give columns of these names, without a value, for the cells whose seed and content are in rows."""
+        """Return columns of these names, without values, for the cells with seed and content in rows."""
         seeds, contents = np.unique(rows["seed"].astype(np.int64)), np.unique(rows["content"])
         size = seeds.size * contents.size
         values: dict[str, NDArray[Any]] = {
@@ -43,12 +43,12 @@ class CellColumns:
         return columns
 
     def places(self, rows: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
-        """Give the place of each row."""
+        """Return the index of each row."""
         seed = np.searchsorted(self.seeds, rows["seed"].astype(np.int64))
         return np.asarray(seed * self.contents.size + np.searchsorted(self.contents, rows["content"]), dtype=np.int64)
 
     def put(self, rows: Mapping[str, NDArray[Any]]) -> list[int]:
-        """Take over all columns of rows that there are here, and give the places of the cells that have changed."""
+        """Copy known columns of rows, and return the indices of changed cells."""
         places = self.places(rows)
         changed = np.zeros(places.size, dtype=bool)
         for name in self.values.keys() & rows.keys():
@@ -62,7 +62,7 @@ class CellColumns:
         return [int(place) for place in places[changed]]
 
     def rows(self, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-        """Give columns of the planned cells as `calcidem.storage.sql.store.Store.table` does."""
+        """Return columns of the planned cells, as `calcidem.storage.sql.store.Store.table`."""
         seed, content = np.divmod(np.flatnonzero(self.planned), self.contents.size)
         known = {"seed": self.seeds[seed], "content": self.contents[content]}
         found = {name: known[name] if name in known else self.values[name][self.planned] for name in names}
@@ -75,20 +75,20 @@ class CellColumns:
         return int(np.count_nonzero(self.values["status"] != ""))
 
     def shown(self) -> list[str]:
-        """Quantities of which some cell has something to tell; all as long as no cell has an outcome."""
+        """Quantities with a displayed value in some cell; all as long as no cell has an outcome."""
         if not self.settled():
             return list(self.values)
         return [name for name, column in self.values.items() if _tells(name, column)]
 
     def described(self, places: Sequence[int], names: Sequence[str]) -> dict[str, list[Any]]:
-        """Give quantities of some cells as JSON has them."""
+        """Return quantities of some cells for JSON."""
         return {name: numbers_or_none(self.values[name][list(places)]) for name in names}
 
     def packed(self, sequence: int, names: Sequence[str]) -> bytes:
-        """Give all cells as bytes: the length of a header, the header as JSON, and the columns of which it tells.
+        """Return all cells as bytes: the length of a header, the header as JSON, and the columns that it describes.
 
-        A number is four bytes where that does not change what is shown of it, else eight; a text is the place of one
-        of the few that there are. So 100,000 cells are a few megabytes, which a browser need not parse.
+        A number has four bytes if these suffice for display, else eight. A text is an index into the few different
+        texts. So 100,000 cells are a few megabytes, which a browser need not parse.
         """
         arrays, described, offset = [], [], 0
         for name in names:
@@ -109,7 +109,7 @@ def _holds_texts(name: str) -> bool:
 
 
 def _as_kept(name: str, column: NDArray[Any]) -> NDArray[Any]:
-    """Values as they are kept here."""
+    """Values in the form of this class."""
     if not _holds_texts(name):
         return column.astype(np.float64)
     texts = np.array([text or "" for text in column.tolist()], dtype=object)
@@ -126,7 +126,7 @@ def _tells(name: str, column: NDArray[Any]) -> bool:
 
 
 def _as_array(name: str, column: NDArray[Any]) -> tuple[str, NDArray[Any], list[str]]:
-    """Type of an array of the browser, the array, and the texts that it has the places of."""
+    """Type of a browser's array, the array, and the texts that it indexes."""
     if _holds_texts(name):
         texts = {text: place for place, text in enumerate(dict.fromkeys(column.tolist()))}
         return "Uint32", np.array([texts[text] for text in column.tolist()], dtype="<u4"), list(texts)

@@ -1,4 +1,4 @@
-"""What the live page shows of one campaign, kept up with its database by short queries."""
+"""Data of one campaign for the live page, updated from its database by short queries."""
 
 import math
 import os
@@ -31,29 +31,29 @@ from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection, StoreMark
 
 _CELLS_AT_ONCE = 1000
-"""Cells that are compared with their checksums in one query, which takes a tenth of a second."""
+"""Number of cells compared with their checksums in one query, which takes a tenth of a second."""
 
 _STEPS_TOLD = 10
-"""Seconds between two messages on the number of compared cells."""
+"""Seconds between two messages about the number of compared cells."""
 
 _MOST_TOLD = 1000
-"""Largest number of changed cells sent one by one; beyond it the browser requests all."""
+"""Largest number of changed cells sent one by one; for more the browser requests all."""
 
 Event = tuple[str, dict[str, Any]]
 """Name and content of a message to browsers."""
 
 
 class CampaignFeed:
-    """A campaign as the page sees it. Methods may be called by any thread; one at a time reads the database.
+    """Campaign for the page. Any thread may call the methods; one at a time reads the database.
 
     Attributes
     ----------
     database, name
-        Where it is, and which it is, where there are several.
+        Database, and name of the campaign if there are several.
     label
-        The database as it may be shown.
+        Database without password, for display.
     sequence
-        How often its cells have changed here.
+        Number of changes of its cells here.
     """
 
     def __init__(self, number: int, database: str, name: str | None, *, wait: bool = False) -> None:
@@ -80,7 +80,7 @@ class CampaignFeed:
             self._open()
 
     def close(self) -> None:
-        """Leave the database."""
+        """Close the database."""
         with self._lock:
             if self._store is not None:
                 self._store.close()
@@ -88,11 +88,11 @@ class CampaignFeed:
 
     @property
     def busy(self) -> bool:
-        """Whether cells are still to be compared with their checksums."""
+        """Whether some cells were not yet compared with their checksums."""
         return bool(self._unchecked)
 
     def refresh(self) -> list[Event]:
-        """Read the changes, and give the messages to browsers."""
+        """Read the changes, and return messages for browsers."""
         with self._lock:
             try:
                 return self._refresh()
@@ -106,7 +106,7 @@ class CampaignFeed:
                 return [self._status_event()] if told else []
 
     def status(self) -> dict[str, Any]:
-        """Give how far the campaign was at the last look, in JSON's types; no request waits for a running look."""
+        """Return the progress at the last update, in JSON types; requests do not wait for a running update."""
         if self._told is None:
             with self._lock:
                 if self._told is None:
@@ -114,7 +114,7 @@ class CampaignFeed:
         return self._told or {}
 
     def _status_event(self) -> Event:
-        """Note how far the campaign is, and tell it."""
+        """Record the progress, and return a message."""
         self._told = self._look()
         return "status", self._told
 
@@ -136,14 +136,14 @@ class CampaignFeed:
             return told
 
     def records(self) -> bytes:
-        """Give all cells (`CellColumns.packed`); nothing as long as the database can't be read."""
+        """Return all cells (`CellColumns.packed`); empty as long as the database cannot be read."""
         with self._lock:
             if self._columns is None:
                 self.refresh()
             return b"" if self._columns is None else self._columns.packed(self.sequence, self._shown)
 
     def cell(self, seed: int, content: float) -> dict[str, Any]:
-        """Give signals, section, cement and path of one cell, as the report has them.
+        """Return signals, section, cement and path of one cell, as in the report.
 
         `UnknownCellError` if it has no outcome.
         """
@@ -158,7 +158,7 @@ class CampaignFeed:
             }
 
     def packing(self, index: int) -> dict[str, Any] | None:
-        """Give a packing as the report has it, with what its contacts carry; None if there is none of that index."""
+        """Return a packing as in the report, with its contact forces; None if none has that index."""
         with self._lock:
             self._open()
             graphs = self._graphs(self._analyse())
@@ -167,7 +167,7 @@ class CampaignFeed:
             return packing_block(self._analyse(), graphs[index]) | {"forces": _relative_forces(graphs[index])}
 
     def _open(self) -> Store:
-        """Give the store, opened again if its file was replaced."""
+        """Return the store, opened again if its file was replaced."""
         path = Address.parse(self.database).path
         found = path.stat() if path is not None and path.exists() else None
         same = found is not None and self._file is not None and os.path.samestat(found, self._file)
@@ -179,7 +179,7 @@ class CampaignFeed:
         return self._store
 
     def _analyse(self) -> CampaignAnalysis:
-        """Give what makes data of single cells; packings are read once."""
+        """Return the maker of data of single cells; packings are read once."""
         store = self._open()
         if self._analysis is None or len(self._graphs(self._analysis)) != len(store.packing_indices()):
             self._analysis = CampaignAnalysis(store, None, with_patterns)
@@ -199,7 +199,7 @@ class CampaignFeed:
         if self._columns is None or self._mark is None or mark.cells != self._mark.cells:
             self._begin(store)
             self._mark = mark
-            return [self._status_event()]  # what takes longer comes next: somebody may wait for the first picture
+            return [self._status_event()]  # longer work follows later, since users may wait for the first picture
         if mark != self._mark:
             events += self._take_new(store, self._mark)
             events.append(self._status_event())
@@ -216,12 +216,12 @@ class CampaignFeed:
 
     @staticmethod
     def _run_state(store: Store) -> tuple[bool, int, str | None]:
-        """Whether a run is at work, which is the last one, and how it has ended."""
+        """Whether a run is active, the last run, and its end."""
         holder, runs = store.lease_holder(), store.runs()
         return holder is not None and holder.may_live(), len(runs), runs[-1][1].exit_state if runs else None
 
     def _begin(self, store: Store) -> None:
-        """Read all cells: at once the velocities, then all columns piece by piece."""
+        """Read all cells: first the velocities, then all columns piece by piece."""
         store.use_campaign(self.name)
         rows = store.table(("seed", "content", "status", "vs"))
         names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
@@ -238,7 +238,7 @@ class CampaignFeed:
             self._check_some(store)
 
     def _check_some(self, store: Store) -> None:
-        """Read the next cells with all their shown quantities, compared with their checksums."""
+        """Read the next cells with all displayed quantities, compared with their checksums."""
         assert self._columns is not None  # noqa: S101 - it is there as soon as there are cells to check
         before = len(self._unchecked)
         seeds = self._unchecked.pop(0)
@@ -248,12 +248,12 @@ class CampaignFeed:
             self._changed()
 
     def _take_new(self, store: Store, before: StoreMark) -> list[Event]:
-        """Read the cells that were recorded since, or all where that is not what has changed."""
+        """Read the cells recorded since the last update, or all cells if something else has changed."""
         assert self._columns is not None  # noqa: S101 - cells can only be new where there are others
         since = Selection(since=before.recorded) if before.recorded is not None else Selection()
         names = ("seed", "content", *self._columns.values)
         places = self._columns.put(store.table(names, since))
-        if self._columns.settled() != store.settled():  # some are pending again, or were brought from elsewhere
+        if self._columns.settled() != store.settled():  # some are pending again, or were imported
             self._begin(store)
             return []
         if not places:
@@ -266,7 +266,7 @@ class CampaignFeed:
         return [("cells", {"campaign": self.number, "sequence": self.sequence, "places": places, "columns": told})]
 
     def _changed(self) -> None:
-        """Have browsers ask for all cells, of whose quantities there may be more than before."""
+        """Let browsers request all cells, which may have more quantities than before."""
         assert self._columns is not None  # noqa: S101 - as above
         self.sequence += 1
         self._shown = ["status", "reason", "vs"]
@@ -284,7 +284,7 @@ class CampaignFeed:
 
 
 def _relative_forces(graph: PackingGraph) -> list[int]:
-    """Normal forces of the contacts before a wave is sent, in percent of the mean force, (M,)."""
+    """Normal contact forces before the wave, in percent of the mean force, (M,)."""
     packing, (first, second) = graph.packing, graph.graph.pairs.T
     apart = np.hypot(packing.x[first] - packing.x[second], packing.y[first] - packing.y[second])
     overlap = packing.radius[first] + packing.radius[second] - apart
@@ -294,7 +294,7 @@ def _relative_forces(graph: PackingGraph) -> list[int]:
 
 
 def _told_status(status: CampaignStatus) -> dict[str, Any]:
-    """What the page shows of a status; a number that is not known is None."""
+    """Data of a status for the page; unknown numbers are None."""
     run = status.last_run
     return {
         "name": status.name,

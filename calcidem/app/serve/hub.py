@@ -15,39 +15,39 @@ from calcidem.app.serve.feed import CampaignFeed, Event
 T = TypeVar("T")
 
 _BETWEEN_LOOKS = 1.0
-"""Seconds between two looks at a database, at least."""
+"""Shortest interval between two updates from a database, s."""
 
 _BETWEEN_PIECES = 0.03
-"""Seconds between two pieces of a large campaign, in which browsers get their answers."""
+"""Seconds between two pieces of a large campaign, for requests of browsers."""
 
 _LAST_LOOK = 0.5
-"""Seconds for a last look."""
+"""Seconds for a last update."""
 
 _SHARE = 0.1
-"""Of the time that may be spent on reading: a large campaign is looked at less often."""
+"""Largest share of the time for reading; a large campaign is read less often."""
 
 _SELDOMEST_LOOK = 4.0
-"""Seconds between two looks, at most: where a run has all cores, reading takes long, but not much of them."""
+"""Longest interval between two updates, s; if a run uses all cores, reading takes long but little CPU time."""
 
 _SIGN_OF_LIFE = 15.0
-"""Seconds after which a browser hears something, for proxies between."""
+"""Seconds after which browsers get a message in any case, for proxies."""
 
 _LONGEST_QUEUE = 200
-"""Messages that a slow browser may be behind; then it has to start again."""
+"""Largest number of messages waiting for a slow browser; beyond it the browser has to start again."""
 
 
 @dataclass(eq=False)
 class Hub:
-    """Feeds of campaigns, and the browsers that listen."""
+    """Feeds of campaigns, and connected browsers."""
 
     feeds: Sequence[CampaignFeed]
-    """By the number of their campaign on the page."""
+    """Feeds by the number of their campaign on the page."""
     _listeners: set["asyncio.Queue[str | None]"] = field(default_factory=set)
     _wake: asyncio.Event = field(default_factory=asyncio.Event)
     _ended: bool = False
 
     async def watch(self) -> None:
-        """Read all once, and then changes while a page is open; to be cancelled in the end."""
+        """Read everything once, then changes while a page is open; cancel it at the end."""
         await self.refresh()
         while not self._ended:
             if not self._listeners:
@@ -66,7 +66,7 @@ class Hub:
                 self._tell(event)
 
     async def listen(self) -> AsyncIterator[str]:
-        """Give how each campaign stands, and from then on what changes, as server-sent events."""
+        """Yield the state of each campaign, and then all changes, as server-sent events."""
         queue: asyncio.Queue[str | None] = asyncio.Queue(_LONGEST_QUEUE)
         self._listeners.add(queue)
         self._wake.set()
@@ -85,7 +85,7 @@ class Hub:
             self._listeners.discard(queue)
 
     async def end(self) -> None:
-        """Send the last changes, if that takes no time, and end all connections."""
+        """Send the last changes, if that is quick, and end all connections."""
         self._ended = True
         if self._listeners:
             with suppress(TimeoutError):
@@ -96,7 +96,7 @@ class Hub:
             queue.put_nowait(None)
 
     def close(self) -> None:
-        """Leave all databases."""
+        """Close all databases."""
         for feed in self.feeds:
             feed.close()
 
@@ -109,7 +109,7 @@ class Hub:
 
 
 async def _in_thread(read: Callable[[], T]) -> T:
-    """Read a database; the end of the server does not wait for it."""
+    """Read a database; the server does not wait for it at its end."""
     return await to_thread.run_sync(read, abandon_on_cancel=True)
 
 

@@ -1,4 +1,4 @@
-"""Movies of waves: one process at a time computes one, when no run needs the core."""
+"""Movies of waves: one process at a time computes one, unless a run needs the core."""
 
 import os
 import shutil
@@ -18,7 +18,7 @@ _TIME_LIMIT = 600.0
 """Seconds after which a movie is given up."""
 
 _MOST_KEPT = 8
-"""Movies that are kept until the server ends."""
+"""Number of movies kept until the server ends."""
 
 _LOWEST_PRIORITY = 19
 
@@ -33,12 +33,12 @@ runpy.run_module("calcidem", run_name="__main__", alter_sys=True)
 """
 
 Wanted = tuple[int, int, float]
-"""Number of the campaign, seed and content of a cell."""
+"""Number of the campaign, and seed and content of a cell."""
 
 
 @dataclass(slots=True)
 class _Work:
-    """A movie that is being computed."""
+    """Movie in computation."""
 
     wanted: Wanted
     process: "subprocess.Popen[bytes]"
@@ -48,7 +48,7 @@ class _Work:
 
 
 class MovieMaker:
-    """Computes movies with `calcidem show`; used by the thread of the server alone, which also is its parent."""
+    """Computes movies with `calcidem show`; used only by the server's thread, the parent of the process."""
 
     def __init__(self) -> None:
         self._folder: Path | None = None
@@ -57,7 +57,7 @@ class MovieMaker:
         self._failed: dict[Wanted, str] = {}
 
     def start(self, wanted: Wanted, feed: CampaignFeed, status: dict[str, Any]) -> dict[str, Any]:
-        """Begin with the movie of a cell unless it is there, and give how far it is."""
+        """Begin the movie of a cell unless it exists, and return its progress."""
         self._look()
         self._failed.pop(wanted, None)
         if wanted in self._made or (self._work is not None and self._work.wanted == wanted):
@@ -88,7 +88,7 @@ class MovieMaker:
         return self.state(wanted)
 
     def state(self, wanted: Wanted) -> dict[str, Any]:
-        """Give how far the movie of a cell is."""
+        """Return the progress of the movie of a cell."""
         self._look()
         if wanted in self._made:
             return {"state": "done", "file": self._made[wanted].name}
@@ -99,7 +99,7 @@ class MovieMaker:
         return {"state": "none"}
 
     def file(self, name: str) -> Path | None:
-        """Give the file of a movie by its name."""
+        """Return the file of a movie by its name."""
         return next((file for file in self._made.values() if file.name == name), None)
 
     def end(self) -> None:
@@ -111,7 +111,7 @@ class MovieMaker:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _refusal(self, status: dict[str, Any]) -> str:
-        """Why none is computed now; empty if it is."""
+        """Reason why no movie can be computed now; else empty."""
         if self._work is not None:
             return "another movie is being computed; wait for it, one at a time is"
         run, cores = status.get("run") or {"host": ""}, available_cores()
@@ -121,7 +121,7 @@ class MovieMaker:
         return ""
 
     def _look(self) -> None:
-        """Take note of the end of the process, and bring it about after too long a time."""
+        """Record the end of the process, and end it after too long a time."""
         work = self._work
         if work is None:
             return

@@ -1,8 +1,6 @@
-"""The server of the live page: its port, its address with the token, its end.
+"""Server of the live page: addresses and their answers, access and end.
 
-Who may see the page: all with the token of the printed address, but no foreign page.
-
-Addresses of the page and what they answer.
+Every client with the token of the printed address may see the page, except pages of other origins.
 """
 
 import asyncio
@@ -49,14 +47,14 @@ _LAST_SEED = 2**63 - 1
 
 @dataclass(frozen=True, slots=True)
 class _LiveApplication:
-    """What the addresses of the page answer, to all; see `calcidem.app.serve.server`."""
+    """Answers of the page's addresses, without a check of access."""
 
     hub: Hub
     movies: MovieMaker
-    """Where the answers come from."""
+    """Sources of the answers."""
 
     def routes(self) -> Starlette:
-        """Give the application of a server."""
+        """Return the application of a server."""
         of_campaign = "/campaigns/{campaign:int}"
         return Starlette(
             routes=[
@@ -112,7 +110,7 @@ class _LiveApplication:
 
 
 def _static(kind: str, text: str) -> Callable[[Request], Response]:
-    """Give what answers always the same."""
+    """Return a function with a constant answer."""
 
     def answer(_request: Request) -> Response:
         return Response(text, media_type=kind)
@@ -121,7 +119,7 @@ def _static(kind: str, text: str) -> Callable[[Request], Response]:
 
 
 def _fixed(hub: Hub) -> dict[str, tuple[str, str]]:
-    """Type and text of the page, its style and its script, by their addresses; they are made of the report's own."""
+    """Type and text of the page, its style and its script, by address; made from those of the report."""
     environment = Environment(
         loader=ChoiceLoader([PackageLoader("calcidem.app.serve"), PackageLoader("calcidem.app.report")]),
         autoescape=True,
@@ -138,7 +136,7 @@ def _fixed(hub: Hub) -> dict[str, tuple[str, str]]:
 
 
 def _wanted(request: Request) -> Wanted:
-    """Give the cell that a request is about."""
+    """Return the cell of a request."""
     try:
         seed = checked_seed(int(request.query_params["seed"]))
         content = canonical_content(float(request.query_params["content"]))
@@ -161,22 +159,22 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-"""Of every answer: no script but the page's own, no address sent to others, nothing kept by the browser."""
+"""Headers of every answer: only the page's own script, no address sent to others, no storage in the browser."""
 
 _REFUSAL = "Open this page with the whole address that calcidem has printed; it ends with ?token=... .\n"
 
 
 class _Guard:
-    """Lets those in who know the token: in the address of the first request, then in a cookie."""
+    """Admits clients with the token: in the address of the first request, then in a cookie."""
 
     def __init__(self, application: ASGIApp, address: PageAddress) -> None:
         self._application = application
         self._token = address.token.encode()
-        self._cookie = f"calcidem_{address.port}"  # the cookies of a host go to all of its ports
+        self._cookie = f"calcidem_{address.port}"  # browsers send the cookies of a host to all its ports
         self._names = {"localhost", address.host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request, or let it through."""
+        """Answer a request, or pass it on."""
         if scope["type"] != "http":
             return
 
@@ -189,14 +187,14 @@ class _Guard:
         await answer(scope, receive, send_safely)
 
     def _answer(self, scope: Scope) -> Response | None:
-        """Give the answer to a request that is not let through."""
+        """Return the answer to a refused request."""
         headers = Headers(scope=scope)
         if not self._is_own_name(headers.get("host", "")):
-            # A foreign page whose name was made to point here is a page of that name for the browser.
+            # For the browser a foreign name that resolves to this machine would be the same origin.
             return PlainTextResponse("Open this page under the name that calcidem has printed.\n", 403)
         offered = parse_qs(scope["query_string"].decode("ascii", "replace")).get("token", [""])[0]
         if scope["path"] == "/" and self._is_token(offered):
-            answer = RedirectResponse("/", 303)  # so that the token is neither in the history nor in the address bar
+            answer = RedirectResponse("/", 303)  # so that neither history nor address bar has the token
             answer.set_cookie(self._cookie, self._token.decode(), httponly=True, samesite="lax", path="/")
             return answer
         if not self._is_token(_cookie_of(headers, self._cookie)) or _is_foreign(scope, headers):
@@ -207,7 +205,7 @@ class _Guard:
         return secrets.compare_digest(text.encode("utf-8", "replace"), self._token)
 
     def _is_own_name(self, host: str) -> bool:
-        """Whether a Host header has one of our names, or an address: addresses can't be made to point elsewhere."""
+        """Whether a Host header has one of our names, or a numeric address, which cannot resolve elsewhere."""
         name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
         name = name.strip("[]").lower()
         try:
@@ -226,7 +224,7 @@ def _cookie_of(headers: Mapping[str, str], name: str) -> str:
 
 
 def _is_foreign(scope: Scope, headers: Mapping[str, str]) -> bool:
-    """Whether a request that changes something comes from a page of another origin."""
+    """Whether a changing request comes from a page of another origin."""
     if scope["method"] in {"GET", "HEAD"}:
         return False
     origin = headers.get("origin", "")
@@ -236,11 +234,11 @@ def _is_foreign(scope: Scope, headers: Mapping[str, str]) -> bool:
 
 
 _GRACE = 1
-"""Seconds that open requests have for their end."""
+"""Seconds for open requests to end."""
 
 
 class _Server(uvicorn.Server):
-    """Leaves signals to the caller: uvicorn would send them to itself again in the end."""
+    """Leaves signals to the caller, since uvicorn would raise them again at its end."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -250,18 +248,18 @@ class _Server(uvicorn.Server):
 
 @dataclass(frozen=True, slots=True)
 class LivePage:
-    """Campaigns to show, and where."""
+    """Campaigns to show, and address."""
 
     campaigns: Sequence[tuple[str, str | None]]
-    """Database and name of each; the name is None where a database has but one."""
+    """Database and name of each; the name is None if a database has only one."""
     address: PageAddress
-    """Socket on which to listen, and what opens the page."""
+    """Listening socket and token."""
 
     def serve(self, ready: Callable[[], None] = lambda: None, *, wait: bool = False) -> None:
         """Serve the page until SIGINT or SIGTERM.
 
-        ``ready`` is called as soon as signals end the server in order. With ``wait`` databases and campaigns may be
-        missing yet; else a `StoreError` if a database can't be read.
+        ``ready`` is called as soon as signals end the server regularly. With ``wait`` databases and campaigns may not
+        exist yet; otherwise `StoreError` if a database cannot be read.
         """
         feeds = [CampaignFeed(number, *campaign, wait=wait) for number, campaign in enumerate(self.campaigns)]
         for feed in feeds if not wait else ():
@@ -275,7 +273,7 @@ class LivePage:
             uvicorn.Config(
                 application,
                 log_level="error",
-                access_log=False,  # it would have the token
+                access_log=False,  # the log would contain the token
                 lifespan="off",
                 ws="none",
                 server_header=False,
@@ -292,7 +290,7 @@ class LivePage:
         def end() -> None:
             tasks.append(loop.create_task(end_in_order()))
 
-        tasks: list[asyncio.Task[None]] = []  # the loop itself would forget them
+        tasks: list[asyncio.Task[None]] = []  # the loop itself keeps no reference
         for number in (signal.SIGINT, signal.SIGTERM):
             loop.add_signal_handler(number, end)
         watching = asyncio.create_task(hub.watch())
@@ -302,7 +300,7 @@ class LivePage:
         finally:
             watching.cancel()
             movies.end()
-            # Closed in order a database leaves no other file beside it; a locked one is not waited for.
+            # A regularly closed database leaves no other files; the server does not wait for a locked one.
             closing = Thread(target=hub.close, daemon=True)
             closing.start()
             closing.join(_GRACE)
