@@ -31,10 +31,12 @@ def test_the_drawn_path_runs_along_the_cement(drawn_sample: Sample) -> None:
 def test_contacts_are_counted_as_on_the_path(drawn_sample: Sample, ratio: float) -> None:
     """The counts alone are those of the path, also where cement and sand have the same weight."""
     weights = ContactWeights.from_ratio(ratio)
-    path = ShortestPaths.search(*drawn_sample, weights).first()
-    counted = contacts_on_path(*drawn_sample, weights)
-    assert connectivity(*counted, weights) == connectivity(path.hertz_contacts, path.bonded_contacts, weights)
-    assert counted == (path.hertz_contacts, path.bonded_contacts)
+    graph, drawn = drawn_sample
+    for bonded in (drawn, np.ones_like(drawn)):
+        path = ShortestPaths.search(graph, bonded, weights).first()
+        counted = contacts_on_path(graph, bonded, weights)
+        assert connectivity(*counted, weights) == connectivity(path.hertz_contacts, path.bonded_contacts, weights)
+        assert counted == (path.hertz_contacts, path.bonded_contacts)
 
 
 def test_without_cement_the_lowest_numbered_of_equal_paths_is_taken(drawn_sample: Sample) -> None:
