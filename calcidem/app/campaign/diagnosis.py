@@ -52,14 +52,14 @@ _AS_GOOD = 0.2  # logarithm of the ratio of two numbers of wavelengths on the pa
 _MOST_NAMED = 4  # values that are added because the reasons of trials name them
 
 _WHY = {  # what a value shows that gives a velocity; others are named by the reason
-    "wave.slowest": "the record ended before the slowest wave that is expected",
-    "wave.frequency": f"{WAVELENGTHS:g} wavelengths on the path: with fewer P and S wave are one, shorter waves fade",
-    "wave.receiver_half_width": "few grains at the receiver swung by themselves",
-    "wave.listening_depth": "few grains at the receiver swung by themselves",
-    "wave.transmitter_half_width": "the wave spread from few grains",
-    "wave.transmitter": "the wall passed on too little of the pulse, or grains slipped along it",
-    "wave.damping": "the amplitude fell along the path; Vs rises with less damping",
-    "pick.largest_error": "the velocity is known no better",
+    "wave.slowest": "the record ended before the slowest expected wave",
+    "wave.frequency": f"{WAVELENGTHS:g} wavelengths on the path: with fewer P and S wave overlap; shorter waves decay",
+    "wave.receiver_half_width": "few grains at the receiver oscillated on their own",
+    "wave.listening_depth": "few grains at the receiver oscillated on their own",
+    "wave.transmitter_half_width": "a narrow transmitter acts as a line source",
+    "wave.transmitter": "the wall transmitted too little of the pulse, or grains slipped along it",
+    "wave.damping": "the amplitude decreased along the path; Vs increases with less damping",
+    "pick.largest_error": "the error of the velocity is larger than allowed",
 }
 
 _NAMED = {  # words of a reason, the key that they name, and its value or a factor on it
@@ -100,7 +100,7 @@ class Diagnosis:
         if self.vs is not None:
             yield f"Vs is {self.vs:.0f} m/s with"
         for name, value in self.remedies.items():
-            yield f"{name} = {written(value)}".ljust(36) + _WHY.get(name, "a reason asks for it")
+            yield f"{name} = {written(value)}".ljust(36) + _WHY.get(name, "a reason names it")
 
     def as_row(self) -> dict[str, Any]:
         """Row of the cell for tables."""

@@ -109,7 +109,7 @@ def merge_databases(
                     [f"{len(merged.conflicts)} done cells have different values:", *merged.conflict_lines(sources)]
                 )
                 + "\n",
-                "Nothing was written. Such values come from another kind of CPU or another version of calcidem; "
+                "Nothing was written. Such values come from a changed file or another version of calcidem; "
                 "give --prefer with the database to take.",
             )
     return merged

@@ -39,7 +39,7 @@ def diagnose_command(
             return
         counts = [(key, number) for key, number in store.status_counts().items() if key[1] in UNREAD]
         words = ", ".join(f"{number} at {content:g} % ({status})" for (content, status), number in sorted(counts))
-        typer.echo(f"Campaign {store.record.name}. Without velocity: {words or 'none'}. Repeating does not help.")
+        typer.echo(f"Campaign {store.record.name}. Without velocity: {words or 'none'}. A new run would give the same.")
         for one in found:
             head = f"\n{one.key}: {one.status.words}, {one.reason}"
             lines = head, *textwrap.wrap(one.finding, 110), *one.describe_remedies()

@@ -151,7 +151,7 @@ def _check_installation(configuration: Configuration) -> Iterator[Problem]:
     if installation != "preserve" and configuration.wave.regime == "linear":
         yield Problem(
             f'cement.installation = "{installation}": changes the contact forces, which wave.regime = "linear" '
-            'takes as they are; choose wave.regime = "small" or "finite"',
+            'keeps constant; choose wave.regime = "small" or "finite"',
             ("cement.installation", "wave.regime"),
         )
     if installation == "pfc_absolute" and configuration.cement.linear_modulus == 0.0:

@@ -209,7 +209,7 @@ def _commented(own: OwnSand) -> str:
         "# SI units; contents in percent of the sand's mass. Keys that are left out have their defaults.",
         "",
         "[campaign]",
-        (f'name = "{own.mineral}-{d * 1e3:g}mm-{own.stress / 1e3:g}kPa"', "of the database, too"),
+        (f'name = "{own.mineral}-{d * 1e3:g}mm-{own.stress / 1e3:g}kPa"', "also of the database"),
         ("seeds = 4", "for a first look; raise it for the scatter: computed cells are kept"),
         (f"contents = {sorted(map(float, own.contents))}", ""),
         "",
@@ -250,10 +250,10 @@ def _commented(own: OwnSand) -> str:
         ),
         (
             f"receiver_half_width = {_short(_RECEIVING * height)}",
-            f"{_RECEIVING:g} of the height: off the damped layers",
+            f"{_RECEIVING:g} of the height: away from the damped layers",
         ),
         (f"listening_depth = {_short(_LISTENING * d)}", f"{_LISTENING:g} d: enough grains for a mean"),
-        (f"boundary_thickness = {_short(_LAYER * d)}", f"{_LAYER:g} d at floor and lid absorb what would come back"),
+        (f"boundary_thickness = {_short(_LAYER * d)}", f"{_LAYER:g} d at floor and lid absorb reflections"),
         (
             f"slowest = {_short(0.5 * own.velocity, 2)}",
             f"half of the {own.velocity:.2g} m/s that are expected without cement",

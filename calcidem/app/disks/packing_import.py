@@ -255,8 +255,8 @@ def _suspicions(radius: Floats, pairs: int, deepest: float) -> Iterator[str]:
     """Notes about suspicious values."""
     mean = 2.0 * float(radius.mean())
     if not _SMALLEST_SAND <= mean <= _LARGEST_SAND:
-        yield f"Is the unit right? A mean diameter of {mean:.3g} m is no sand's."
+        yield f"Check the unit: a mean diameter of {mean:.3g} m is not that of a sand."
     if deepest > DEEP_OVERLAP:
         yield f"The largest overlap is {deepest:.1%} of a radius; above {LARGEST_OVERLAP:.0%} disks are refused."
     if pairs < _LOOSE * len(radius):
-        yield "Few disks touch: the lid will compress them. Are the sizes radii or diameters as they were read?"
+        yield "Few disks touch: the lid will compress them. Check whether the sizes are radii or diameters."

@@ -54,8 +54,8 @@ def _velocity_table(analysis: CampaignAnalysis) -> Table:
         "kurtosis. Reading error is the standard deviation that errors of the readings alone would give, their "
         "root mean square; it is left out where all samples are the same. The range of new samples holds for "
         "normal velocities. p is that of the Jarque-Bera test simulated for this number of samples. Cells not "
-        "computed yet and cells that gave no velocity are counted apart; neither is in the other columns. Marked "
-        "rows have one or the other.",
+        "computed yet and cells without a velocity have separate columns; the other columns exclude them. Marked "
+        "rows have such cells.",
         (
             "content (%)",
             "n",
@@ -136,7 +136,7 @@ def _outcome_table(analysis: CampaignAnalysis) -> Table | None:
     )
     if not rows:
         return None
-    return Table("Cells that gave no velocity, and why.", ("outcome", "reason", "contents (%)", "cells"), rows)
+    return Table("Cells without a velocity, with reasons.", ("outcome", "reason", "contents (%)", "cells"), rows)
 
 
 def count_reasons(

@@ -34,18 +34,18 @@ _CHOSEN = {
     "pattern.p_share": (1.0, "calcite of a P contact as a multiple of the toroid of Eq. 2"),
     "pattern.p_patch_diameter": (
         0.0,
-        "diameter in m of the circles in which P contacts come together; 0 for single ones",
+        "diameter of the patches of P contacts, m; 0 for single contacts",
     ),
     "pattern.cluster_area": (None, "calcite of a cluster in m²; without it the sum of Eq. 2 over its contacts"),
-    "pattern.keep_p": (_UNKNOWN, "whether P contacts stay when clusters appear; the published text allows both"),
-    "packing.friction_preparation": (_UNKNOWN, "friction while the packing is made; decides its coordination number"),
-    "wave.transmitter": (_UNKNOWN, "whether the wall rubs along the grains, or they are given the pulse's velocity"),
-    "wave.transmitter_half_width": (_UNKNOWN, "of the band that is moved, m"),
-    "wave.receiver_half_width": (_UNKNOWN, "of the band that is listened to, m"),
-    "wave.boundary_thickness": (_UNKNOWN, "of the strongly damped layers, m"),
-    "wave.regime": (_UNKNOWN, "how far geometry and stiffness follow the wave"),
+    "pattern.keep_p": (_UNKNOWN, "whether P contacts remain when clusters appear; the published text allows both"),
+    "packing.friction_preparation": (_UNKNOWN, "friction during packing; determines the coordination number"),
+    "wave.transmitter": (_UNKNOWN, "whether the wall drives the grains by friction, or their motion is prescribed"),
+    "wave.transmitter_half_width": (_UNKNOWN, "half-width of the transmitter, m"),
+    "wave.receiver_half_width": (_UNKNOWN, "half-width of the receiver, m"),
+    "wave.boundary_thickness": (_UNKNOWN, "thickness of the strongly damped layers, m"),
+    "wave.regime": (_UNKNOWN, "whether geometry and stiffness change with the wave"),
     "cement.bond_stiffness_ratio": (_UNKNOWN, "normal over shear stiffness of a bond"),
-    "cement.installation": (_UNKNOWN, "what happens to a contact's force when it is cemented"),
+    "cement.installation": (_UNKNOWN, "treatment of a contact's force at cementing"),
 }
 """Keys without a published value: value by a literal reading, if any, and meaning."""
 

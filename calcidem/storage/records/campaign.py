@@ -80,7 +80,7 @@ class PackingRecord(Record):
             f"Packing {self.index} has the content hash {hashes[0]} in {places[0]} and {hashes[1]} in {places[1]}"
             f"{origins}.",
             "Cells of two packings can't be in one campaign: keep them in databases of their own. 'calcidem run' on a "
-            "database goes on with its packing; new databases get one packing from one folder CALCIDEM_CACHE.",
+            "database uses its packing; new databases with a common folder CALCIDEM_CACHE get the same packing.",
         )
 
 

@@ -143,7 +143,7 @@ function offerMovie(place, host) {
     said.textContent = { none: "", working: `Computing for ${told.seconds} s, one core at the lowest priority.`, done: "" }[told.state] ?? `Not computed: ${told.reason}.`;
     if (told.state === "working") setTimeout(() => show("GET"), 1000);
     if (told.state !== "done") return;
-    const alt = `Wave going through ${labelOf(place)}: colour is the velocity of the grains`;
+    const alt = `Wave in ${labelOf(place)}: colour is the velocity of the grains`;
     pictures.replaceChildren(element("img", { src: `movies/${told.file}`, alt }));
   };
   button.addEventListener("click", () => show("POST"));
@@ -319,7 +319,7 @@ const connection = (text, isLost) => {
   put(byId("connection"), text);
   byId("connection").classList.toggle("lost", isLost);
 };
-stream.addEventListener("open", () => connection("Live: what is stored shows here within seconds.", false));
+stream.addEventListener("open", () => connection("Live: stored cells appear here within seconds.", false));
 stream.addEventListener("error", () => {
   const isComplete = campaigns.size > 0 && [...campaigns.values()].every(({ status }) => !status.cells.pending);
   connection(isComplete ? "The server has ended. All cells are below; “calcidem serve DB” shows them again." : "The connection is lost: the server has ended, or can't be reached. Below is what was stored before.", !isComplete);
