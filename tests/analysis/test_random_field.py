@@ -46,6 +46,14 @@ def test_statistics_are_those_of_the_log_normal_distribution() -> None:
     assert found["unknown"].to_numpy() == pytest.approx([0.0, 1.0 / 22800.0])
 
 
+def test_equal_stiffnesses_have_no_share_between_samples() -> None:
+    """Without cement all samples of a lattice are alike: the deviation is zero, and of nothing there is no share."""
+    places = 0.003 * np.arange(4)
+    found = describe_fields({(seed, 0.0): (places, places, np.full((4, 4), 1e9)) for seed in range(3)})
+    assert float(found["log_deviation"][0]) == 0.0
+    assert bool(found["between"].isnull().all())
+
+
 def test_each_axis_has_its_own_scale() -> None:
     """Averages over 6 steps of 0.5 along x and 3 of 0.25 along y have scales of 3 and 0.75."""
     noise = np.random.default_rng(3).standard_normal((60, 62, 65))
