@@ -20,7 +20,7 @@ _RANK_FILE = "rankfile"
 """The same, for files that name hosts elsewhere."""
 
 _DEFAULT_HOST_FILES = ("prte-default-hostfile", "openmpi-default-hostfile")
-"""In the folder etc of a launcher."""
+"""Files with hosts in the folder etc of a launcher."""
 
 
 def listening_addresses(mpirun: str, variables: Mapping[str, str] = os.environ) -> list[str]:

@@ -195,7 +195,7 @@ class RankWatch:
         return bool(self._missing) or (first is not None and first.killed and not first.joined)
 
     def describe_first_death(self) -> str:
-        """How the first rank ended that failed, else the first that ended; empty without one."""
+        """End of the first rank that failed, else of the first that ended; empty without one."""
         first = self._first_death()
         return "" if first is None else f"{first} {first.ended}"
 

@@ -30,7 +30,7 @@ _REPEAT_IGNORED = 1.0
 
 
 class StopLevel(IntEnum):
-    """How urgently the sweep is to end."""
+    """Urgency of a requested end."""
 
     NONE = 0
     DRAIN = 1

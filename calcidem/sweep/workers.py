@@ -22,7 +22,7 @@ class Loss(Generic[CellT]):
     batch: Batch[CellT] | None
     """Batch that it was computing, or None."""
     reason: str
-    """How the loss was noticed."""
+    """Evidence for the loss."""
     seconds: float
     """Time spent on the batch, s."""
     workers: int = 1

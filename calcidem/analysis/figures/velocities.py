@@ -256,7 +256,7 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
 
 @apply_style
 def draw_methods(cells: xr.Dataset, measured: Sequence[Target] = ()) -> Figure:
-    """Draw mean Vs (m/s) by three ways of reading against content (compare Fig. 6), and laboratory means."""
+    """Draw mean Vs (m/s) by three methods of reading against content (compare Fig. 6), and laboratory means."""
     figure = new_figure(height=4.6)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1.0])
     content = cells["content"].to_numpy()

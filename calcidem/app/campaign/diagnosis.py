@@ -51,7 +51,7 @@ _OTHER_WAVE = 2.1  # ratio to the static speed beyond which Vs may be that of an
 _AS_GOOD = 0.2  # logarithm of the ratio of two numbers of wavelengths on the path with which sections are read as well
 _MOST_NAMED = 4  # values that are added because the reasons of trials name them
 
-_WHY = {  # what a value shows that gives a velocity; others are named by the reason
+_WHY = {  # meaning of a remedy; other remedies are named by the reason
     "wave.slowest": "the record ended before the slowest expected wave",
     "wave.frequency": f"{WAVELENGTHS:g} wavelengths on the path: with fewer P and S wave overlap; shorter waves decay",
     "wave.receiver_half_width": "few grains at the receiver oscillated on their own",

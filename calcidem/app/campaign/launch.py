@@ -190,7 +190,7 @@ class Launch:
 
 @dataclass(frozen=True, slots=True)
 class _LaunchEnd:
-    """How a launch ended."""
+    """End of a launch."""
 
     code: int
     """Exit code."""

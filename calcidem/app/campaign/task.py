@@ -68,7 +68,7 @@ class CellComputation:
 
     configuration: Configuration
     packing: Packing
-    """Of the campaign."""
+    """Configuration and packing of the campaign."""
 
     def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None], /) -> Sequence[PackedResult]:
         """Measure the cells of a batch, which have the same content."""

@@ -20,7 +20,8 @@ _OTHER_NAMES = {"amd64": "x86_64", "arm64": "aarch64"}
 """Names of processor families on Windows and macOS, and on Linux."""
 
 _CORE_FUNCTIONS = ("scipy_openblas_get_corename64_", "openblas_get_corename64_", "openblas_get_corename")
-"""Functions of OpenBLAS that tell its core, in numpy's wheels now and before, and in other installations."""
+"""Functions of OpenBLAS that return its processor, in present and earlier wheels of numpy, and in other installations.
+"""
 
 
 @cache  # cached, since a process does not change
@@ -49,16 +50,16 @@ def _numpy_core() -> ModuleType:
 
 
 def _numpy_simd() -> tuple[str, ...]:
-    """Instruction sets beyond its baseline for which numpy chooses functions here; none if it does not tell."""
+    """Instruction sets beyond numpy's baseline that numpy uses here; empty if unknown."""
     core = _numpy_core()
     found = getattr(core, "__cpu_features__", {})
     return tuple(name for name in getattr(core, "__cpu_dispatch__", ()) if found.get(name))
 
 
 def _blas_core() -> str | None:
-    """Processor that numpy's OpenBLAS has chosen its kernels for; None for another BLAS, or if it can't be asked."""
+    """Processor for which numpy's OpenBLAS has chosen its kernels; None for another BLAS, or if unknown."""
     try:
-        library = ctypes.CDLL(str(_numpy_core().__file__))  # what it is linked to is searched, too
+        library = ctypes.CDLL(str(_numpy_core().__file__))  # linked libraries are searched, too
     except OSError:
         return None
     function = next((getattr(library, name) for name in _CORE_FUNCTIONS if hasattr(library, name)), None)

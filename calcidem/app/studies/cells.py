@@ -32,7 +32,7 @@ class Cells:
     """Cells of a campaign that a study measures with one experiment after another."""
 
     experiment: Experiment
-    """That of the campaign."""
+    """Experiment of the campaign."""
     contents: Sequence[float]
     """Percent."""
     seeds: Sequence[int]

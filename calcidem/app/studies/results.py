@@ -15,7 +15,7 @@ from calcidem.storage.netcdf.export import write_netcdf
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StudyResult:
-    """What a study found."""
+    """Results of a study."""
 
     text: str
     """Markdown tables to show."""

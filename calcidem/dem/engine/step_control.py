@@ -294,7 +294,7 @@ def refuse_blow_up(state: State) -> None:
     velocity = state.motion.velocity
     leap = _LEAP * float(np.min(state.scene.radius)) if state.features.finite and is_watched(state) else np.inf
     moved = np.abs(velocity[:, XY]) * state.time_step
-    # Comparisons with NaN are false, so the test asks for the valid case.
+    # Comparisons with NaN are false, so the valid case is tested.
     if (moved <= leap).all() and np.isfinite(velocity).all():
         return
     size = np.where(np.isfinite(velocity), np.abs(velocity), np.inf)

@@ -38,7 +38,7 @@ def problems_of(state: State, amplitude: float, overlap: float, breakable: float
         Largest permitted share of broken bonds.
     """
     problems = [""] * state.features.lanes
-    # Comparisons with NaN are false, so the test asks for the valid case.
+    # Comparisons with NaN are false, so the valid case is tested.
     for lane in np.flatnonzero(~(_largest_translation(state.motion.velocity) <= _BLOW_UP * amplitude)).tolist():
         speed = np.abs(state.motion.velocity[:, :2, lane]).max(axis=1)
         problems[lane] = f"{_name_disk(state, speed)} moves at {speed.max():.3g} m/s after {state.steps} steps"

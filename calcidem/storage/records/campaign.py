@@ -28,7 +28,7 @@ class PackingRecord(Record):
     index: Annotated[int, Quantity("1", "index of the packing")]
     """0 to k - 1 when a campaign has k packings."""
     hash: Annotated[str, Quantity("", "hash of what it was made from")]
-    """It determines the packing's bits only on machines that compute the same bits."""
+    """Packings with the same hash may differ between versions."""
     x: Annotated[NDArray[np.float64], Along("grain", "m", "horizontal position of the centre")]
     y: Annotated[NDArray[np.float64], Along("grain", "m", "vertical position of the centre")]
     radius: Annotated[NDArray[np.float64], Along("grain", "m", "radius")]

@@ -47,7 +47,7 @@ class Quantity:
     name: str = ""
     kind: Literal["real", "whole", "text"] = "real"
     is_optional: bool = False
-    """Name and type of the field; set by `quantities_of`."""
+    """Name and type of the field; set by `Record.quantities`."""
     needs: tuple[str, ...] = ()
     """Stored quantities from which it is derived; empty for a stored one."""
     formula: Callable[..., Any] | None = None

@@ -26,7 +26,7 @@ class RecordedSection(Record):
     """A multiple of the cell's time step."""
     start_time: Annotated[float, Quantity("s", "time of the first sample after the pulse began")]
     pulse_frequency: Annotated[float, _positive("Hz", "frequency of the pulse")]
-    """Of the pulse ``v0 (1 - cos 2 pi f t)``."""
+    """f of the pulse ``v0 (1 - cos 2 pi f t)``."""
     resolution: Annotated[float, _positive("m s-1", "velocity of one count, 2^-20 of v0")]
     places: Annotated[NDArray[np.float64], Along("station", "m", "path to each station, and last to the receiver")]
     """Shape (X,)."""

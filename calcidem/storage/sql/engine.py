@@ -90,7 +90,7 @@ _CURE_OF_ERROR: dict[type[StoreError], str] = {
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where a store is."""
+    """Address of a store."""
 
     url: URL
     """SQLAlchemy's form."""
