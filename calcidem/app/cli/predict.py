@@ -65,27 +65,33 @@ def predict_command(
     cement = None if pattern is None else _read_pattern(pattern)
     features = None if feature is None else dict(_read_feature(text) for text in feature)
     with read_campaign(database, campaign) as store:
+        predicted: dict[str, float] = {}
         if content is not None:
             from calcidem.app.campaign.opened import Campaign  # a sample that was not simulated needs the engine
 
             prediction = Campaign(store).predict(
                 content=content, seed=seed, pattern=cement, features=features, level=level
             )
-            typer.echo(_prediction_line(content, prediction, level), err=layout is not Format.TABLE)
+            predicted = _prediction_row(content, prediction)
+            if layout is Format.TABLE:
+                typer.echo(_prediction_line(content, prediction, level))
         names = CEMENT_FEATURES if features is None else tuple(features)
         analysis = CampaignAnalysis(store, with_cement=with_patterns)
         checks = check_predictions(analysis, names, level)
         alone = check_predictions(analysis, (), level)
-        if layout is not Format.TABLE:
-            chosen = (known for known in checks if content is None or np.isclose(known, content))
-            rows = [_check_row(known, checks[known], alone[known]) for known in chosen]
-            tell_rows(rows, layout, names=("content", "n", "coverage", "score", "score_alone"))
-        elif content is None:
-            make_console().print(_check_table(checks, alone))
-            typer.echo(_overall_line(checks, alone))
-        else:
-            for known in (known for known in checks if np.isclose(known, content)):
-                typer.echo(_check_line(checks[known], alone[known]))
+    if content is not None:
+        checks = {known: check for known, check in checks.items() if np.isclose(known, content)}
+    if layout is not Format.TABLE:
+        rows = [_check_row(known, check, alone[known]) | predicted for known, check in checks.items()]
+        if not rows and predicted:  # too few samples for a check
+            rows = [predicted]
+        tell_rows(rows, layout, names=("content", "n", "coverage", "score", "score_alone", *predicted))
+    elif content is None:
+        make_console().print(_check_table(checks, alone))
+        typer.echo(_overall_line(checks, alone))
+    else:
+        for known, check in checks.items():
+            typer.echo(_check_line(check, alone[known]))
 
 
 _parse_value = number_parser(-1e12, 1e12, "is no value; write NAME=VALUE, such as path_normalized_connectivity=0.6")
@@ -120,8 +126,14 @@ def _prediction_line(content: float, prediction: "Prediction", level: float) -> 
     )
 
 
+def _prediction_row(content: float, prediction: "Prediction") -> dict[str, float]:
+    """The same for programs; m/s."""
+    low, high = prediction.interval.low, prediction.interval.high
+    return {"content": content, "vs": prediction.vs, "vs_interval_low": low, "vs_interval_high": high}
+
+
 def _check_row(content: float, check: "PredictorCheck", alone: "PredictorCheck") -> dict[str, float]:
-    """The same for programs; scores in m/s."""
+    """A check for programs; scores in m/s."""
     numbers = {name: getattr(check, name) for name in ("n", "coverage", "score")}
     return {"content": content, **numbers, "score_alone": alone.score}
 

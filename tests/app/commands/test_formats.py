@@ -5,14 +5,18 @@ import io
 import json
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
+from calcidem.app.campaign import diagnosis
 from calcidem.app.cli import formats
 from calcidem.app.cli.formats import Format, _as_csv, _as_parquet, _flat
 from calcidem.app.cli.main import _build_application
+from calcidem.storage.records import CellKey
 
 Invoke = Callable[..., str]
 
@@ -50,6 +54,26 @@ def test_all_formats_have_the_same_rows(command: str, database: Path, invoke: In
     assert list(frame.columns) == list(table[0])
     for row, line, content in zip(rows, table, frame["content"], strict=True):
         assert row["content"] == float(line["content"]) == content
+
+
+def test_a_prediction_is_in_the_rows(database: Path, invoke: Invoke) -> None:
+    """Programs get what a person reads: the velocity of the sample with its interval, beside the check."""
+    words = ("predict", database, "--content", 5)
+    (row,) = json.loads(invoke(*words, "--format", "json"))
+    assert row["vs_interval_low"] < row["vs"] < row["vs_interval_high"]
+    assert f"5 %: Vs {row['vs']:.0f} m/s" in invoke(*words)
+    (row,) = json.loads(invoke("predict", database, "--content", 0, "--format", "json"))  # which has no check
+    assert row["vs"] > 0.0
+
+
+def test_diagnose_draws_in_every_format(
+    database: Path, tmp_path: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Figures do not depend on the format of the rows."""
+    cell = SimpleNamespace(key=CellKey(1, 5.0), as_row=lambda: {"seed": 1}, draw=Figure)
+    monkeypatch.setattr(diagnosis, "diagnose", lambda _store, _selection: iter([cell]))
+    invoke("diagnose", database, "--out", tmp_path / "figures", "--format", "json")
+    assert [file.name for file in (tmp_path / "figures").iterdir()] == ["seed1_content5_diagnosis.png"]
 
 
 def test_rows_of_different_names_have_all_columns() -> None:
