@@ -33,19 +33,24 @@ def diagnose_command(
 
     with read_campaign(database, campaign) as store:
         found = diagnose(store, Selection(seed, content))
-        if layout is not Format.TABLE:
-            names = ("seed", "content", "status", "reason", "finding", "vs", "remedies")
-            tell_rows([one.as_row() for one in found], layout, names=names)
-            return
-        counts = [(key, number) for key, number in store.status_counts().items() if key[1] in UNREAD]
-        words = ", ".join(f"{number} at {content:g} % ({status})" for (content, status), number in sorted(counts))
-        typer.echo(f"Campaign {store.record.name}. Without velocity: {words or 'none'}. A new run would give the same.")
+        if layout is Format.TABLE:
+            counts = [(key, number) for key, number in store.status_counts().items() if key[1] in UNREAD]
+            words = ", ".join(f"{number} at {content:g} % ({status})" for (content, status), number in sorted(counts))
+            typer.echo(
+                f"Campaign {store.record.name}. Without velocity: {words or 'none'}. A new run would give the same."
+            )
+        rows = []
         for one in found:
-            head = f"\n{one.key}: {one.status.words}, {one.reason}"
-            lines = head, *textwrap.wrap(one.finding, 110), *one.describe_remedies()
-            typer.echo(printable("\n  ".join(lines)))
+            rows.append(one.as_row())
+            if layout is Format.TABLE:
+                head = f"\n{one.key}: {one.status.words}, {one.reason}"
+                lines = head, *textwrap.wrap(one.finding, 110), *one.describe_remedies()
+                typer.echo(printable("\n  ".join(lines)))
             if out is not None:
                 from calcidem.analysis.figures.style import save
 
                 name = f"seed{one.key.seed}_content{one.key.content:g}_diagnosis"
-                typer.echo(f"  Wrote {save(one.draw(), out, name, ('png',))[0]}")
+                typer.echo(f"  Wrote {save(one.draw(), out, name, ('png',))[0]}", err=layout is not Format.TABLE)
+    if layout is not Format.TABLE:
+        names = ("seed", "content", "status", "reason", "finding", "vs", "remedies")
+        tell_rows(rows, layout, names=names)
