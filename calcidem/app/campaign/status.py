@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, error_budget
 from calcidem.analysis.intervals import Interval
+from calcidem.storage.passwords import hide_passwords
 from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
@@ -41,7 +42,6 @@ FEWEST_TO_PLAN = 3
 
 URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
 """Rank of each status, the most severe first; pending before done."""
-"""Rank of each status, the most severe first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +117,43 @@ class CampaignStatus:
         """Number of cells without an outcome."""
         return self.counts.get(CellStatus.PENDING, 0)
 
+    def to_json(self) -> dict[str, Any]:
+        """How far it is in JSON's types, without single cells; a number that is not known is None."""
+        run = self.last_run
+        return {
+            "campaign": self.name,
+            "hash": self.hash,
+            "running": self.running,
+            "run": run
+            and {
+                "number": self.run_number,
+                "host": run.host,
+                "ranks": run.ranks,
+                "started": f"{run.started:%Y-%m-%d %H:%M} UTC",
+                "exit_state": run.exit_state and hide_passwords(run.exit_state),
+            },
+            "cells": _by_name(self.counts),
+            "vs_error": _finite_or_none(self.budget.total),
+            "reading_error": _finite_or_none(self.budget.reading),
+            "numerical_error": _finite_or_none(self.budget.numerical),
+            "seconds_left": _finite_or_none(self.seconds_left),
+            "workers": self.workers,
+            "contents": [
+                {
+                    "content": one.content,
+                    "cells": _by_name(one.counts),
+                    "mean": _finite_or_none(one.mean),
+                    "sd": _finite_or_none(one.deviation),
+                    "reading_scatter": _finite_or_none(one.budget.scatter),
+                    "departing": one.budget.departing,
+                    "interval_95": [_finite_or_none(one.interval.low), _finite_or_none(one.interval.high)],
+                    "seconds_per_cell": _finite_or_none(one.seconds_per_cell),
+                    "core_seconds_left": _finite_or_none(one.seconds_left),
+                }
+                for one in self.contents
+            ],
+        }
+
     @classmethod
     def of(cls, store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> Self:
         """Progress of a campaign, in a few short queries, from `STATUS_QUANTITIES` of its planned cells."""
@@ -157,6 +194,14 @@ class CampaignStatus:
             columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"])
             columns["seconds"] = _sampled_seconds(store, columns)
             return cls.of(store, columns, _troubles_of(store, columns))
+
+
+def _by_name(counts: Mapping[CellStatus, int]) -> dict[str, int]:
+    return {str(status): number for status, number in sorted(counts.items())}
+
+
+def _finite_or_none(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:

@@ -45,7 +45,7 @@ def tell_rows(
     """
     if layout is Format.JSON:
         told: str | bytes = (
-            json.dumps(json_value(rows if whole is None else whole), indent=1, ensure_ascii=False) + "\n"
+            json.dumps(_json_value(rows if whole is None else whole), indent=1, ensure_ascii=False) + "\n"
         )
     elif layout is Format.CSV:
         told = _as_csv(_flat(rows, names), names)
@@ -72,16 +72,16 @@ def tell_study(result: "StudyResult", layout: Format, table: Path | None) -> Non
         tell_rows(result.rows, layout, whole=json.loads(result.json))
 
 
-def json_value(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
+def _json_value(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
     """A value with null for numbers that JSON lacks."""
     if value is None or isinstance(value, str | int):  # most are
         return value
     if isinstance(value, Mapping):
-        return {str(name): json_value(inner) for name, inner in value.items()}
+        return {str(name): _json_value(inner) for name, inner in value.items()}
     if hasattr(value, "item"):
         value = value.item()
     if isinstance(value, list | tuple):
-        return [json_value(inner) for inner in value]
+        return [_json_value(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -99,7 +99,7 @@ def _as_csv(rows: RecordRows, names: Sequence[str]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(rows[0] if rows else names)
-    writer.writerows([spreadsheet_value(json_value(value)) for value in row.values()] for row in rows)
+    writer.writerows([spreadsheet_value(_json_value(value)) for value in row.values()] for row in rows)
     return stream.getvalue()
 
 

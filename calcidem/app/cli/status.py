@@ -11,7 +11,7 @@ from rich.console import Console, Group
 from rich.live import Live
 
 from calcidem.app.cli.arguments import CampaignName, Database, number_parser
-from calcidem.app.cli.formats import Format, FormatOption, json_value, tell_rows
+from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.campaign.status import CampaignStatus
@@ -71,7 +71,7 @@ def _show_status(
         for found in statuses:
             whole = status_as_json(found, half_width)
             if one_per_line and layout is Format.JSON:
-                typer.echo(json.dumps(json_value(whole)))
+                typer.echo(json.dumps(whole))
             else:
                 tell_rows([row | row["cells"] for row in whole["contents"]], layout, whole=whole)
         return

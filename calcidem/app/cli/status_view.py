@@ -183,38 +183,15 @@ def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
 
 
 def status_as_json(status: CampaignStatus, half_width: float | None = None) -> dict[str, Any]:
-    """Whole status for `tell_rows`; a missing number is NaN."""
-    plans = [None if half_width is None else _plan_of(content, half_width) for content in status.contents]
-    run = status.last_run
-    return {
-        "campaign": status.name,
-        "hash": status.hash,
+    """Whole status in JSON's types; a missing number is null."""
+    told = status.to_json()
+    for content, row in zip(status.contents, told["contents"], strict=True):
+        row["status"] = [content.statuses.get(seed) for seed in status.seeds]
+        if half_width is not None and (plan := _plan_of(content, half_width)) is not None:
+            row |= {"seeds_needed": plan.needed, "more_seeds": plan.more}
+    return told | {
         "packing_content_hashes": list(status.content_hashes.values()),
-        "running": status.running,
-        "run": None if run is None else {"number": status.run_number, "ranks": run.ranks, "exit_state": run.exit_state},
-        "cells": dict(sorted(status.counts.items())),
-        "vs_error": status.budget.total,
-        "reading_error": status.budget.reading,
-        "numerical_error": status.budget.numerical,
-        "seconds_left": status.seconds_left,
-        "workers": status.workers,
         "seeds": list(status.seeds),
-        "contents": [
-            {
-                "content": content.content,
-                "status": [content.statuses.get(seed) for seed in status.seeds],
-                "cells": dict(sorted(content.counts.items())),
-                "mean": content.mean,
-                "sd": content.deviation,
-                "reading_scatter": content.budget.scatter,
-                "departing": content.budget.departing,
-                "interval_95": [content.interval.low, content.interval.high],
-                "seconds_per_cell": content.seconds_per_cell,
-                "core_seconds_left": content.seconds_left,
-            }
-            | ({} if plan is None else {"seeds_needed": plan.needed, "more_seeds": plan.more})
-            for content, plan in zip(status.contents, plans, strict=True)
-        ],
         "troubles": [
             {"seed": trouble.key.seed, "content": trouble.key.content}
             | {name: getattr(trouble, name) for name in ("status", "attempts", "losses", "reason", "retry")}

@@ -1,6 +1,5 @@
 """Data of one campaign for the live page, updated from its database by short queries."""
 
-import math
 import os
 from contextlib import suppress
 from threading import RLock
@@ -25,7 +24,7 @@ from calcidem.app.serve.columns import CellColumns
 from calcidem.dem.engine.material import Sand
 from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError
 from calcidem.storage.passwords import hide_passwords
-from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
+from calcidem.storage.records import QUANTITY_BY_NAME
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection, StoreMark
@@ -132,7 +131,7 @@ class CampaignFeed:
                 return told
             with suppress(StoreError):  # the next refresh reports it
                 found = CampaignStatus.of(self._store, self._columns.rows(STATUS_QUANTITIES), ())
-                told |= _told_status(found) | {"reasons": self._reasons(self._columns)}
+                told = found.to_json() | told | {"name": found.name, "reasons": self._reasons(self._columns)}
             return told
 
     def records(self) -> bytes:
@@ -291,44 +290,3 @@ def _relative_forces(graph: PackingGraph) -> list[int]:
     force = Sand().hertz_coefficient(packing.radius[first], packing.radius[second]) * overlap**1.5
     percent: list[int] = np.rint(100.0 * force / force.mean()).astype(int).tolist()
     return percent
-
-
-def _told_status(status: CampaignStatus) -> dict[str, Any]:
-    """Data of a status for the page; unknown numbers are None."""
-    run = status.last_run
-    return {
-        "name": status.name,
-        "hash": status.hash,
-        "running": status.running,
-        "workers": status.workers,
-        "seconds_left": _finite(status.seconds_left),
-        "vs_error": _finite(status.budget.total),
-        "cells": {str(kind): number for kind, number in sorted(status.counts.items())},
-        "run": run
-        and {
-            "number": status.run_number,
-            "host": run.host,
-            "ranks": run.ranks,
-            "started": f"{run.started:%Y-%m-%d %H:%M} UTC",
-            "exit_state": hide_passwords(run.exit_state or ""),
-        },
-        "contents": [
-            {
-                "content": one.content,
-                "planned": len(one.statuses),
-                "done": one.counts.get(CellStatus.DONE, 0),
-                "pending": one.counts.get(CellStatus.PENDING, 0),
-                "mean": _finite(one.mean),
-                "sd": _finite(one.deviation),
-                "low": _finite(one.interval.low),
-                "high": _finite(one.interval.high),
-                "seconds": _finite(one.seconds_per_cell),
-                "seconds_left": _finite(one.seconds_left / status.workers),
-            }
-            for one in status.contents
-        ],
-    }
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -263,6 +263,10 @@ function put(host, text, isMarkup = false) {
 
 // Mean and scatter ---------------------------------------------------------------------------------------------
 
+/** Cells with a velocity, of those that are planned. */
+function counted({ cells }) {
+  return `${cells.done ?? 0} of ${Object.values(cells).reduce((sum, count) => sum + count, 0)}`;
+}
 function showGrowth() {
   const shown = [...campaigns.values()].filter(({ status }) => status.contents?.length);
   byId("growth").hidden = !shown.length;
@@ -275,8 +279,9 @@ function showGrowth() {
   const rows = shown.flatMap(({ status }) => status.contents.map((one) => {
     const values = [
       ...(several ? [status.name] : []),
-      number(one.content), `${one.done} of ${one.planned}`, number(one.mean), one.low === null ? MISSING : `${number(one.low)} to ${number(one.high)}`,
-      number(one.sd, 3), one.seconds === null ? MISSING : `${number(one.seconds, 2)} s`, one.pending ? duration(one.seconds_left) : "none",
+      number(one.content), counted(one), number(one.mean), one.interval_95[0] === null ? MISSING : one.interval_95.map((end) => number(end)).join(" to "),
+      number(one.sd, 3), one.seconds_per_cell === null ? MISSING : `${number(one.seconds_per_cell, 2)} s`,
+      one.cells.pending ? duration(one.core_seconds_left === null ? null : one.core_seconds_left / status.workers) : "none",
     ];
     return `<tr>${values.map((value) => `<td class="short">${escape(value)}</td>`).join("")}</tr>`;
   }));
@@ -285,7 +290,7 @@ function showGrowth() {
 function drawGrowth(shown, known) {
   const [width, height, left, bottom, top] = [Math.max(byId("chart").clientWidth, 280), 250, 62, 44, 12];
   // Of two or three samples the interval is so wide that it would leave nothing else to see: it is cut at the edge.
-  const reach = (one) => [-1, 1].map((side) => one.mean + side * Math.max(one.sd ?? 0, Math.min(2 * (one.sd ?? 0), (one.high ?? one.mean) - one.mean)));
+  const reach = (one) => [-1, 1].map((side) => one.mean + side * Math.max(one.sd ?? 0, Math.min(2 * (one.sd ?? 0), (one.interval_95[1] ?? one.mean) - one.mean)));
   const values = known.flatMap(reach);
   const [least, most] = values.length ? [Math.min(...values), Math.max(...values)] : [0, 1];
   const margin = 0.05 * (most - least || most || 1);
@@ -297,10 +302,11 @@ function drawGrowth(shown, known) {
   const upward = values.length ? ticks(low, high, 6).map((vs) => `<line x1="${left}" x2="${width - 10}" y1="${y(vs)}" y2="${y(vs)}" stroke="var(--line)"/><text x="${left - 6}" y="${y(vs) + 4}" text-anchor="end">${number(vs)}</text>`) : [];
   const across = ticks(first, last, width / 80).map((content) => `<text x="${x(content)}" y="${height - bottom + 18}" text-anchor="middle">${number(Number(content.toPrecision(6)))}</text>`);
   const marks = known.map((one) => {
+    const [bottomEnd, topEnd] = one.interval_95;
     const [at, colour] = [x(one.content) + 7 * (one.campaign - (campaigns.size - 1) / 2), `var(--${colourOf(one.campaign)})`];
     const bar = one.sd === null ? "" : `<line x1="${at}" x2="${at}" y1="${y(one.mean - one.sd)}" y2="${y(one.mean + one.sd)}" stroke="${colour}" stroke-width="9" stroke-opacity=".28"/>`;
-    const whisker = one.low === null ? "" : `<path d="M${at} ${y(one.low)}V${y(one.high)}M${at - 4} ${y(one.low)}h8M${at - 4} ${y(one.high)}h8" stroke="${colour}" stroke-width="1.8" fill="none"/>`;
-    return `${bar}${whisker}<circle cx="${at}" cy="${y(one.mean)}" r="3.6" fill="${colour}"><title>${escape(`${one.name}, ${one.content} %: ${number(one.mean)} m/s, ${one.done} of ${one.planned} cells`)}</title></circle>`;
+    const whisker = bottomEnd === null ? "" : `<path d="M${at} ${y(bottomEnd)}V${y(topEnd)}M${at - 4} ${y(bottomEnd)}h8M${at - 4} ${y(topEnd)}h8" stroke="${colour}" stroke-width="1.8" fill="none"/>`;
+    return `${bar}${whisker}<circle cx="${at}" cy="${y(one.mean)}" r="3.6" fill="${colour}"><title>${escape(`${one.name}, ${one.content} %: ${number(one.mean)} m/s, ${counted(one)} cells`)}</title></circle>`;
   });
   const said = `Mean Vs against calcite content: ${known.length} of ${contents.length} contents have a mean${values.length ? `, from ${number(Math.min(...known.map(({ mean }) => mean)))} to ${number(Math.max(...known.map(({ mean }) => mean)))} m/s` : ""}. The numbers are in the table below.`;
   put(byId("chart"), `<svg viewBox="0 0 ${width} ${height}" role="img" aria-label="${escape(said)}">
