@@ -160,7 +160,7 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     """Signals to a step of the screen, arrivals, paths and every cemented contact come back from the page's blocks."""
     with open_campaign(small_database) as campaign:
         analysis = campaign.analyse()
-        blocks = gather_cell_data(analysis, ROOM).blocks
+        blocks = gather_cell_data(analysis, ROOM)[0]
         done = list(campaign.select(status="done", with_arrays=True))
         cell = max(done, key=lambda cell: cell.key.content)
         seed_number, content = cell.key.seed, cell.key.content
@@ -192,7 +192,7 @@ def test_the_section_in_the_page_is_the_one_that_was_read(small_database: Path) 
     """Traces come back to a step of the drawing, and the marked peak has the travel time of the stored velocity."""
     with open_campaign(small_database) as campaign:
         analysis = campaign.analyse()
-        blocks = gather_cell_data(analysis, ROOM).blocks
+        blocks = gather_cell_data(analysis, ROOM)[0]
         cell = next(cell for cell in campaign.select(status="done", with_arrays=True) if cell.section is not None)
     assert cell.section is not None
     sections = json.loads(zlib.decompress(b64decode(blocks[f"sections-{cell.key.seed}"])))
@@ -212,12 +212,12 @@ def test_sections_end_where_the_page_is_full(small_database: Path) -> None:
     """What is left of the page is for sections: later seeds have none, and the page says where they are drawn."""
     with open_campaign(small_database) as campaign:
         analysis = campaign.analyse()
-        whole = gather_cell_data(analysis, ROOM).blocks
+        whole = gather_cell_data(analysis, ROOM)[0]
         sections = [name for name in whole if name.startswith("sections-")]
         room = sum(map(len, whole.values())) - len(whole[sections[-1]])
-        found = gather_cell_data(analysis, room)
-    assert list(found.blocks) == [name for name in whole if name != sections[-1]]
-    assert f"Space-time sections of the first {len(sections) - 1} seeds" in found.remarks[-1]
+        blocks, remarks = gather_cell_data(analysis, room)
+    assert list(blocks) == [name for name in whole if name != sections[-1]]
+    assert f"Space-time sections of the first {len(sections) - 1} seeds" in remarks[-1]
 
 
 def test_large_campaigns_leave_out_what_a_page_cannot_hold(
@@ -227,16 +227,16 @@ def test_large_campaigns_leave_out_what_a_page_cannot_hold(
     monkeypatch.setattr(cell_data, "MOST_FULL_RECORDS", 10)
     with open_campaign(small_database) as campaign:
         analysis = campaign.analyse()
-        whole = gather_cell_data(analysis, ROOM).blocks
+        whole = gather_cell_data(analysis, ROOM)[0]
         always = sum(len(text) for name, text in whole.items() if not name.startswith(("seed-", "sections-")))
         room = always + len(whole["seed-1"]) + len(whole["seed-2"])
-        found = gather_cell_data(analysis, room)
+        blocks, remarks = gather_cell_data(analysis, room)
         analysis = campaign.analyse(most_samples=12)
         assert {sample.seed for sample in analysis.samples} == set(analysis.analysed_seeds) == {1, 2}
-    assert [name for name in found.blocks if name.startswith("seed-")] == ["seed-1", "seed-2"]
-    assert sum(map(len, found.blocks.values())) <= room
-    assert found.remarks[0].startswith("Of each of the 36 cells only 6 quantities")
-    assert found.remarks[1].startswith("Signals and samples of 2 of 6 seeds")
+    assert [name for name in blocks if name.startswith("seed-")] == ["seed-1", "seed-2"]
+    assert sum(map(len, blocks.values())) <= room
+    assert remarks[0].startswith("Of each of the 36 cells only 6 quantities")
+    assert remarks[1].startswith("Signals and samples of 2 of 6 seeds")
 
 
 def test_published_table_stands_beside_the_published_sand() -> None:

@@ -30,20 +30,9 @@ _SHORTEST_PAUSE, _LONGEST_PAUSE = 5.0, 600.0
 some lines and a run of days does not fill its log.
 """
 
-_VERBS = {
-    RunStage.STARTING: "Starting",
-    RunStage.PACKING: "Packing",
-    RunStage.COMPILING: "Compiling",
-    RunStage.COMPUTING: "Computing",
-    RunStage.WRITING: "Writing",
-}
-
 
 class _CallbackDisplay(ProgressDisplay):
-    """Passes the progress to a function of the caller.
-
-    Its exceptions end the run.
-    """
+    """Passes the progress to a function of the caller, whose exceptions end the run."""
 
     def __init__(self, callback: Callable[[RunProgress], object]) -> None:
         self._callback = callback
@@ -53,14 +42,25 @@ class _CallbackDisplay(ProgressDisplay):
         self._callback(progress)
 
 
-class _LineDisplay(ProgressDisplay):
+class _ConsoleDisplay(ProgressDisplay):
+    """Writes sentences on a console."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+
+    def note(self, text: str) -> None:
+        """Write a line, above the display if there is one."""
+        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+class _LineDisplay(_ConsoleDisplay):
     """Writes lines at increasing intervals, for logs of batch systems and for pipes.
 
     The pause between two lines has limits in seconds.
     """
 
     def __init__(self, console: Console, shortest: float = _SHORTEST_PAUSE, longest: float = _LONGEST_PAUSE) -> None:
-        self._console = console
+        super().__init__(console)
         self._shortest, self._pause, self._longest = shortest, shortest, longest
         self._next = time.monotonic() + shortest
         self._stage = RunStage.STARTING
@@ -79,32 +79,26 @@ class _LineDisplay(ProgressDisplay):
 
     def note(self, text: str) -> None:
         """Write a line with the time."""
-        self._console.print(f"{time.strftime('%H:%M:%S')} {text}", markup=False, highlight=False, soft_wrap=True)
+        super().note(f"{time.strftime('%H:%M:%S')} {text}")
 
 
-class _ChannelDisplay(ProgressDisplay):
+class _ChannelDisplay(_ConsoleDisplay):
     """Sends the progress to the command that started the ranks, which has the real terminal."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
 
     def show(self, progress: RunProgress) -> None:
         """Send it; nothing waits for the command, which may skip snapshots."""
         tell_progress(progress.to_json())
 
-    def note(self, text: str) -> None:
-        """Write a line."""
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
-class LiveDisplay(ProgressDisplay):
+class LiveDisplay(_ConsoleDisplay):
     """Draws the progress at the bottom of a terminal; other text appears above it.
 
     A thread redraws it, or the caller of `refresh`.
     """
 
     def __init__(self, console: Console, *, by_itself: bool = True) -> None:
-        self.console = console
+        super().__init__(console)
         self._progress: RunProgress | None = None
         self._since = time.monotonic()
         self._live = Live(
@@ -121,10 +115,6 @@ class LiveDisplay(ProgressDisplay):
     def show(self, progress: RunProgress) -> None:
         """Set the progress to draw."""
         self._progress, self._since = progress, time.monotonic()
-
-    def note(self, text: str) -> None:
-        """Write a line above the display."""
-        self.console.print(text, markup=False, highlight=False, soft_wrap=True)
 
     def refresh(self) -> None:
         """Draw again if due; a closed terminal is not an error."""
@@ -154,7 +144,9 @@ class LiveDisplay(ProgressDisplay):
         bar = ProgressBar(1.0, part, _BAR_WIDTH, pulse=not part, animation_time=time.monotonic())
         summary, *details = _described(progress)
         elapsed = ", ".join([duration(progress.seconds + passed), *_time_left(progress, passed)])
-        head.add_row(spinner, Text(_VERBS[progress.stage], style="bold"), bar, summary, Text(elapsed, style="cyan"))
+        head.add_row(
+            spinner, Text(progress.stage.capitalize(), style="bold"), bar, summary, Text(elapsed, style="cyan")
+        )
         lines = [Text(f"  {', '.join(details)}", no_wrap=True, overflow="ellipsis")] if details else []
         return Group(head, *lines, *self._contents(progress))
 

@@ -74,7 +74,10 @@ def group_workers(workers: Iterable[WorkerRecord]) -> tuple[WorkerRecord, ...]:
     """One record for all equal workers, with their ranks and hosts."""
     groups: list[WorkerRecord] = []
     for worker in workers:
-        alike = next((i for i, group in enumerate(groups) if _is_alike(group, worker)), None)
+        alike = next(
+            (i for i, group in enumerate(groups) if replace(worker, ranks=group.ranks, hosts=group.hosts) == group),
+            None,
+        )
         if alike is None:
             groups.append(worker)
         else:
@@ -82,11 +85,6 @@ def group_workers(workers: Iterable[WorkerRecord]) -> tuple[WorkerRecord, ...]:
             hosts = tuple(dict.fromkeys((*group.hosts, *worker.hosts)))
             groups[alike] = replace(group, ranks=(*group.ranks, *worker.ranks), hosts=hosts)
     return tuple(groups)
-
-
-def _is_alike(one: WorkerRecord, other: WorkerRecord) -> bool:
-    """Whether two records differ only in ranks and hosts."""
-    return replace(one, ranks=(), hosts=()) == replace(other, ranks=(), hosts=())
 
 
 def _differing_versions(workers: Sequence[WorkerRecord]) -> tuple[str, ...]:

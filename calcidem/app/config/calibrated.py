@@ -1,8 +1,6 @@
 """Detection of calibrated values of example configurations that are used for another material."""
 
-import re
 import tomllib
-from collections.abc import Iterator
 from typing import Any
 
 from calcidem.app.config.presets import PRESETS, preset_text
@@ -13,18 +11,21 @@ from calcidem.app.config.schema import Configuration
 _MATERIAL = ("sand.shear_modulus", "sand.poisson_ratio", "cement.bond_modulus", "cement.linear_modulus")
 """Keys of the materials to which values are calibrated, as in `Configuration.physics`."""
 
-_MARKED = re.compile(r"^(\w+) = .*# calibrated", re.MULTILINE)
+_CALIBRATED = (
+    "sand.wave_stiffness_factor",
+    "pattern.p_share",
+    "pattern.p_patch_diameter",
+    "pattern.cluster_area",
+)
+"""Keys that the comments of the examples call calibrated."""
 
 
 def calibration_note(configuration: Configuration) -> str:
     """Message about values calibrated for another material, with a remedy; empty without any."""
     for preset in PRESETS:
-        text = preset_text(preset)
-        fitted, default = read_configuration(tomllib.loads(text)), Configuration()
+        fitted, default = read_configuration(tomllib.loads(preset_text(preset))), Configuration()
         kept = [
-            name
-            for name in _calibrated_keys(text)
-            if _value(configuration, name) == _value(fitted, name) != _value(default, name)
+            name for name in _CALIBRATED if _value(configuration, name) == _value(fitted, name) != _value(default, name)
         ]
         changed = [name for name in _MATERIAL if _value(configuration, name) != _value(fitted, name)]
         if kept and changed:
@@ -36,13 +37,6 @@ def calibration_note(configuration: Configuration) -> str:
                 "calibrated values out, or fit them to measurements of this material with 'calcidem calibrate'."
             )
     return ""
-
-
-def _calibrated_keys(text: str) -> Iterator[str]:
-    """``section.key`` of the values that comments of a configuration mark as calibrated."""
-    for name, section in tomllib.loads(text).items():
-        part = text.partition(f"[{name}]")[2].partition("\n[")[0]
-        yield from (f"{name}.{key}" for key in _MARKED.findall(part) if key in section)
 
 
 def _value(configuration: Configuration, name: str) -> Any:  # noqa: ANN401 - numbers and words

@@ -5,7 +5,6 @@ import zlib
 from base64 import b64encode
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
@@ -45,20 +44,11 @@ _MOST_PEAKS = 5
 _SAME = 1e-3  # relative difference of travel times below which a peak is that of the stored velocity
 
 
-@dataclass(frozen=True, slots=True)
-class _CellData:
-    """Data for the script of the page."""
-
-    blocks: Mapping[str, str]
-    """Compressed JSON in base64 by id of its element: "records", "packing-0", ..., "seed-1", ..."""
-    remarks: tuple[str, ...]
-    """Sentences about omitted data."""
-
-
-def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
+def gather_cell_data(analysis: CampaignAnalysis, room: int) -> tuple[dict[str, str], list[str]]:
     """Gather records of all cells, signals and samples of as many seeds as fit, and then sections likewise.
 
-    All blocks together may take ``room`` bytes of the page; records and packings are always included.
+    Return compressed JSON in base64 by id of its element ("records", "packing-0", "seed-1", ...), and sentences about
+    omitted data. All blocks together may take ``room`` bytes of the page; records and packings are always included.
     """
     blocks: dict[str, str] = {}
     remarks: list[str] = []
@@ -98,7 +88,7 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> _CellData:
             f"Space-time sections of {f'the first {drawn}' if drawn else 'no'} seeds are in this page; "
             "“calcidem diagnose DB --seed S --content C --out DIR” draws every one."
         )
-    return _CellData(blocks, tuple(remarks))
+    return blocks, remarks
 
 
 def _analysed_samples(analysis: CampaignAnalysis) -> dict[tuple[int, float], MeasuredSample]:

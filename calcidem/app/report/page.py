@@ -195,14 +195,14 @@ def _render_page(
     shown = [section for section in sections if section.tables or section.pictures or section.folded]
     pictures = [picture for section in shown for picture in section.pictures]
     room = _PAGE_BYTES - _BYTES_OF_TEXT - sum(len(picture.source) for picture in pictures)
-    record, cell_data = analysis.store.record, gather_cell_data(analysis, max(room, _LEAST_FOR_CELLS))
+    record, (blocks, remarks) = analysis.store.record, gather_cell_data(analysis, max(room, _LEAST_FOR_CELLS))
     return environment.get_template("report.html").render(
         name=record.name,
         identity=_identity(analysis.store),
         written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         facts=_key_facts(analysis),
-        blocks={**cell_data.blocks, **{picture.packed: picture.source for picture in pictures if picture.packed}},
-        remarks=cell_data.remarks,
+        blocks=blocks | {picture.packed: picture.source for picture in pictures if picture.packed},
+        remarks=remarks,
         sections=shown,
         explained_terms=_explained_terms,
     )
