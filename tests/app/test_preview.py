@@ -9,7 +9,7 @@ import pytest
 from calcidem.app.campaign import preview
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.parts import planned_batches
-from calcidem.app.campaign.preview import _rough_time, _waves
+from calcidem.app.campaign.preview import _waves
 from calcidem.app.config.checks import _longest_step, check_against_packing
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.schema import Bonding, Configuration, Excitation
@@ -101,14 +101,3 @@ def test_frequencies_that_are_chosen_are_told(small_configuration: Configuration
     told = next(_waves(automatic, small_packing, {2.55: 1000.0, 0.0: 200.0}))
     found = [automatic.experiment(small_packing).frequency(content) / 1e3 for content in (0.0, 2.55)]
     assert told == f'Frequency: {found[0]:g} kHz at 0 %, {found[1]:g} kHz at 2.55 %, by wave.frequency = "auto".'
-
-
-def test_rough_times_have_units() -> None:
-    """Seconds, minutes and hours, in two digits at most."""
-    assert [_rough_time(value) for value in (0.2, 34.0, 100.0, 4000.0, 1e6)] == [
-        "1 s",
-        "30 s",
-        "1.7 min",
-        "1.1 h",
-        "280 h",
-    ]

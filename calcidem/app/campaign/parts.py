@@ -41,11 +41,13 @@ def batches_of(
 def _expected_effort(configuration: Configuration, content: float) -> float:
     """Rough effort of a batch of a content, in steps; only ratios matter, and measured times replace them.
 
-    Cement shortens the stable step by a factor of about ten. The velocity increases from 200 to 2100 m/s at 9 %, and a
-    record lasts for the pulse and one and a half travel times.
+    Cement shortens the stable step by a factor of about ten. The velocity increases from 200 to 2100 m/s at 9 %.
     """
     steps_per_second = 10.0 if content > 0.0 else 1.0
-    velocity = 200.0 + 210.0 * content
-    table, width = configuration.excitation.table, configuration.packing.width
-    period = width / (WAVELENGTHS * velocity) if table is None else 1.0 / table.at(content)
-    return steps_per_second * (period + 1.5 * width / velocity)
+    return steps_per_second * time_of_wave(configuration, content, 200.0 + 210.0 * content)
+
+
+def time_of_wave(configuration: Configuration, content: float, velocity: float) -> float:
+    """Time for which a wave with a velocity, m/s, is followed, s: its pulse and one and a half travel times."""
+    table, travel = configuration.excitation.table, configuration.packing.width / velocity
+    return (travel / WAVELENGTHS if table is None else 1.0 / table.at(content)) + 1.5 * travel

@@ -12,7 +12,7 @@ import numpy as np
 
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import kept_packing
-from calcidem.app.campaign.parts import planned_batches
+from calcidem.app.campaign.parts import planned_batches, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
 from calcidem.app.campaign.stored_packing import readable_packing
 from calcidem.app.config.calibrated import calibration_note
@@ -31,6 +31,7 @@ from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.environment import available_cores
+from calcidem.sweep.progress import duration
 
 _LOOSE_DISKS = 20
 """Time to bring a loose lattice to rest (porosity 0.33, 1,440 disks of two sizes) over that to make a packing."""
@@ -40,7 +41,7 @@ _SHORTEST_WAVE = 6.0
 """Number of grains in a wavelength below which samples scatter the wave."""
 
 
-_RECORDED_PART = 1.25  # over the pulse and one and a half travel times, when readings are settled
+_RECORDED_PART = 1.25  # over `time_of_wave`, when readings are settled
 
 # Stability limit of a cemented sample over that of mean disks: 1.18 to 1.20 from 0.66 to 9 % of `paper`.
 _STEP_OVER_MEAN_DISKS = 1.19
@@ -155,9 +156,9 @@ def _cost_lines(
     cost, cores = _expected_cost(configuration, speeds, batches), available_cores()
     busy = max(1, min(cores, len(batches)))
     loose = "" if configuration.packing_draw.file is None else f" ({_LOOSE_DISKS} times as long if its disks are loose)"
-    packing = "" if is_packed else f", after {_rough_time(cost.packing_seconds)} for the packing{loose}"
-    all_cores = "" if busy == 1 else f", {_rough_time(cost.seconds / busy)} with --ranks 0 on {cores} cores"
-    yield f"Time: about {_rough_time(cost.seconds)} on one core{all_cores}{packing}, kernels compiled."
+    packing = "" if is_packed else f", after {duration(max(1.0, cost.packing_seconds))} for the packing{loose}"
+    all_cores = "" if busy == 1 else f", {duration(max(1.0, cost.seconds / busy))} with --ranks 0 on {cores} cores"
+    yield f"Time: about {duration(max(1.0, cost.seconds))} on one core{all_cores}{packing}, kernels compiled."
     memory, free = _available_memory(), _free_space(configuration)
     of_memory = "" if memory is None else f", {memory / 1e9:.1f} GB are available"
     of_disk = "" if free is None else f", {free / 1e9:.1f} GB are free"
@@ -197,14 +198,6 @@ def _waves(configuration: Configuration, packing: Packing, speeds: Mapping[float
             else "a wider packing"
         )
         yield f"Hard to read: {content:g} %: {why}; {cure} is better."
-
-
-def _rough_time(seconds: float) -> str:
-    """Rounded time in seconds, minutes or hours."""
-    for size, unit in ((3600.0, "h"), (60.0, "min")):
-        if seconds >= size:
-            return f"{float(f'{seconds / size:.2g}'):g} {unit}"
-    return f"{max(1.0, float(f'{seconds:.1g}')):g} s"
 
 
 def _available_memory() -> float | None:
@@ -250,16 +243,13 @@ def _expected_cost(
     configuration: Configuration, speeds: Mapping[float, float], batches: Sequence[Batch[Cell]]
 ) -> _ExpectedCost:
     """Cost of the batches of a configuration with these speeds of waves, m/s, at each content."""
-    wave, lanes, table = configuration.wave, configuration.run.lanes, configuration.excitation.table
-    disks, path = disks_in_box(configuration), configuration.packing.width
+    wave, lanes, disks = configuration.wave, configuration.run.lanes, disks_in_box(configuration)
     seconds, cells = 0.0, 0
     for batch in batches:
         content = batch.cells[0][1]
-        travel = path / speeds[content]
-        period = travel / WAVELENGTHS if table is None else 1.0 / table.at(content)
         longer = _STEP_OVER_MEAN_DISKS if content > 0.0 else 1.0
         step = wave.step_fraction * longer * limit_of_mean_disks(configuration, cemented=content > 0.0)
-        steps = _RECORDED_PART * (period + 1.5 * travel) / step
+        steps = _RECORDED_PART * time_of_wave(configuration, content, speeds[content]) / step
         seconds += lanes * steps * disks * _SECONDS_OF_DISK_STEP[wave.regime] + _SECONDS_OF_CELL * len(batch.cells)
         cells += len(batch.cells)
     slower = _seconds_of_arithmetic() / _SECONDS_WHERE_MEASURED

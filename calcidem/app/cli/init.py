@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, parse_percentage
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION
 from calcidem.app.config.presets import PRESETS, preset_text
 
 Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})  # type: ignore[misc]  # not literal
@@ -58,9 +58,11 @@ def init_command(
     elif grain_size is not None and disks is not None:
         raise typer.BadParameter("leave it out: the disks have their sizes", param_hint="--grain-size")
     else:
-        text = _own_text(
-            disks or str(grain_size), stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent
-        )
+        from calcidem.app.config.own_sand import OwnSand  # the reader of configurations takes a second to load
+
+        size = disks or str(grain_size)
+        own = OwnSand.of_words(size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent)
+        text = own.text()
     try:
         with file.open("x", encoding="utf-8") as target:
             target.write(text)
@@ -79,32 +81,6 @@ def _example_text(preset: Preset, *, full: bool) -> str:
     """Text of an example."""
     if not full:
         return preset_text(preset)
-    from calcidem.app.config.reference import full_text  # the reader of configurations takes a second to import
+    from calcidem.app.config.reference import full_text  # as above
 
     return full_text(preset)
-
-
-def _own_text(size: str | Path, stress: str, mineral: str, contents: str, folder: Path) -> str:
-    """Text of the configuration of a sand, from the texts of the options; its size or the file of its disks."""
-    # As above.
-    from calcidem.app.config.own_sand import MINERALS, OwnDisks, OwnSand, parse_quantity
-
-    def parse(option: str, quantity: str, text: str) -> float:
-        try:
-            return parse_quantity(quantity, text)
-        except ValueError as error:
-            raise typer.BadParameter(str(error), param_hint=option) from error
-
-    disks = OwnDisks.read(size, folder) if isinstance(size, Path) else None
-    diameter = float(f"{disks.diameters[1]:.3g}") if disks else parse("--grain-size", "grain size", str(size))
-    pressure = parse("--stress", "stress", stress)
-    if mineral not in MINERALS:
-        known = ", ".join(MINERALS)
-        raise typer.BadParameter(
-            f"'{mineral}' is not known; give one of {known}, and change [sand] for another", param_hint="--mineral"
-        )
-    try:
-        percentages = [parse_percentage(part) for part in contents.split(",")]
-    except typer.BadParameter as error:
-        raise typer.BadParameter(error.message, param_hint="--contents") from error
-    return OwnSand(diameter, pressure, mineral, percentages, disks).text()

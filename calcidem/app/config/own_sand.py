@@ -28,7 +28,7 @@ from calcidem.dem.wave.first_look import WAVELENGTHS
 from calcidem.dem.wave.pulse import cutoff_frequency
 
 _CALCITE = Sand(shear_modulus=32e9, poisson_ratio=0.32, density=2710.0)
-MINERALS = {
+_MINERALS = {
     "quartz": Sand(shear_modulus=44e9, poisson_ratio=0.08, density=2650.0),
     "carbonate": _CALCITE,
     "calcite": _CALCITE,
@@ -60,7 +60,7 @@ _GENTLE = 0.01  # stroke of the pulse over the overlap
 
 
 @dataclass(frozen=True, slots=True)
-class OwnDisks:
+class _OwnDisks:
     """Disks in a file, which replace the packing."""
 
     file: str
@@ -97,11 +97,43 @@ class OwnSand:
     stress: float
     """Vertical confining stress, Pa."""
     mineral: str
-    """Key of `MINERALS`."""
+    """Key of `_MINERALS`."""
     contents: Sequence[float]
     """Calcite contents, percent of the sand's mass."""
-    disks: OwnDisks | None = None
+    disks: _OwnDisks | None = None
     """Disks, if given."""
+
+    @classmethod
+    def of_words(cls, size: str | Path, stress: str, mineral: str, contents: str, folder: Path) -> Self:
+        """Understand the options of `calcidem init`: the size in words, or the file of the disks; the others in words.
+
+        Disks are named relative to the configuration's folder. `ConfigurationError` with everything that is wrong;
+        `PackingFileError`, naming the line, if the file has no disks.
+        """
+        problems: list[Problem] = []
+
+        def quantity(option: str, name: str, text: str) -> float:
+            try:
+                return _parse_quantity(name, text)
+            except ValueError as error:
+                problems.append(Problem(f"{option}: {error}"))
+                return math.nan
+
+        disks = _OwnDisks.read(size, folder) if isinstance(size, Path) else None
+        diameter = float(f"{disks.diameters[1]:.3g}") if disks else quantity("--grain-size", "grain size", str(size))
+        pressure = quantity("--stress", "stress", stress)
+        if mineral not in _MINERALS:
+            known = ", ".join(_MINERALS)
+            problems.append(Problem(f"--mineral {mineral}: give one of {known}, and change [sand] for another"))
+        try:
+            percentages = [float(part) for part in contents.split(",")]
+        except ValueError:
+            percentages = [math.nan]
+        if not all(0.0 <= percentage <= 100.0 for percentage in percentages):  # noqa: PLR2004 - percent
+            problems.append(Problem(f"--contents {contents}: give percent of the sand's mass, from 0 to 100"))
+        if problems:
+            raise ConfigurationError("the sand", problems)
+        return cls(diameter, pressure, mineral, percentages, disks)
 
     @property
     def box(self) -> tuple[float, float]:
@@ -117,7 +149,7 @@ class OwnSand:
         A disk stands for a row of 1 m / d grains. Each of its contacts is as many contacts of spheres in parallel,
         which multiplies the modulus. So the overlap over the radius is that of grains under the stress.
         """
-        mineral = MINERALS[self.mineral]
+        mineral = _MINERALS[self.mineral]
         return Sand(mineral.shear_modulus / self.grain_size, mineral.poisson_ratio, mineral.density)
 
     @property
@@ -132,13 +164,8 @@ class OwnSand:
         ``k_n = 4 G b / (1 - nu)`` for two spheres welded over the radius b: Digby (1981), The effective elastic moduli
         of porous granular rocks, J. Appl. Mech. 48, 803, doi:10.1115/1.3157738. With b = width / 2 and 1 m / d grains.
         """
-        mineral = MINERALS[self.mineral]
+        mineral = _MINERALS[self.mineral]
         return 2.0 * mineral.shear_modulus * _P_WIDTH / (1.0 - mineral.poisson_ratio)
-
-    @property
-    def bond_stiffness_ratio(self) -> float:
-        """Stiffness k_n / k_s of the same weld, ``(2 - nu) / (2 (1 - nu))``: Digby (1981), as Mindlin's contact."""
-        return 1.0 / self.sand.shear_ratio
 
     @property
     def velocity(self) -> float:
@@ -166,7 +193,7 @@ class OwnSand:
         return text
 
 
-def parse_quantity(quantity: str, text: str) -> float:
+def _parse_quantity(quantity: str, text: str) -> float:
     """Read a ``grain size`` or a ``stress`` with its unit, such as 0.3mm or 100 kPa; return SI units.
 
     `ValueError` without a known unit, or for an impossible value.
@@ -198,7 +225,7 @@ def _content_problems(own: OwnSand) -> list[Problem]:
 
 def _commented(own: OwnSand) -> str:
     """The text, without checks."""
-    mineral, d = MINERALS[own.mineral], own.grain_size
+    mineral, d = _MINERALS[own.mineral], own.grain_size
     gigapascals, (width, height) = mineral.shear_modulus / 1e9, own.box
     waves = WAVELENGTHS * own.velocity / (width - 0.5 * _LISTENING * d)
     size, stress = f"{d * 1e3:g} mm", f"{own.stress / 1e3:g} kPa"
@@ -227,7 +254,10 @@ def _commented(own: OwnSand) -> str:
         "",
         "[cement]",
         (f"bond_modulus = {_short(own.bond_modulus)}", "2 G / (1 - nu) x width / d: grains welded over the P width"),
-        (f"bond_stiffness_ratio = {_short(own.bond_stiffness_ratio)}", "(2 - nu) / (2 - 2 nu): the same weld, sheared"),
+        (
+            f"bond_stiffness_ratio = {_short(1.0 / own.sand.shear_ratio)}",
+            "(2 - nu) / (2 - 2 nu): the same weld, sheared",
+        ),
         "",
         "[pattern]",
         (f"p_diameter = {_short(_P_WIDTH * d)}", f"{_P_WIDTH:g} d: width of the cement at single contacts (P)"),
@@ -273,7 +303,9 @@ def _packing_rows(own: OwnSand) -> tuple[tuple[str, str], ...]:
             (f"file = {json.dumps(own.disks.file, ensure_ascii=False)}", f"{own.disks.count} disks of {sizes} mm"),
             (f"width = {width!r}", f"{width / d:.0f} d, and {height / d:.0f} d high at rest; {good} are good"),
         )
-    disks = round((1.0 - PackingRule().porosity) * width * height / (0.25 * math.pi * d * d * _mean_square()), -1)
+    low, high = _SIZES
+    mean_square = (low * low + low * high + high * high) / 3.0  # of the diameters over the square of their mean
+    disks = round((1.0 - PackingRule().porosity) * width * height / (0.25 * math.pi * d * d * mean_square), -1)
     return (
         (f"width = {_short(width)}", f"{_BOX[0]:g} d: {WAVELENGTHS:g} wavelengths of path, each of 11 grains"),
         (f"height = {_short(height)}", f"{_BOX[1]:g} d: side walls wider than the path; some {disks:.0f} disks in all"),
@@ -282,12 +314,6 @@ def _packing_rows(own: OwnSand) -> tuple[tuple[str, str], ...]:
             f"{_SIZES[0]:g} d to {_SIZES[1]:g} d: equal disks would form a crystal",
         ),
     )
-
-
-def _mean_square() -> float:
-    """Mean square of the diameters over the square of their mean."""
-    low, high = _SIZES
-    return (low * low + low * high + high * high) / 3.0
 
 
 def _short(value: float, digits: int = 4) -> str:
