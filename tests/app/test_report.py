@@ -31,7 +31,7 @@ from calcidem.app.report.sections import (
     _published_table,
     make_or_explain,
 )
-from calcidem.app.report.wording import decimal, probability, significant, time_span
+from calcidem.app.report.wording import decimal, probability, significant
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
@@ -338,10 +338,9 @@ def test_numbers_are_written_with_significant_digits(value: float | None, text: 
 
 
 def test_words_for_numbers() -> None:
-    """Missing numbers are dashes, times have the unit that suits them."""
+    """Missing numbers are dashes, and a p-value has two digits."""
     assert decimal(float("nan")) == "\N{EN DASH}"
     assert decimal(-3.14159, 2) == "\N{MINUS SIGN}3.14"
-    assert (time_span(5.0), time_span(90.0), time_span(7200.0)) == ("5 s", "1.5 min", "2.0 h")
     assert (probability(1e-9), probability(0.0471)) == ("< 0.001", "0.047")
 
 

@@ -37,20 +37,11 @@ def number_parser(low: float, high: float, refusal: str) -> Callable[[object], f
 
 
 parse_percentage = number_parser(0.0, 100.0, "is no content; give percent of the sand's mass, from 0 to 100")
-parse_timeout = number_parser(1.0, 1e6, "is no number of seconds from 1 to 1,000,000")
 
 ConfigurationFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")]
 Database = Annotated[str, typer.Argument(metavar="DB", help="SQLite file or database URL.")]
 CampaignName = Annotated[
     str | None, typer.Option("--campaign", metavar="NAME", help="Campaign of a database that has several.")
-]
-MeasuredFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--measured",
-        metavar="FILE.csv",
-        help="Laboratory velocities to compare: columns content, vs, and sd, samples.",
-    ),
 ]
 JudgedDatabase = Annotated[
     str | None,
@@ -67,9 +58,5 @@ OnlyContents = Annotated[
 OnlySeeds = Annotated[
     list[int] | None, typer.Option("--seed", min=0, max=HIGHEST_SEED, help="Only this seed; may be repeated.")
 ]
-OneContent = Annotated[
-    float, typer.Option("--content", parser=parse_percentage, metavar="PERCENT", help="Calcite content of the cell.")
-]
-OneSeed = Annotated[int, typer.Option("--seed", min=0, max=HIGHEST_SEED, help="Seed of the cell.")]
 StudyFolder = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for figure, tables and JSON.")]
 StudyCores = Annotated[int, typer.Option(min=0, help="Cores to compute on; 0 for all.")]

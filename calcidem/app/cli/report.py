@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import CampaignName, Database, MeasuredFile
+from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.cli.terminal import progress_bar
 
 
@@ -22,7 +22,12 @@ def report_command(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF)."),
     ] = None,
-    measured: MeasuredFile = None,
+    measured: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv", help="Laboratory velocities to compare: columns content, vs, and sd, samples."
+        ),
+    ] = None,
     campaign: CampaignName = None,
 ) -> None:
     """Write one self-contained page: configuration, tables, figures, failures, errors and run time."""

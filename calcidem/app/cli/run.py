@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, parse_timeout
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, number_parser
 from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable, tell
 from calcidem.sweep.progress import first_of, pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.cli.run_view import TerminalView
     from calcidem.app.config.schema import Configuration
+
+_parse_timeout = number_parser(1.0, 1e6, "is no number of seconds from 1 to 1,000,000")
 
 _Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED", "DAMAGED"])
 
@@ -46,12 +48,12 @@ def run_command(
     ] = None,
     start_timeout: Annotated[
         float,
-        typer.Option(parser=parse_timeout, metavar="SECONDS", help="With --ranks: time for all ranks to connect."),
+        typer.Option(parser=_parse_timeout, metavar="SECONDS", help="With --ranks: time for all ranks to connect."),
     ] = 120.0,
     silence_timeout: Annotated[
         float,
         typer.Option(
-            parser=parse_timeout, metavar="SECONDS", help="With --ranks: silence after which a host is given up."
+            parser=_parse_timeout, metavar="SECONDS", help="With --ranks: silence after which a host is given up."
         ),
     ] = 60.0,
     with_report: Annotated[bool, typer.Option("--report", help="Also write the report.")] = False,

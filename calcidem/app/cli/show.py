@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.text import Text
 
-from calcidem.app.cli.arguments import CampaignName, Database, OneContent, OneSeed
+from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable, progress_bar
 
@@ -18,8 +18,10 @@ if TYPE_CHECKING:  # loaded by the command itself, not by its help
 
 def show_command(
     database: Database,
-    seed: OneSeed,
-    content: OneContent,
+    seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED, help="Seed of the cell.")],
+    content: Annotated[
+        float, typer.Option(parser=parse_percentage, metavar="PERCENT", help="Calcite content of the cell.")
+    ],
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures of the cell.")] = None,
     movie: Annotated[Path | None, typer.Option(metavar="FILE", help="Movie of the wave, .gif or .mp4.")] = None,
     frames: Annotated[int, typer.Option(min=2, help="Most frames of the movie, at 15 a second.")] = 90,

@@ -24,12 +24,12 @@ from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
-from calcidem.app.report.wording import ABSENT, Table, decimal, time_span
+from calcidem.app.report.wording import ABSENT, Table, decimal
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
 from calcidem.storage.netcdf.export import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.sweep.progress import pluralize
+from calcidem.sweep.progress import duration, pluralize
 
 _FEW_SAMPLES = 30
 """Number of samples below which skewness, kurtosis and the test of normality have little meaning."""
@@ -224,7 +224,7 @@ def _key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
         ("mean Vs", span),
         (f"standard error of Vs ({parts})", error),
         ("two velocities differ", f"{analysis.budget.departing} of {analysis.budget.compared}"),
-        ("computing time", time_span(seconds)),
+        ("computing time", duration(seconds)),
     )
 
 

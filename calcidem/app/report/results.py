@@ -20,7 +20,6 @@ from calcidem.app.report.wording import (
     decimal,
     probability,
     significant,
-    time_span,
     with_bounds,
 )
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95, departs
@@ -279,7 +278,7 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
                 *(significant(100 * part, 2) for part in (budget.total, budget.reading, budget.numerical)),
                 significant(100 * float(column["error_bound"].max()), 2),
                 decimal(relative, 2),
-                time_span(median_known(column["seconds"])),
+                significant(median_known(column["seconds"])),
             )
         )
     return Table(
@@ -298,7 +297,7 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
             "of it simulation (%)",
             "bound of the simulation's error (%)",
             "standard error of the mean (%)",
-            "time for a cell",
+            "time for a cell (s)",
         ),
         tuple(rows),
     )

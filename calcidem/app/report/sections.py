@@ -20,9 +20,10 @@ from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, publi
 from calcidem.analysis.shear_wave import median_diameter_by_mass
 from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.report.results import RESULT_TABLES
-from calcidem.app.report.wording import ABSENT, Table, decimal, significant, time_span, with_bounds
+from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
 from calcidem.storage.records import RunRecord
 from calcidem.storage.records.canonical import flat_parameters
+from calcidem.sweep.progress import duration
 
 Made = TypeVar("Made")
 
@@ -212,7 +213,7 @@ def _run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
         (
             str(run_number),
             f"{run.started:%Y-%m-%d %H:%M} UTC",
-            ABSENT if run.ended is None else time_span((run.ended - run.started).total_seconds()),
+            ABSENT if run.ended is None else duration((run.ended - run.started).total_seconds()),
             run.exit_state or "still running, or killed",
             str(run.ranks),
             f"{run.host} ({run.cpu})",
@@ -266,7 +267,7 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
                 lambda g: content_hash_of(g.packing) or _UNKNOWN,
                 "of all bits of disks, walls and forces",
             ),
-            ("time to make", lambda g: time_span(g.packing.seconds), ""),
+            ("time to make", lambda g: duration(g.packing.seconds), ""),
         )
     ]
     names = ("packing",) if len(graphs) == 1 else tuple(f"packing {graph.packing.index}" for graph in graphs)

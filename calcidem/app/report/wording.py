@@ -12,7 +12,6 @@ EXCEPTIONAL = frozenset({"broken_bonds"})
 
 _SMALL_P = 0.001
 _LEAST_PLAIN, _MOST_PLAIN = 1e-3, 1e5
-_MINUTE, _HOUR = 60.0, 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,14 +76,3 @@ def probability(value: float) -> str:
 def readable_unit(unit: str) -> str:
     """Return a UDUNITS string for people; empty for pure numbers."""
     return {"1": "", "percent": "%", "m s-1": "m/s"}.get(unit, unit)
-
-
-def time_span(seconds: float) -> str:
-    """Return a duration in a suitable unit."""
-    if not math.isfinite(seconds):
-        return ABSENT
-    if seconds < _MINUTE:
-        return f"{seconds:.3g} s"
-    if seconds < _HOUR:
-        return f"{seconds / _MINUTE:.1f} min"
-    return f"{seconds / _HOUR:.1f} h"
