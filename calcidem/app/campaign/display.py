@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Self
 
+from rich.columns import Columns
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress_bar import ProgressBar
@@ -23,7 +24,7 @@ _BAR_WIDTH = 24
 
 _SPINNER = "|/-\\"
 
-_MOST_LINES_OF_CONTENTS = 4
+_MOST_CONTENTS = 20
 
 _SHORTEST_PAUSE, _LONGEST_PAUSE = 5.0, 600.0
 """Shortest and longest seconds between two lines of a log. The pause grows by half each time, so that a short run shows
@@ -148,22 +149,14 @@ class LiveDisplay(_ConsoleDisplay):
             spinner, Text(progress.stage.capitalize(), style="bold"), bar, summary, Text(elapsed, style="cyan")
         )
         lines = [Text(f"  {', '.join(details)}", no_wrap=True, overflow="ellipsis")] if details else []
-        return Group(head, *lines, *self._contents(progress))
-
-    def _contents(self, progress: RunProgress) -> Iterator[Text]:
-        """Cells of each content in a few lines, complete contents faint."""
-        words = [
-            Text(f"{content:g} %: {finished}/{total}", style="dim" if finished == total else "")
-            for content, finished, total in progress.contents
-        ]
-        width = max((len(word) for word in words), default=0) + 2
-        columns = max(1, (self.console.width - 2) // max(width, 1))
-        for start in range(0, min(len(words), columns * _MOST_LINES_OF_CONTENTS), columns):
-            line = Text("  ", no_wrap=True)
-            for word in words[start : start + columns]:
-                word.pad_right(width - len(word))
-                line.append(word)
-            yield line
+        contents = Columns(
+            [
+                Text(f"  {content:g} %: {finished}/{total}", style="dim" if finished == total else "")
+                for content, finished, total in progress.contents[:_MOST_CONTENTS]
+            ],
+            equal=True,
+        )
+        return Group(head, *lines, contents)
 
 
 def choose_display(progress: Callable[[RunProgress], object] | bool | None) -> ProgressDisplay:
