@@ -1,19 +1,16 @@
 """Texts and tables of a run for the user."""
 
 import sys
-from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.table import Table
 
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES, error_budget
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
 from calcidem.app.campaign.display import command_display
 from calcidem.app.campaign.progress import ProgressDisplay
 from calcidem.app.campaign.run import CampaignRun
-from calcidem.app.campaign.status import UNREAD
+from calcidem.app.campaign.status import STATUS_QUANTITIES, UNREAD, CampaignStatus
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import format_number, make_console, make_table, marks_of, remarks_on
 from calcidem.app.cli.terminal import IS_QUIET, printable
@@ -111,65 +108,40 @@ def packing_lines(packing: Packing) -> Iterator[str]:
 
 def _vs_table(store: Store, selection: Selection) -> Table:
     """Table of Vs against content for selected cells of the store's campaign."""
-    others = ("content", "status", "wavelengths_on_path", "seconds", "broken_bonds")
-    columns = store.table((*BUDGET_QUANTITIES, *others), selection)
+    columns = store.table((*STATUS_QUANTITIES, "wavelengths_on_path", "broken_bonds"), selection)
+    found = CampaignStatus.of(store, columns, ())
     velocities = ("mean m/s", "sd m/s", "reading m/s", "min m/s", "max m/s")
     table = make_table(
         "Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda", "seconds")
     )
     table.add_column("other cells")
-    marks = []
-    for content in np.unique(columns["content"]):
-        here = columns["content"] == content
-        vs = columns["vs"][here].astype(float)
-        budget = error_budget({name: columns[name][here] for name in BUDGET_QUANTITIES})
-        marks.append(marks_of(Counter(map(CellStatus, columns["status"][here])), budget.departing))
-        seconds = np.nansum(columns["seconds"][here].astype(float))
-        moments = _moments(vs[np.isfinite(vs)])
+    marks, is_near = [], False
+    for one in found.contents:
+        here = columns["content"] == one.content
+        marks.append(marks_of(one.counts, one.budget.departing))
+        waves = columns["wavelengths_on_path"][here].astype(float)
+        median = float(np.median(waves[np.isfinite(waves)])) if np.isfinite(waves).any() else np.nan
+        is_near |= (near := median < FEWEST_WAVELENGTHS)
+        smallest, largest = (one.vs.min(), one.vs.max()) if one.vs.size else (np.nan, np.nan)
+        others = one.counts.keys() - {CellStatus.DONE}
         table.add_row(
-            f"{content:g}",
-            f"{np.count_nonzero(np.isfinite(vs))}/{np.count_nonzero(here)}{marks[-1]}",
-            *map(format_number, (*moments[:2], budget.scatter, *moments[2:])),
-            format_number(small_strain_modulus(moments[0]) / 1e6, "{:.4g}"),
-            _wavelengths_text(columns["wavelengths_on_path"][here]),
-            f"{seconds:.1f}",
-            _other_outcomes(columns["status"][here]),
+            f"{one.content:g}",
+            f"{one.vs.size}/{len(one.statuses)}{marks[-1]}",
+            *map(format_number, (one.mean, one.deviation, one.budget.scatter, smallest, largest)),
+            format_number(small_strain_modulus(one.mean) / 1e6, "{:.4g}"),
+            format_number(median, "{:.2f}") + (" *" if near else ""),
+            f"{np.nansum(columns['seconds'][here].astype(float)):.1f}",
+            ", ".join(f"{one.counts[status]} {status.words}" for status in CellStatus if status in others),
         )
-    whole = error_budget(columns)
-    remarks = [f"standard error of Vs: {whole}; reading m/s: sd that errors of the readings alone would give"]
-    if any(str(cell).endswith("*") for column in table.columns for cell in column.cells):
+    remarks = [f"standard error of Vs: {found.budget}; reading m/s: sd that errors of the readings alone would give"]
+    if is_near:
         remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
-    remarks += remarks_on(marks, whole.departing)
+    remarks += remarks_on(marks, found.budget.departing)
     if count := int(np.count_nonzero(columns["broken_bonds"] > 0)):
         remarks.append(
             f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
         )
-    if any(status in UNREAD for status in columns["status"]):
+    if any(found.counts.get(status) for status in UNREAD):
         remarks.append("'calcidem diagnose DB' explains why cells have no velocity and proposes remedies")
     table.caption = "\n".join(remarks)
     return table
-
-
-def _wavelengths_text(on_path: NDArray[np.float64]) -> str:
-    """Median number of wavelengths on the path, with a mark if near field and shear wave arrive together."""
-    known = on_path[np.isfinite(on_path)]
-    if not known.size:
-        return "-"
-    number = float(np.median(known))
-    return f"{number:.2f}{'' if number >= FEWEST_WAVELENGTHS else ' *'}"
-
-
-def _moments(vs: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """Mean, standard deviation, smallest and largest value; NaN with too few values."""
-    if not vs.size:
-        return (np.nan,) * 4
-    deviation = float(np.std(vs, ddof=1)) if vs.size > 1 else np.nan
-    return float(vs.mean()), deviation, float(vs.min()), float(vs.max())
-
-
-def _other_outcomes(statuses: NDArray[np.object_]) -> str:
-    """Numbers of cells by outcome other than done."""
-    counts = Counter(CellStatus(status) for status in statuses)
-    return ", ".join(
-        f"{counts[status]} {status.words}" for status in CellStatus if counts[status] and status is not CellStatus.DONE
-    )
