@@ -55,14 +55,11 @@ class _ConsoleDisplay(ProgressDisplay):
 
 
 class _LineDisplay(_ConsoleDisplay):
-    """Writes lines at increasing intervals, for logs of batch systems and for pipes.
+    """Writes lines at increasing intervals, for logs of batch systems and for pipes; the shortest is in seconds."""
 
-    The pause between two lines has limits in seconds.
-    """
-
-    def __init__(self, console: Console, shortest: float = _SHORTEST_PAUSE, longest: float = _LONGEST_PAUSE) -> None:
+    def __init__(self, console: Console, shortest: float = _SHORTEST_PAUSE) -> None:
         super().__init__(console)
-        self._shortest, self._pause, self._longest = shortest, shortest, longest
+        self._shortest = self._pause = shortest
         self._next = time.monotonic() + shortest
         self._stage = RunStage.STARTING
 
@@ -74,7 +71,7 @@ class _LineDisplay(_ConsoleDisplay):
             if progress.stage is RunStage.COMPILING:
                 self.note("compiling the kernels, or taking them from the cache")
         elif time.monotonic() >= self._next:
-            self._pause = min(1.5 * self._pause, self._longest)
+            self._pause = min(1.5 * self._pause, _LONGEST_PAUSE)
             self._next = time.monotonic() + self._pause
             self.note(", ".join([*_described(progress), *_time_left(progress)]))
 

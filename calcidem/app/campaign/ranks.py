@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
-from functools import partial
 from typing import NoReturn, Protocol
 
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunStage
@@ -19,7 +18,6 @@ from calcidem.sweep.attempt import SweepInterrupted
 from calcidem.sweep.processes import keep_freed_memory
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.session import Session
-from calcidem.sweep.signals import StopRequest
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE, LaunchError, SweepEnd
 
 _CONNECT_TIMEOUT = 10.0
@@ -102,13 +100,18 @@ def _lead(
     open_executor: Callable[[], Executor | None],
 ) -> tuple[int, SweepEnd | None]:
     """Work of rank 0: prepare, have the cells computed, store them, and report; return exit code and end."""
+
+    def end_in_haste() -> None:
+        """End the packing if a signal requests an end at once."""
+        if session.stop_request.hurry():
+            raise SweepInterrupted
+
     workers = session.gather(describe_worker(session.rank))
     code, work, executor = 0, None, None
     try:
         _refuse_singletons(session.size)
         executor = open_executor()
-        check = partial(_end_in_haste, session.stop_request)
-        work = CampaignRun(load(), workers, view.say, check, reporter.on_packing)
+        work = CampaignRun(load(), workers, view.say, end_in_haste, reporter.on_packing)
     except SweepInterrupted:
         request = session.stop_request.explanation
         view.say(f"{request}: ended before the packing was made; run it again to continue.")
@@ -150,15 +153,6 @@ def _follow(session: Session) -> tuple[int, SweepEnd | None]:
     cells = CellComputation(configuration, packing)
     end = run_sweep(session.comm, (), cells, None, options=sweep_options(configuration))
     return end.exit_code, end
-
-
-def _end_in_haste(stop_request: StopRequest) -> None:
-    """End the packing if a signal requests an end at once.
-
-    `SweepInterrupted` is the end of a run that the same command continues.
-    """
-    if stop_request.hurry():
-        raise SweepInterrupted
 
 
 def _compile_on_nodes(

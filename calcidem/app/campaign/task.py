@@ -22,7 +22,6 @@ from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
-from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
@@ -82,9 +81,10 @@ class CellComputation:
             cell_result(measurement, experiment, run.store_sections, self._graph) for measurement in measurements
         ]
         if run.static_speed:
+            speeds = (static_speed(experiment, measurement.cement.bonded) for measurement in measurements)
             results = [
-                replace(result, static_speed=_known_static_speed(experiment, measurement.cement.bonded))
-                for result, measurement in zip(results, measurements, strict=True)
+                replace(result, static_speed=found.speed if found.error <= LARGEST_STATIC_ERROR else None)
+                for result, found in zip(results, speeds, strict=True)
             ]
         worker = describe_worker(rank=0)  # the master sets the rank
         return tuple(replace(result.packed(), worker=worker) for result in results)
@@ -141,12 +141,6 @@ def _prepared_computation(configuration: Configuration, packing: Packing, versio
         for file in others:
             fcntl.flock(file, fcntl.LOCK_SH)  # wait for it, and load the result from disk
     return CellComputation(configuration, packing)
-
-
-def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
-    """Static speed of a sample, m/s; None if its inner part does not determine it."""
-    found = static_speed(experiment, bonded)
-    return found.speed if found.error <= LARGEST_STATIC_ERROR else None
 
 
 def cell_result(

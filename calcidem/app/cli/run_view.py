@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from rich.table import Table
 
+from calcidem.analysis.error_budget import median_known
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
 from calcidem.app.campaign.display import command_display
 from calcidem.app.campaign.progress import ProgressDisplay
@@ -119,8 +120,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     for one in found.contents:
         here = columns["content"] == one.content
         marks.append(marks_of(one.counts, one.budget.departing))
-        waves = columns["wavelengths_on_path"][here].astype(float)
-        median = float(np.median(waves[np.isfinite(waves)])) if np.isfinite(waves).any() else np.nan
+        median = median_known(columns["wavelengths_on_path"][here])
         is_near |= (near := median < FEWEST_WAVELENGTHS)
         smallest, largest = (one.vs.min(), one.vs.max()) if one.vs.size else (np.nan, np.nan)
         others = one.counts.keys() - {CellStatus.DONE}

@@ -38,9 +38,9 @@ def make_table(title: str | None, *names: str, numbers: Sequence[str] = ()) -> T
     return table
 
 
-def format_number(value: float | None, form: str = "{:.1f}", missing: str = "-") -> str:
-    """Write a number in a format, or a text for a missing one (None or not finite)."""
-    return missing if value is None or not math.isfinite(value) else form.format(value)
+def format_number(value: float | None, form: str = "{:.1f}") -> str:
+    """Write a number in a format, or a dash for a missing one (None or not finite)."""
+    return "-" if value is None or not math.isfinite(value) else form.format(value)
 
 
 def marks_of(counts: Mapping[CellStatus, int], departing: int) -> str:

@@ -343,9 +343,6 @@ def _write_table(table: Table, file: Path) -> None:
     with file.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(table.header)
-        writer.writerows([spreadsheet_value(_typed(value)) for value in row] for row in table.rows)
-
-
-def _typed(value: str) -> str:
-    """Value for programs: with an ASCII minus, and empty if missing."""
-    return "" if value == ABSENT else value.replace("\N{MINUS SIGN}", "-")
+        for row in table.rows:  # for programs with an ASCII minus, and empty where a number is missing
+            read = ("" if text == ABSENT else text.replace("\N{MINUS SIGN}", "-") for text in row)
+            writer.writerow(map(spreadsheet_value, read))

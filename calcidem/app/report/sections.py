@@ -250,7 +250,11 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
                 lambda g: decimal(g.packing.coordination_number_without_rattlers, 3),
                 "",
             ),
-            ("width and height (mm)", _size, "the lid has moved"),
+            (
+                "width and height (mm)",
+                lambda g: f"{1e3 * g.packing.width:.2f} \N{MULTIPLICATION SIGN} {1e3 * g.packing.height:.2f}",
+                "the lid has moved",
+            ),
             (
                 "median diameter by mass (mm)",
                 lambda g: decimal(1e3 * median_diameter_by_mass(g.packing.radius), 3),
@@ -261,7 +265,11 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
             ("mean overlap / diameter", lambda g: significant(g.packing.mean_relative_overlap), ""),
             ("largest overlap / diameter", lambda g: significant(g.packing.largest_relative_overlap), ""),
             ("unbalanced-force ratio", lambda g: significant(g.packing.unbalanced_ratio), "at rest"),
-            ("grains at transmitter, receiver", _ends, "ends of the paths"),
+            (
+                "grains at transmitter, receiver",
+                lambda g: f"{g.graph.transmitter.size}, {g.graph.receiver.size}",
+                "ends of the paths",
+            ),
             (
                 "content hash",
                 lambda g: content_hash_of(g.packing) or _UNKNOWN,
@@ -272,14 +280,6 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
     ]
     names = ("packing",) if len(graphs) == 1 else tuple(f"packing {graph.packing.index}" for graph in graphs)
     return Table("Packings that all cells share.", ("quantity", *names, "remark"), tuple(rows))
-
-
-def _size(graph: PackingGraph) -> str:
-    return f"{1e3 * graph.packing.width:.2f} \N{MULTIPLICATION SIGN} {1e3 * graph.packing.height:.2f}"
-
-
-def _ends(graph: PackingGraph) -> str:
-    return f"{graph.graph.transmitter.size}, {graph.graph.receiver.size}"
 
 
 def _stresses(first: PackingGraph) -> list[tuple[str, Any, str]]:

@@ -10,6 +10,7 @@ ABSENT = "\N{EN DASH}"
 EXCEPTIONAL = frozenset({"broken_bonds"})
 """Quantities that are not shown if they are zero."""
 
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _SMALL_P = 0.001
 _LEAST_PLAIN, _MOST_PLAIN = 1e-3, 1e5
 
@@ -45,13 +46,8 @@ def significant(value: float | None, digits: int = 3) -> str:
     else:
         mantissa, _, exponent = f"{rounded:.{digits - 1}e}".partition("e")
         mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-        text = f"{mantissa} \N{MULTIPLICATION SIGN} 10{_superscript(int(exponent))}"
+        text = f"{mantissa} \N{MULTIPLICATION SIGN} 10{str(int(exponent)).translate(_SUPERSCRIPTS)}"
     return text.replace("-", "\N{MINUS SIGN}")
-
-
-def _superscript(exponent: int) -> str:
-    """Return an exponent in superscript digits."""
-    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def bounds(interval: Interval, decimals: int = 0) -> str:
