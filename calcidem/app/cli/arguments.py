@@ -58,5 +58,12 @@ OnlyContents = Annotated[
 OnlySeeds = Annotated[
     list[int] | None, typer.Option("--seed", min=0, max=HIGHEST_SEED, help="Only this seed; may be repeated.")
 ]
+Level = Annotated[
+    float,
+    typer.Option(
+        parser=number_parser(0.5, 0.999, "is no probability from 0.5 to 0.999"),  # no campaign has samples for more
+        help="Probability of the intervals.",
+    ),
+]
 StudyFolder = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="Folder for figure, tables and JSON.")]
 StudyCores = Annotated[int, typer.Option(min=0, help="Cores to compute on; 0 for all.")]

@@ -9,7 +9,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from calcidem.app.cli.arguments import number_parser
+from calcidem.app.cli.arguments import Level
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable
 
@@ -23,13 +23,7 @@ def compare_command(
     databases: Annotated[list[str], typer.Argument(metavar="DB...", help="SQLite files or database URLs.")],
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Figure to write: .png, .svg or .pdf.")] = None,
     layout: FormatOption = Format.TABLE,
-    level: Annotated[
-        float,
-        typer.Option(
-            parser=number_parser(0.5, 0.999, "is no probability from 0.5 to 0.999"),
-            help="Level of all intervals.",
-        ),
-    ] = 0.95,
+    level: Level = 0.95,
     campaign: Annotated[
         list[str] | None,
         typer.Option("--campaign", metavar="NAME", help="Campaigns of one database; repeat it."),

@@ -17,15 +17,13 @@ from typer.core import TyperGroup
 
 from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable
 from calcidem.storage.passwords import keep_passwords_back
-from calcidem.sweep.environment import TERMINAL_VARIABLE, launcher
+from calcidem.sweep.environment import TERMINAL_VARIABLE, THREAD_VARIABLES, launcher
 from calcidem.version import __version__
 
 _OBJECTS_BEFORE_COLLECTING = 10_000
 """Number of new objects between two garbage collections. Python's 700 cost a tenth of the time of a short command,
 while libraries load.
 """
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 PANELS = {
     "Compute": {
@@ -85,7 +83,7 @@ class _LazyGroup(TyperGroup):
 
 def main() -> None:
     """Entry point: run a command, and report an error in one message."""
-    for variable in _THREADS:
+    for variable in THREAD_VARIABLES:
         os.environ.setdefault(variable, "1")  # each rank has one core; effective only before numpy is imported
     gc.set_threshold(_OBJECTS_BEFORE_COLLECTING)
     warnings.formatwarning = _format_warning
@@ -188,10 +186,6 @@ def _format_warning(
     if issubclass(category, FutureWarning):
         return printable(f"Warning: {message}\n")
     return printable(f"{filename}:{lineno}: {category.__name__}: {message}\n" + (f"  {line}\n" if line else ""))
-
-
-if __name__ == "__main__":
-    main()
 
 
 def _be_plain_under_mpi() -> None:

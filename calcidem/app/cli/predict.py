@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, number_parser, parse_percentage
+from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, Level, number_parser, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.storage.records import P_CONTACT, CementPattern
 
@@ -38,13 +38,7 @@ def predict_command(
             metavar="NAME=VALUE", help="Or a feature, such as path_normalized_connectivity=0.6; may be repeated."
         ),
     ] = None,
-    level: Annotated[
-        float,
-        typer.Option(
-            parser=number_parser(0.5, 0.999, "is no probability from 0.5 to 0.999"),
-            help="Probability of the interval.",
-        ),
-    ] = 0.95,
+    level: Level = 0.95,
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:

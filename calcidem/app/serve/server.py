@@ -40,9 +40,7 @@ from calcidem.app.serve.hub import Hub
 from calcidem.app.serve.movies import MovieMaker, Wanted
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.passwords import hide_passwords
-from calcidem.storage.records import canonical_content, checked_seed
-
-_LAST_SEED = 2**63 - 1
+from calcidem.storage.records import LARGEST_SEED, canonical_content, checked_seed
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +140,7 @@ def _wanted(request: Request) -> Wanted:
         content = canonical_content(float(request.query_params["content"]))
     except (KeyError, ValueError, TypeError) as error:
         raise HTTPException(400) from error
-    if not math.isfinite(content) or seed > _LAST_SEED:
+    if not math.isfinite(content) or seed > LARGEST_SEED:
         raise HTTPException(400)
     return request.path_params["campaign"], seed, content
 
