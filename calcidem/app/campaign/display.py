@@ -88,7 +88,6 @@ class _ChannelDisplay(_ConsoleDisplay):
         tell_progress(progress.to_json())
 
 
-
 class LiveDisplay(_ConsoleDisplay):
     """Draws the progress at the bottom of a terminal; other text appears above it.
 

@@ -95,13 +95,11 @@ def run_command(
 
             if retry:  # only here, since the ranks may be started several times
                 _read_overridden(configuration, overrides, retry)
+            options = {"--db": database, "--output": output, "--part": part}
+            flags = {"--report": with_report, "--quiet": IS_QUIET.get(), "--verbose": IS_VERBOSE.get()}
             arguments = ["run", str(configuration)]
-            arguments += ["--db", database] if database is not None else []
-            arguments += ["--output", str(output)] if output is not None else []
-            arguments += ["--part", part] if part is not None else []
-            arguments += ["--report"] if with_report else []
-            arguments += ["--quiet"] if IS_QUIET.get() else []
-            arguments += ["--verbose"] if IS_VERBOSE.get() else []
+            arguments += [word for name, value in options.items() if value is not None for word in (name, str(value))]
+            arguments += [name for name, is_on in flags.items() if is_on]
             launch = Launch(arguments, ranks, 3 if restarts is None else restarts, start_timeout, silence_timeout)
             raise typer.Exit(launch.run())
         from calcidem.app.campaign.ranks import dask_executor, run_on_ranks

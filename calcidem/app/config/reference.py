@@ -70,10 +70,10 @@ def written(value: object) -> str:
     """Value as written in a configuration: numbers with the fewest digits that are exact."""
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(written, value))}]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return f'"{value}"'
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{name} = {written(inner)}' for name, inner in value.items())} }}"
+    if isinstance(value, bool | str):
+        return json.dumps(value, ensure_ascii=False)
     short = f"{value:g}"
     if not isinstance(value, float) or float(short) != value:
         return str(value)
@@ -130,16 +130,7 @@ def stored_text(record: CampaignRecord, disks: str) -> str:
     lines = [f"# Campaign {record.hash}, written from its database."]
     for section, values in {"campaign": plan, **physics, "packing": packing}.items():
         if isinstance(values, Mapping):
-            lines += ["", f"[{section}]", *_lines_of_keys(section, values)]
+            given = {name: value for name, value in values.items() if f"{section}.{name}" not in TAKEN_FROM_ELSEWHERE}
+            keys = (f"{name} = {written(value)}" for name, value in given.items() if value is not None)
+            lines += ["", f"[{section}]", *keys]
     return "\n".join((*lines, ""))
-
-
-def _lines_of_keys(section: str, values: Mapping[str, Any]) -> Iterator[str]:
-    """Lines of a section; a nested table takes one line."""
-    for name, value in values.items():
-        if value is None or f"{section}.{name}" in TAKEN_FROM_ELSEWHERE:
-            continue
-        if isinstance(value, Mapping):
-            yield f"{name} = {{ {', '.join(_lines_of_keys(f'{section}.{name}', value))} }}"
-        else:
-            yield f"{name} = {json.dumps(value, ensure_ascii=False) if isinstance(value, str) else written(value)}"

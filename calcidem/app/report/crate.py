@@ -64,17 +64,6 @@ def is_crate(path: str) -> bool:
         return False
 
 
-def _refuse_missing_library() -> None:
-    """Raise an error before the computation if crates cannot be written.
-
-    `OutputRefusedError` if the package rocrate is not installed.
-    """
-    if importlib.util.find_spec("rocrate") is None:
-        raise OutputRefusedError(
-            "A crate needs the package rocrate.", "Install it: pip install 'calcidem[crate]'; nothing was written."
-        )
-
-
 def write_crate(
     database: str | os.PathLike[str],
     out: str | os.PathLike[str],
@@ -90,7 +79,10 @@ def write_crate(
     ``watch`` receives the numbers of finished and of all parts of the report. `OutputRefusedError` if the name of the
     crate is taken, or rocrate is not installed; `StoreError` if the database cannot be read.
     """
-    _refuse_missing_library()
+    if importlib.util.find_spec("rocrate") is None:
+        raise OutputRefusedError(
+            "A crate needs the package rocrate.", "Install it: pip install 'calcidem[crate]'; nothing was written."
+        )
     target, is_zip = Path(out), Path(out).suffix == ".zip"
     if not is_zip and target.exists():
         raise OutputRefusedError(f"{target} is there already.", "Give a new name, or one that ends in .zip.")
