@@ -203,7 +203,7 @@ def test_sentences_on_means_and_scatter(cells: xr.Dataset, published: dict[float
     low = np.flatnonzero(cells["content"].to_numpy() < 0.7)[1:]
     ranks = [stats.spearmanr(vs[:, a], vs[:, b], nan_policy="omit").statistic for a, b in pairwise(low)]
     check_said(
-        f"{read.sum():,} of {vs.size:,}; {(~read).sum() - 1} readings were refused, one sample lost",
+        f"{read.sum():,} of {vs.size:,}; {(~read).sum() - 1} readings were refused, in one sample more",
         f"{cells['seconds'].sum().item() / 60:.0f} CPU minutes at most",
         f"(reading {100 * reading:.1f} %, simulation {100 * numerical:.2f} %)",
         f"within {100 * np.abs(off).max():.1f} % of the paper's, rms {100 * rms(off):.1f} %",
@@ -268,7 +268,7 @@ def test_sentences_on_shape(cells: xr.Dataset, published: dict[float, dict[str, 
         f"{numbers[agree]} of 16 outcomes are the printed ones",
         f"below the mean at {numbers[below]} of eleven contents up to 4 %, and its interval excludes zero at "
         f"{numbers[excluded]}.",
-        f"are {min(low):.2f} to {max(low):.2f} of them up to 0.45 %, {min(high):.2f} to {max(high):.2f} above",
+        f"is {min(low):.2f} to {max(low):.2f} of it up to 0.45 %, and {min(high):.2f} to {max(high):.2f} above",
         "| 25, 97, 385 |",
         "| 193, 481 |",
     )

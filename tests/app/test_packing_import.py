@@ -190,7 +190,7 @@ SPREAD = "x,y,z,radius\n" + lines_of(np.insert(LATTICE, 2, LATTICE[:, 1], axis=1
         ("", {}, ("is empty",)),
         ("nothing here\n", {}, ("no line of numbers", "x, y and radius")),
         ("1 2 3\n" * 20, {}, ("no column x, y, radius or diameter", "columns, such as x,y,radius")),
-        ("x y r\n" + lines_of(LATTICE) + "0.1 0.1 0.1x\n", {}, ("line 110", "'0.1 0.1 0.1x' is no disk")),
+        ("x y r\n" + lines_of(LATTICE) + "0.1 0.1 0.1x\n", {}, ("line 110", "'0.1 0.1 0.1x' is not a disk")),
         ("x y r\n" + lines_of(LATTICE) + "0.1 nan 0.1\n", {}, ("line 110", "finite")),
         ("x y r\n" + lines_of(LATTICE) + "0.1 1e99 0.1\n", {}, ("line 110", "finite")),
         ("x y r\n" + lines_of(LATTICE) + "0.1 0.1 -0.1\n", {}, ("line 110", "negative")),
@@ -231,7 +231,7 @@ def test_a_file_that_was_cut_off_is_refused(name: str, tmp_path: Path) -> None:
 
 def test_strange_sizes_are_remarked(tmp_path: Path) -> None:
     """Millimetres read as metres, and diameters read as radii the other way round, are named."""
-    assert "Is the unit right?" in str(bring(tmp_path, "x y r\n" + lines_of(LATTICE * 1e3)))
+    assert "Check the unit" in str(bring(tmp_path, "x y r\n" + lines_of(LATTICE * 1e3)))
     assert "Few disks touch" in str(bring(tmp_path, "x y r\n" + lines_of(LATTICE * (1.0, 1.0, 0.5))))
 
 

@@ -110,7 +110,7 @@ def test_a_page_without_a_name_replaces_the_report_of_its_campaign_alone(
         shutil.copy(small_report, page)
         assert unnamed_page(store) == page
         page.write_text(page.read_text(encoding="utf-8").replace(store.record.hash[:16], "f" * 16), encoding="utf-8")
-        with pytest.raises(OutputRefusedError, match=r"small-0\.3mm\.html is no report of this campaign"):
+        with pytest.raises(OutputRefusedError, match=r"small-0\.3mm\.html is not a report of this campaign"):
             unnamed_page(store)
 
 

@@ -9,7 +9,7 @@ from calcidem.sweep.sweep_end import LaunchError
 
 
 def test_several_slurm_tasks_without_mpirun_are_refused() -> None:
-    """`srun python` gives programs that don't know about each other: refused with the cure."""
+    """`srun python` gives independent programs: refused with the cure."""
     with pytest.raises(LaunchError, match=r"SLURM_NTASKS is 8.*use mpirun"):
         _refuse_singletons(1, {"SLURM_NTASKS": "8"})
 

@@ -116,5 +116,5 @@ def _write_cache(path: Path, packing: Packing, tell: Tell) -> None:
             temporary.write_bytes(packing_to_bytes(packing))
     except (OSError, OutputRefusedError) as error:
         cure = f"set {CACHE_VARIABLE} to a folder that works"
-        why = error.strerror if isinstance(error, OSError) else f"{path.name} is no packing's file"
+        why = error.strerror if isinstance(error, OSError) else f"{path.name} is not a file of a packing"
         tell(f"Packing: not kept in the cache {path.parent} ({why}); {cure}.")

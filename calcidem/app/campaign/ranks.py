@@ -177,6 +177,6 @@ def _refuse_singletons(world_size: int, variables: Mapping[str, str] = os.enviro
     tasks = int(variables.get("SLURM_NTASKS", "1"))
     if tasks > 1 and world_size == 1 and "OMPI_COMM_WORLD_SIZE" not in variables:
         raise LaunchError(
-            f"SLURM_NTASKS is {tasks}, but this process is the only MPI rank: `srun python` starts programs"
-            " that don't know about each other; use mpirun inside the job, or ask for one task"
+            f"SLURM_NTASKS is {tasks}, but this process is the only MPI rank: `srun python` starts "
+            "independent programs; use mpirun inside the job, or ask for one task"
         )

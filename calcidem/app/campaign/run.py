@@ -285,7 +285,7 @@ def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> tuple
         if first is None:
             tell(
                 f"Process {holder.pid} on {holder.host} was writing this campaign, last heartbeat at "
-                f"{holder.heartbeat:%H:%M:%S} UTC: waiting until it is heard of, or counts as dead after five "
+                f"{holder.heartbeat:%H:%M:%S} UTC: waiting for a heartbeat, or until it counts as dead after five "
                 "minutes of silence."
             )
         first = holder

@@ -36,7 +36,7 @@ def number_parser(low: float, high: float, refusal: str) -> Callable[[object], f
     return parse
 
 
-parse_percentage = number_parser(0.0, 100.0, "is no content; give percent of the sand's mass, from 0 to 100")
+parse_percentage = number_parser(0.0, 100.0, "is not a content; give percent of the sand's mass, from 0 to 100")
 
 ConfigurationFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")]
 Database = Annotated[str, typer.Argument(metavar="DB", help="SQLite file or database URL.")]
@@ -61,7 +61,7 @@ OnlySeeds = Annotated[
 Level = Annotated[
     float,
     typer.Option(
-        parser=number_parser(0.5, 0.999, "is no probability from 0.5 to 0.999"),  # no campaign has samples for more
+        parser=number_parser(0.5, 0.999, "is not a probability from 0.5 to 0.999"),  # no campaign has samples for more
         help="Probability of the intervals.",
     ),
 ]

@@ -53,7 +53,7 @@ def calibrate_command(
     tolerance: Annotated[
         float,
         typer.Option(
-            parser=number_parser(0.0, 1.0, "is no part from 0 to 1"),
+            parser=number_parser(0.0, 1.0, "is not a number from 0 to 1"),
             metavar="PART",
             help="Relative error of the model, added to that of the targets.",
         ),

@@ -49,7 +49,7 @@ _CURE_OF_ERRNO = {
     errno.ENOENT: "check the name; a folder for results has to exist",
     errno.EEXIST: "give another name, or remove what is there",
     errno.EISDIR: "give the name of a file",
-    errno.ENOTDIR: "a part of the name is no folder; check it",
+    errno.ENOTDIR: "a part of the name is not a folder; check it",
     errno.ENAMETOOLONG: "give a shorter name",
     errno.EACCES: "give one that you may use, or change its permissions",
     errno.EPERM: "give one that you may use, or change its permissions",

@@ -34,7 +34,7 @@ def import_command(
     walls: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(
-            parser=number_parser(-1e12, 1e12, "is no coordinate from -1e12 to 1e12"),
+            parser=number_parser(-1e12, 1e12, "is not a coordinate from -1e12 to 1e12"),
             metavar="LEFT RIGHT FLOOR LID",
             help="Disks: walls in the file's frame; by default the outermost disks touch them.",
         ),

@@ -88,7 +88,7 @@ def predict_command(
             typer.echo(_check_line(check, alone[known]))
 
 
-_parse_value = number_parser(-1e12, 1e12, "is no value; write NAME=VALUE, such as path_normalized_connectivity=0.6")
+_parse_value = number_parser(-1e12, 1e12, "is not a value; write NAME=VALUE, such as path_normalized_connectivity=0.6")
 
 
 def _read_pattern(path: Path) -> CementPattern:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.cli.run_view import TerminalView
     from calcidem.app.config.schema import Configuration
 
-_parse_timeout = number_parser(1.0, 1e6, "is no number of seconds from 1 to 1,000,000")
+_parse_timeout = number_parser(1.0, 1e6, "is not a number of seconds from 1 to 1,000,000")
 
 _Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED", "DAMAGED"])
 
@@ -77,7 +77,7 @@ def run_command(
     """
     overrides = {"database": database, "output": None if output is None else str(output), "part": part}
     if part is not None and with_report:
-        raise typer.BadParameter("a part is no whole campaign; merge the parts first", param_hint="--report")
+        raise typer.BadParameter("a part is not a whole campaign; merge the parts first", param_hint="--report")
     if check or packing_only:
         if serve or retry:
             raise typer.BadParameter("leave it out: no cell is computed", param_hint="--serve" if serve else "--retry")

@@ -23,7 +23,7 @@ def status_command(
     interval: Annotated[
         float,
         typer.Option(
-            parser=number_parser(0.1, 86400.0, "is no number of seconds from 0.1 to 86400"),
+            parser=number_parser(0.1, 86400.0, "is not a number of seconds from 0.1 to 86400"),
             help="Seconds between two refreshes with --watch.",
         ),
     ] = 2.0,

@@ -202,7 +202,7 @@ def _parse_quantity(quantity: str, text: str) -> float:
     found = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z]+)\s*", text, re.ASCII)
     cure = f"give a number with one of the units {', '.join(units)}, such as {_EXAMPLES[quantity]}"
     if found is None or found[2] not in units:
-        raise ValueError(f"'{text}' is no {quantity}: {cure}")
+        raise ValueError(f"'{text}' is not a {quantity}: {cure}")
     try:
         value = float(f"{float(found[1]) * units[found[2]]:.12g}")  # 0.0003 and not 0.00030000000000000003
     except ValueError:

@@ -340,5 +340,7 @@ def _numbers_of(file: Path, rows: _Rows, columns: list[tuple[str, int]]) -> dict
             shown = " ".join(words)
             shown = f"{shown[:_LONGEST_SHOWN_LINE]}{'...' * (len(shown) > _LONGEST_SHOWN_LINE)}"
             wanted = ", ".join(f"{name} in column {place + 1}" for name, place in columns)
-            raise PackingFileError(f"{file}, line {number}: '{shown}' is no disk; {wanted} have to be finite numbers")
+            raise PackingFileError(
+                f"{file}, line {number}: '{shown}' is not a disk; {wanted} have to be finite numbers"
+            )
     return dict(zip((name for name, _ in columns), found.T, strict=True))

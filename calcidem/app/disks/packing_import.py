@@ -186,7 +186,7 @@ def _metres(found: ForeignDisks, unit: str | None) -> tuple[float, list[str]]:
 def _axes(plane: str) -> list[int]:
     """Numbers of the axes that become x, y and z."""
     if len(set(plane)) != len("xy") or not set(plane) <= set("xyz"):
-        raise PackingFileError(f"plane = '{plane}' is no pair of axes; give xy, xz or yz")
+        raise PackingFileError(f"plane = '{plane}' is not a pair of axes; give xy, xz or yz")
     first, second = ("xyz".index(axis) for axis in plane)
     return [first, second, 3 - first - second]
 

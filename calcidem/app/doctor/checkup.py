@@ -134,11 +134,11 @@ def _rank_findings(mpirun: str) -> Iterator[Finding]:
         return
     sizes = [rank.world_size for rank in ranks]
     if sizes != [2, 2]:
-        fact = f"don't know about each other (world sizes: {', '.join(map(str, sizes))})"
+        fact = f"do not communicate (world sizes: {', '.join(map(str, sizes))})"
         cure = "use the launcher of the MPI library that mpi4py loads (MPIRUN)"
         yield Finding(_PROBLEM, "two ranks", f"{fact}: each would compute the whole campaign", cure)
         return
-    yield Finding(_OK, "two ranks", "start and know about each other")
+    yield Finding(_OK, "two ranks", "start and communicate")
     yield _fault_tolerance_finding(ranks)
     yield _binding_finding(ranks, available_cores())
 
@@ -245,12 +245,12 @@ def _thread_finding(variables: Mapping[str, str]) -> Finding:
 def _slurm_findings(variables: Mapping[str, str]) -> Iterator[Finding]:
     """Describe the present Slurm job, or how to start one."""
     if "SLURM_JOB_ID" not in variables:
-        template = "installed, but this is no job; in the script of one, 'calcidem run --ranks 0' uses all tasks"
+        template = "installed, but this is not a job; in the script of one, 'calcidem run --ranks 0' uses all tasks"
         yield Finding(_OK, "Slurm", template if shutil.which("sbatch") else "not installed here, and not needed")
         return
     tasks, job = variables.get("SLURM_NTASKS", "1"), variables["SLURM_JOB_ID"]
     if variables.get("SLURM_STEP_ID", "batch").isdigit() and tasks != "1" and launcher(variables) is None:
-        fact = f"job {job}: 'srun' started {tasks} programs that don't know about each other"
+        fact = f"job {job}: 'srun' started {tasks} independent programs"
         cure = "start calcidem once, with 'calcidem run --ranks 0' in the batch script, without srun"
         yield Finding(_PROBLEM, "Slurm", fact, cure)
         return

@@ -212,7 +212,7 @@ def _described_files(crate: Path) -> dict[str, dict[str, Any]]:
         return {str(entity["@id"]): dict(entity) for entity in entities}
     except (ValueError, KeyError, TypeError) as error:
         raise DamagedStoreError(
-            f"{crate}: {_DESCRIPTOR} is no description of a crate ({error}).", _GET_IT_AGAIN
+            f"{crate}: {_DESCRIPTOR} is not a description of a crate ({error}).", _GET_IT_AGAIN
         ) from error
 
 

@@ -165,7 +165,7 @@ def unnamed_page(store: Store) -> Path:
     database = store.address.path
     page = Path(f"{Path(store.record.name).name}.html") if database is None else database.with_suffix(".html")
     if page.exists() and _identity(store) not in page.read_bytes()[:_HEAD_BYTES].decode(errors="replace"):
-        raise OutputRefusedError(f"{page} is no report of this campaign.", "Give another name with --out.")
+        raise OutputRefusedError(f"{page} is not a report of this campaign.", "Give another name with --out.")
     return page
 
 

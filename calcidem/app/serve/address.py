@@ -74,7 +74,7 @@ def _explained(error: OSError, host: str, port: int) -> str:
     if error.errno == errno.EACCES:
         return f"--port {port} needs more rights than you have; give one above 1023, or 0 for any that is free"
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-        return f"--host {host} is no address of this machine; give {_USUAL_HOST}, or one that 'hostname -I' lists"
+        return f"--host {host} is not an address of this machine; give {_USUAL_HOST}, or one that 'hostname -I' lists"
     return f"--host {host} --port {port}: {error.strerror}; give others"
 
 

@@ -117,7 +117,7 @@ class MovieMaker:
         run, cores = status.get("run") or {"host": ""}, available_cores()
         here = run["host"] == os.uname().nodename
         if status.get("running") and here and status["workers"] >= cores:
-            return f"the run has all {cores} cores; a movie would slow it down. Ask again when the run has ended"
+            return f"the run has all {cores} cores; a movie would slow it down. Try again when the run has ended"
         return ""
 
     def _look(self) -> None:

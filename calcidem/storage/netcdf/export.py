@@ -114,7 +114,7 @@ def _replace_netcdf(path: str | os.PathLike[str], campaign_hash: str | None) -> 
         except (OSError, RuntimeError) as error:
             free = shutil.disk_usage(temporary.parent).free
             problem = f"{path} could not be written ({error}); its disk has {free / 1e6:.3g} MB left."
-            cure = "Free some space or write to another disk; what was there is as it was, and so is the database."
+            cure = "Free some space or write to another disk; the former file and the database are unchanged."
             raise DiskError(problem, cure) from error
 
 

@@ -76,7 +76,7 @@ def changed(crate: Path, folder: Path, name: str, change: Callable[[bytes], byte
         ("campaign.toml", lambda old: old.replace(b"damping = 0.7", b"damping = 0.6"), True, "not the configuration"),
         ("campaign.toml", lambda _: b"[sand]\ncolour = 1\n", True, "cannot be used: .*colour"),
         ("packing.csv", lambda old: old.replace(b"1", b"2", 1), True, "not the packing"),
-        ("ro-crate-metadata.json", lambda _: b"[]", False, "no description of a crate"),
+        ("ro-crate-metadata.json", lambda _: b"[]", False, "not a description of a crate"),
         ("ro-crate-metadata.json", lambda _: b'{"@graph": []}', False, "does not describe campaign.nc"),
     ],
 )

@@ -66,7 +66,7 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
         "device",
     ),
     "an array that is none": (("export", "quick.db", "new.nc", "--without", "paths"), {}, "'paths' is none of"),
-    "a content that is none": (("explain", "good.toml", "--content", "nan"), {}, "'nan' is no content"),
+    "a content that is none": (("explain", "good.toml", "--content", "nan"), {}, "'nan' is not a content"),
     "a width that is none": (
         ("status", "quick.db", "--halfwidth", "nan"),
         {},
@@ -77,7 +77,7 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
         {},
         "'1e-300' is not a number above 0",
     ),
-    "a pause that is none": (("status", "quick.db", "--watch", "--interval", "nan"), {}, "'nan' is no number of"),
+    "a pause that is none": (("status", "quick.db", "--watch", "--interval", "nan"), {}, "'nan' is not a number of"),
     "a grain of 20 digits": (
         ("predict", "quick.db", "--content", "5", "--pattern", "own.csv"),
         {"own_csv": b"first,second\n1,10000000000000000000\n"},
@@ -96,7 +96,7 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
     "the root as a file": (("init", "/"), {}, "/ is a folder or a device"),
     "a file that is there": (("init", "good.toml"), {}, "good.toml"),
     "a sand over a file": (("init", "good.toml", "--grain-size", "1mm"), {}, "good.toml"),
-    "a size without unit": (("init", "a.toml", "--grain-size", "3"), {}, "is no grain size"),
+    "a size without unit": (("init", "a.toml", "--grain-size", "3"), {}, "is not a grain size"),
     "another mineral": (("init", "a.toml", "--grain-size", "3mm", "--mineral", "gold"), {}, "quartz, carbonate"),
     "a sand's content": (("init", "a.toml", "--grain-size", "3mm", "--contents", "1,x"), {}, "--contents"),
     "a sand of no size": (("init", "a.toml", "--stress", "20kPa"), {}, "give --grain-size"),
