@@ -1,7 +1,7 @@
 """Arguments and options that several commands have."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +34,15 @@ def number_parser(low: float, high: float, refusal: str) -> Callable[[object], f
         return value
 
     return parse
+
+
+def refuse_options(reason: str, given: Mapping[str, object]) -> None:
+    """Raise `typer.BadParameter` for options, by their names, that would have no effect: all but None, False, empty."""
+    names = [
+        name for name, value in given.items() if value is not None and value is not False and value not in ("", [])
+    ]
+    if names:
+        raise typer.BadParameter(reason, param_hint=", ".join(names))
 
 
 parse_percentage = number_parser(0.0, 100.0, "is not a content; give percent of the sand's mass, from 0 to 100")

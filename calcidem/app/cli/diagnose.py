@@ -36,9 +36,8 @@ def diagnose_command(
         if layout is Format.TABLE:
             counts = [(key, number) for key, number in store.status_counts().items() if key[1] in UNREAD]
             words = ", ".join(f"{number} at {content:g} % ({status})" for (content, status), number in sorted(counts))
-            typer.echo(
-                f"Campaign {store.record.name}. Without velocity: {words or 'none'}. A new run would give the same."
-            )
+            unread = f"{words}. A new run would give the same." if words else "none."
+            typer.echo(printable(f"Campaign {store.record.name}. Without velocity: {unread}"))
         rows = []
         for one in found:
             rows.append(one.as_row())

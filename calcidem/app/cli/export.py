@@ -1,13 +1,16 @@
 """``calcidem export``: a campaign as a NetCDF file or a crate, or one of its samples for other programs."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, parse_percentage
+from calcidem.storage.records import ARRAY_RECORDS
 
 _LICENCE = "CC-BY-4.0"
+_Array = StrEnum("_Array", list(ARRAY_RECORDS))  # type: ignore[misc]  # not literal
 
 
 def export_command(
@@ -21,11 +24,8 @@ def export_command(
     ] = None,
     campaign: CampaignName = None,
     without: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="path|signal|cement",
-            help="Leave out these arrays, most of the NetCDF file; may be repeated.",
-        ),
+        list[_Array] | None,
+        typer.Option(help="Leave out these arrays, most of the NetCDF file; may be repeated."),
     ] = None,
     crate: Annotated[
         bool,
@@ -50,6 +50,8 @@ def export_command(
             raise typer.BadParameter(
                 "a crate is complete: leave out --without, --seed and --content", param_hint="--crate"
             )
+        if out.suffix.lower() != ".zip":
+            raise typer.BadParameter(f"'{out}' does not end with .zip; a crate is a zip file", param_hint="OUT")
         from calcidem.app.cli.terminal import progress_bar
         from calcidem.app.report.crate import write_crate
 
@@ -61,14 +63,11 @@ def export_command(
         raise typer.BadParameter("give --crate, too: other files have neither", param_hint="--licence, --author")
     if seed is None and content is None:
         from calcidem.storage.netcdf.export import export_netcdf
-        from calcidem.storage.records import ARRAY_RECORDS
         from calcidem.storage.sql.store import read_campaign
 
-        for name in without or ():
-            if name not in ARRAY_RECORDS:
-                raise typer.BadParameter(f"{name!r} is none of {', '.join(ARRAY_RECORDS)}.", param_hint="--without")
-        if out.suffix.lower() in {".vtu", ".csv"}:
-            raise typer.BadParameter("give --seed and --content: it holds one sample", param_hint="OUT")
+        if out.suffix.lower() in {".zip", ".vtu", ".csv"}:
+            needed = ".zip needs --crate, .vtu and .csv need --seed and --content"
+            raise typer.BadParameter(f"'{out}' would be a NetCDF file; {needed}", param_hint="OUT")
         with read_campaign(database, campaign) as store:
             export_netcdf(store, out, without=without or ())
     else:

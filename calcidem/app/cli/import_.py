@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import number_parser
+from calcidem.app.cli.arguments import number_parser, refuse_options
 from calcidem.app.cli.terminal import printable
 
 _RAISED_BY_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
@@ -51,6 +51,8 @@ def import_command(
     if (database is None) is (out is None):
         raise typer.BadParameter("give one of them: --db for an exported campaign, --out for disks of another program")
     if database is not None:
+        of_disks = {"--unit": unit, "--columns": columns, "--type": types, "--walls": walls, "--timestep": timestep}
+        refuse_options("leave it out: it is for disks, with --out", of_disks)
         _import_campaign(file, database)
     elif out is not None:
         from calcidem.app.disks.packing_import import import_packing

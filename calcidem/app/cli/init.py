@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, refuse_options
 from calcidem.app.config.presets import PRESETS, preset_text
 
 Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})  # type: ignore[misc]  # not literal
@@ -46,11 +46,8 @@ def init_command(
 ) -> None:
     """Write a configuration to start from: an example, or one for your own sand."""
     if grain_size is None and disks is None:
-        for option, value in (("--stress", stress), ("--mineral", mineral), ("--contents", contents)):
-            if value is not None:
-                raise typer.BadParameter(
-                    "give --grain-size or --disks, too: it is for a sand of your own", param_hint=option
-                )
+        of_a_sand = {"--stress": stress, "--mineral": mineral, "--contents": contents}
+        refuse_options("give --grain-size or --disks, too: it is for a sand of your own", of_a_sand)
         text = _example_text(preset or _FIRST, full=full)
     elif preset is not None or full:
         hint = "--grain-size" if disks is None else "--disks"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, number_parser
+from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, number_parser, refuse_options
 from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable, tell
 from calcidem.sweep.progress import first_of, pluralize
 
@@ -79,8 +79,8 @@ def run_command(
     if part is not None and with_report:
         raise typer.BadParameter("a part is not a whole campaign; merge the parts first", param_hint="--report")
     if check or packing_only:
-        if serve or retry:
-            raise typer.BadParameter("leave it out: no cell is computed", param_hint="--serve" if serve else "--retry")
+        refuse_options("leave it out: no cell is computed", {"--serve": serve, "--retry": retry})
+        refuse_options("leave it or --check out: no packing is made", {"--packing-only": check and packing_only})
         (_preview if check else _make_packing_alone)(_read_overridden(configuration, overrides))
         return
     if dask is not None and ranks is not None:

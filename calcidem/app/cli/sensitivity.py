@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.arguments import CampaignName, OnlyContents, StudyCores
+from calcidem.app.cli.arguments import CampaignName, OnlyContents, StudyCores, refuse_options
 from calcidem.app.cli.terminal import tell
 from calcidem.sweep.environment import available_cores
 
@@ -58,6 +58,7 @@ def sensitivity_command(
     if out is not None:
         refuse_to_replace(out)
     if str(plan) in {"frequency", "damping"}:
+        refuse_options("leave it out: it is for a plan", {"--sobol": sobol, "--only-table": only_table})
         result = vary_one(str(plan), database, content, campaign)
     elif sobol is None:
         variants = VariantPlan.load(plan, database)

@@ -78,6 +78,10 @@ class ForeignDisks:
             raise PackingFileError(f"{file} can't be read as text ({error}); check its name") from error
         lines = text.splitlines()
         read = _recognise(lines, file)
+        if timestep is not None and read is not _read_dump:
+            raise PackingFileError(
+                f"timestep = {timestep}: {file} is no LAMMPS dump and has no snapshots; leave it out"
+            )
         try:
             rows = read(file, lines, timestep)
         except (ValueError, IndexError, csv.Error) as error:

@@ -65,8 +65,20 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
         {"device_toml": OWN_DISKS.replace("own.csv", "/dev/zero").encode()},
         "device",
     ),
-    "an array that is none": (("export", "quick.db", "new.nc", "--without", "paths"), {}, "'paths' is none of"),
     "a content that is none": (("explain", "good.toml", "--content", "nan"), {}, "'nan' is not a content"),
+    "an array that is none": (
+        ("export", "quick.db", "new.nc", "--without", "paths"),
+        {},
+        "is not one of 'path', 'section', 'cement'",
+    ),
+    "an option of disks": (("import", "quick.nc", "--db", "new.db", "--timestep", "0"), {}, "--timestep: leave it out"),
+    "an option of a plan": (("sensitivity", "damping", "--db", "quick.db", "--only-table"), {}, "--only-table: leave"),
+    "two kinds of rehearsal": (("run", "good.toml", "--check", "--packing-only"), {}, "--packing-only: leave it"),
+    "a snapshot of a table": (
+        ("import", "own.csv", "--out", "new.csv", "--timestep", "3"),
+        {"own_csv": DISKS.encode()},
+        "has no snapshots",
+    ),
     "a width that is none": (
         ("status", "quick.db", "--halfwidth", "nan"),
         {},
