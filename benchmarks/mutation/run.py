@@ -3,7 +3,7 @@
     pip install pytest-cov
     python benchmarks/mutation/run.py [--rooms analysis sweep dem] [--mutants 400] [--seed 1]
 
-`tests/test_sentinels.py` keeps twenty of them.
+`tests/test_sentinels.py` keeps twenty of them; `equivalent.md` lists those that no test can notice.
 
 A mutant moves a number, or exchanges a sign, an operator, a comparison or a logical word. It is judged by the tests of the
 room that run its line, then by the files that import its module and by the bits that are kept in the tree, since
