@@ -14,8 +14,10 @@ _BY_ERROR_TYPE = {
     "finite_number": ("is not finite", "give a number"),
     "literal_error": ("is not one of the choices", ""),
     "missing": ("has the wrong number of entries", ""),
+    "missing_key": ("is missing", "add it"),
     "too_long": ("has the wrong number of entries", ""),
     "unexpected_keyword_argument": ("is not known", "leave it out"),
+    "extra_forbidden": ("is not known", "leave it out"),
 }
 """Cause, and a remedy if the field has none, for each kind of pydantic's errors."""
 
@@ -72,6 +74,8 @@ def quote(value: object) -> str:
 
 def phrase(error: ErrorDetails, accepted: str = "") -> str:
     """Problem and remedy of one of ``ValidationError.errors()``, in words; see `fields.accepted_values`."""
-    what, cure = _BY_ERROR_TYPE.get(error["type"], ("" if accepted else error["msg"], ""))
+    lacks_key = error["type"] == "missing" and isinstance(error["loc"][-1], str)  # not an entry of a list
+    kind = "missing_key" if lacks_key else error["type"]
+    what, cure = _BY_ERROR_TYPE.get(kind, ("" if accepted else error["msg"], ""))
     entry = next((f"entry {word + 1} " for word in error["loc"] if isinstance(word, int)), "") if what else ""
     return "; ".join(filter(None, (entry + what, f"give {accepted}" if accepted else cure)))

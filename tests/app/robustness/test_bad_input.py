@@ -73,6 +73,14 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
     ),
     "an option of disks": (("import", "quick.nc", "--db", "new.db", "--timestep", "0"), {}, "--timestep: leave it out"),
     "an option of a plan": (("sensitivity", "damping", "--db", "quick.db", "--only-table"), {}, "--only-table: leave"),
+    "a plan that is a campaign": (
+        ("sensitivity", "good.toml", "--db", "new.db"),
+        {},
+        (
+            "configuration: is missing; add it contents: is missing; add it seeds: is missing; add it "
+            "campaign: is not known; leave it out"
+        ),
+    ),
     "two kinds of rehearsal": (("run", "good.toml", "--check", "--packing-only"), {}, "--packing-only: leave it"),
     "a snapshot of a table": (
         ("import", "own.csv", "--out", "new.csv", "--timestep", "3"),
