@@ -319,6 +319,7 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
         ("content,vs\n", "give a line for each content"),
         ("content,vs\n1,-3\n", r"row 2, vs = '-3': give a positive number of m/s"),
         ("content,vs\n1\n", "row 2 = 1: has 1 entries and not 2"),
+        ("# of the lab\n\ncontent,vs\n1,300\n# dry\n2,-3\n", "row 6, vs = '-3'"),  # as an editor counts
         ("content,vs\n0,5,300\n", "point in numbers"),
         ("content,vs,sd\n1,,3\n", "row 2, vs = ''"),
         ("content,vs,samples\n1,3,1.5\n", "samples = '1.5': give a whole number of 2 or more"),

@@ -32,15 +32,16 @@ def read_targets(file: Path) -> tuple[Target, ...]:
     with file.open(encoding="utf-8-sig", errors="replace", newline="") as source:
         text = source.read(_MOST_CHARACTERS)  # so that a device cannot fill the memory
     try:
-        table = [[entry.strip() for entry in line] for line in csv.reader(io.StringIO(text))]
+        reader = csv.reader(io.StringIO(text))
+        table = [(reader.line_num, [entry.strip() for entry in line]) for line in reader]
     except csv.Error as error:
         problem = f"no table of targets ({error}); give a line for each content, numbers with commas between them"
         raise ConfigurationError(str(file), [Problem(problem)]) from error
-    lines = [line for line in table if any(line) and not line[0].startswith("#")]
-    header, rows = (lines[0], lines[1:]) if lines else ([], [])
+    lines = [(number, line) for number, line in table if any(line) and not line[0].startswith("#")]
+    header, rows = (lines[0][1], lines[1:]) if lines else ([], [])
     problems = list(_header_problems(header, rows))
     targets: list[Target] = []
-    for number, row in enumerate(rows if not problems else (), start=2):
+    for number, row in rows if not problems else ():
         wrong = list(_row_problems(number, header, row))
         problems += wrong
         if not wrong:
@@ -55,7 +56,7 @@ def read_targets(file: Path) -> tuple[Target, ...]:
     return tuple(targets)
 
 
-def _header_problems(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[Problem]:
+def _header_problems(header: Sequence[str], rows: Sequence[object]) -> Iterator[Problem]:
     """Problems of the columns."""
     for name in (name for name in _REQUIRED if name not in header):
         yield Problem(f"column {name}: is missing; give a header line such as 'content,vs' or 'content,vs,sd,samples'")
