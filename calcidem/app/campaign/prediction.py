@@ -45,6 +45,8 @@ def predict_velocity(
     `QueryError` if a name is unknown, a value is far from those of all samples, or the campaign has too few velocities
     at the content.
     """
+    if not 0.0 < level < 1.0:
+        raise QueryError(f"level = {level}: is not a probability.", "Give one between 0 and 1, such as 0.95.")
     names = tuple(features)
     if strange := sorted(set(names) - set(_FEATURE_NAMES)):
         raise QueryError(f"{', '.join(strange)}: no such feature.", f"Choose among {', '.join(_FEATURE_NAMES)}.")

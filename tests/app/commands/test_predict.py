@@ -56,6 +56,8 @@ def test_what_cannot_be_predicted_is_refused(campaign: Campaign) -> None:
         campaign.predict(content=5.0, features={"colour": 1.0})
     with pytest.raises(QueryError, match=r"connectivity = 2 is far from the .* of the samples at 5 %"):
         campaign.predict(content=5.0, features={"path_connectivity": 2.0})
+    with pytest.raises(QueryError, match=r"level = 2\.0: is not a probability"):
+        campaign.predict(content=5.0, level=2.0)
     strange = CementPattern(np.array([[0, 4000]]), np.array([1]), np.empty((0, 2)))
     with pytest.raises(QueryError, match="do not touch"):
         campaign.predict(content=5.0, pattern=strange)
