@@ -15,7 +15,7 @@ from calcidem.app.config.measured import read_targets
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
-from calcidem.app.studies.parameters import ParameterRange, text_with_values, with_values
+from calcidem.app.studies.parameters import ParameterRange, refuse_unwritable, text_with_values, with_values
 from calcidem.app.studies.trials import KeptTrials, trial_workers
 from calcidem.dem.sample.packing import Packing
 
@@ -368,3 +368,24 @@ def test_values_are_written_into_the_configuration() -> None:
     assert read.calibration.wave_stiffness_factor == 12.346
     assert read.cement.bond_modulus == 8.1e10
     assert text_with_values(written, values) == written
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[ sand ]\nfriction = 0.4\n", "give each section as"),
+        ("sand.friction = 0.4\n", "give each section as"),
+        ('[packing]\nfile = "disks.csv"\n', "packing.file"),
+    ],
+)
+def test_a_file_that_could_not_be_written_is_refused_before_the_fit(text: str, named: str, tmp_path: Path) -> None:
+    """Sections that are spelled in another way, and disks that are not beside the new file."""
+    loaded = read_configuration(tomllib.loads(text) if "disks" not in text else {})
+    refuse_unwritable(
+        "[sand]\nfriction = 0.4\n",
+        read_configuration({"sand": {"friction": 0.4}}),
+        {STIFFNESS: 12.0},
+        tmp_path / "new.toml",
+    )
+    with pytest.raises(ConfigurationError, match=named):
+        refuse_unwritable(text, loaded, {STIFFNESS: 12.345678}, tmp_path / "new.toml")

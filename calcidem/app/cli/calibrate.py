@@ -65,7 +65,7 @@ def calibrate_command(
     from calcidem.app.config.measured import read_targets
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.calibrate import FITTED_BY_DEFAULT, FitPlan, calibrate
-    from calcidem.app.studies.parameters import ParameterRange, text_with_values
+    from calcidem.app.studies.parameters import ParameterRange, refuse_unwritable, text_with_values
     from calcidem.storage.files import refuse_to_replace, write_text_atomically
 
     refuse_to_replace(out)
@@ -75,6 +75,8 @@ def calibrate_command(
     ranges = [ParameterRange.parse(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
     chosen = range(first_seed, first_seed + seeds)
     plan = FitPlan(targets, ranges, chosen, tuple(predict or ()), tolerance)
+    text = configuration.read_text(encoding="utf-8-sig")
+    refuse_unwritable(text, loaded, plan.start(loaded, packing), out)
     kept = out.with_suffix(".trials.jsonl")
     tell(f"Every trial is kept in {kept}; after a stop the same command continues.")
     fitted = calibrate(loaded, packing, plan, cores or available_cores(), tell, kept)
@@ -82,7 +84,7 @@ def calibrate_command(
     if not fitted.is_fitted:
         typer.echo(f"Nothing was fitted: {out} is not written.")
         raise typer.Exit(EXIT_ERROR)
-    write_text_atomically(out, text_with_values(configuration.read_text(encoding="utf-8"), fitted.values))
+    write_text_atomically(out, text_with_values(text, fitted.values))
     typer.echo(f"Wrote {out}")
 
 

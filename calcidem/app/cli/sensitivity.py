@@ -1,13 +1,16 @@
 """``calcidem sensitivity``: dependence of Vs on the choices of a campaign, its frequency and its damping."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calcidem.app.cli.arguments import CampaignName, OnlyContents, StudyCores, refuse_options
 from calcidem.app.cli.terminal import tell
 from calcidem.sweep.environment import available_cores
+
+if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from calcidem.app.studies.results import StudyResult
 
 
 def sensitivity_command(
@@ -49,10 +52,7 @@ def sensitivity_command(
     --sobol varies all \[ranges] of the plan together and shows shares of the variance. 'frequency' or 'damping' instead
     of a plan computes samples of a stored campaign with other values; its database is not written.
     """
-    from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.studies.frequency_and_damping import vary_one
-    from calcidem.app.studies.sensitivity.plan import VariantPlan
-    from calcidem.app.studies.sensitivity.sobol import SobolPlan
     from calcidem.storage.files import refuse_to_replace
 
     if out is not None:
@@ -60,21 +60,29 @@ def sensitivity_command(
     if str(plan) in {"frequency", "damping"}:
         refuse_options("leave it out: it is for a plan", {"--sobol": sobol, "--only-table": only_table})
         result = vary_one(str(plan), database, content, campaign)
-    elif sobol is None:
-        variants = VariantPlan.load(plan, database)
-        if not only_table:
-            variants.compute(tell)
-        result = variants.result()
     else:
-        ranges, file = SobolPlan.load(plan, sobol), Path(database)
-        if only_table:
-            points = ranges.stored(file)
-        else:
-            packing = provide_packing(ranges.configuration, None, tell)
-            points = ranges.evaluate(packing, file, cores or available_cores(), tell)
-        result = ranges.result(points)
+        refuse_options("leave it out: the plan has it", {"--content": content, "--campaign": campaign})
+        result = _study_of_plan(plan, database, sobol, only_table=only_table, cores=cores)
     if out is None:
         typer.echo(result.text)
         return
     for written in result.write(out):
         typer.echo(f"Wrote {written}")
+
+
+def _study_of_plan(plan: Path, database: str, sobol: int | None, *, only_table: bool, cores: int) -> "StudyResult":
+    """Compute the variants of a plan, or its Sobol points."""
+    from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.studies.sensitivity.plan import VariantPlan
+    from calcidem.app.studies.sensitivity.sobol import SobolPlan
+
+    if sobol is None:
+        variants = VariantPlan.load(plan, database)
+        if not only_table:
+            variants.compute(tell)
+        return variants.result()
+    ranges, file = SobolPlan.load(plan, sobol), Path(database)
+    if only_table:
+        return ranges.result(ranges.stored(file))
+    packing = provide_packing(ranges.configuration, None, tell)
+    return ranges.result(ranges.evaluate(packing, file, cores or available_cores(), tell))

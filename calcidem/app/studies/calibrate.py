@@ -70,6 +70,14 @@ class FitPlan:
     tolerance: float = 0.02
     """Relative error of the model itself, added to the sampling error of every target."""
 
+    def start(self, configuration: Configuration, packing: Packing) -> dict[str, float]:
+        """Value of each parameter at the start; `ConfigurationError` if one cannot be fitted."""
+        check_ranges(configuration, self.free, "calibration")
+        try:
+            return {chosen.name: chosen.start_value(configuration, packing) for chosen in self.free}
+        except ValueError as error:
+            raise ConfigurationError("calibration", [Problem(str(error))]) from error
+
     @property
     def met(self) -> tuple[Target, ...]:
         """Targets of the fit."""
@@ -260,13 +268,8 @@ def calibrate(
     objections to it.
     """
     trials = KeptTrials(kept, packing)
-    check_ranges(configuration, plan.free, "calibration")
+    start = list(plan.start(configuration, packing).values())
     check_cells(configuration, packing, sorted({row.content for row in plan.targets} | set(plan.predict)), plan.seeds)
-    try:
-        start = [chosen.start_value(configuration, packing) for chosen in plan.free]
-    except ValueError as error:
-        raise ConfigurationError("calibration", [Problem(str(error))]) from error
-
     contents = [target.content for target in plan.met]
     with trial_workers(packing, contents, plan.seeds, cores) as measure_trials:
         measure = trials.remembered(measure_trials, contents, plan.seeds)

@@ -1,16 +1,19 @@
 """Parameters of a configuration that studies vary, by name and range, and their output to a file."""
 
 import math
+import os
 import re
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Self, get_type_hints
 
 import numpy as np
 
 from calcidem.app.config.checks import cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem
-from calcidem.app.config.reader import SECTIONS
+from calcidem.app.config.reader import SECTIONS, read_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 
@@ -141,3 +144,18 @@ def text_with_values(text: str, values: Mapping[str, float]) -> str:
             inside = f"{inside.rstrip()}\n{line}\n\n"
         text = text[: found.start(1)] + inside + text[found.end(1) :]
     return text
+
+
+def refuse_unwritable(text: str, configuration: Configuration, values: Mapping[str, float], file: Path) -> None:
+    """Refuse a text that `text_with_values` could not change, or that would be another campaign in that file.
+
+    `ConfigurationError`, also if a file that the text names does not exist beside ``file``.
+    """
+    rounded = {name: float(f"{value:.5g}") for name, value in values.items()}
+    problem = f"{', '.join(values)}: cannot be written; give each section as [section], with a line for each key"
+    try:
+        document = tomllib.loads(text_with_values(text, values))
+    except ValueError as error:
+        raise ConfigurationError(os.fspath(file), [Problem(problem)]) from error
+    if read_configuration(document, os.fspath(file), file.parent).hash != with_values(configuration, rounded).hash:
+        raise ConfigurationError(os.fspath(file), [Problem(problem)])
