@@ -98,8 +98,7 @@ def gallery_page(*, captions: bool = False) -> str:
         "",
         *textwrap.wrap(
             "Figures of the paper's campaign; those that need signals are of the preset `quick`. "
-            "`python docs/gallery/make_gallery.py` draws them. The build of the site draws all but the studies and the "
-            "report again, and fails if one has changed.",
+            "`python docs/gallery/make_gallery.py` draws them.",
             _LINE,
         ),
         "",

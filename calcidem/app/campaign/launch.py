@@ -176,7 +176,7 @@ class Launch:
             [
                 *(mpirun, *launcher_options(mpirun, ranks, forwarded)),
                 *(["--host", ",".join(f"{host}:{slots}" for host, slots in hosts.items())] if hosts else []),
-                *(sys.executable, "-I", "-S", str(Path(starter.__file__).absolute())),  # it needs no site packages
+                *_starter_command(),
                 *(sys.executable, "-m", "calcidem", *self.arguments),
             ],
             env=environment,
@@ -237,6 +237,11 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
         for child in children:  # its connections to hosts that don't answer
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
+
+
+def _starter_command() -> list[str]:
+    """Beginning of the command line of a rank that reports to this command; the starter needs no site packages."""
+    return [sys.executable, "-I", "-S", str(Path(starter.__file__).absolute())]
 
 
 def find_mpirun() -> str:
