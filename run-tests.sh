@@ -4,7 +4,7 @@
 #   --fast  what one waits for while writing: no MPI, nothing that takes seconds
 #   (none)  what CI runs
 #   --full  everything: hundreds of faults and scenes, other programs, fresh installations
-# JOBS says how many tests run side by side; 3 by default: tests of MPI start several ranks each, and wait for them.
+# JOBS says how many tests run side by side; 2 by default, since the tests of MPI start several ranks each.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 chosen=()
@@ -20,4 +20,4 @@ ruff format --check .
 ruff check .
 mypy
 lint-imports
-exec python -m pytest -n "${JOBS:-3}" --dist loadfile ${chosen[@]+"${chosen[@]}"} "$@"
+exec python -m pytest -n "${JOBS:-2}" --dist loadfile ${chosen[@]+"${chosen[@]}"} "$@"
