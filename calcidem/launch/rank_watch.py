@@ -325,23 +325,27 @@ class RankWatch:
                 self._drop(caller)
             return
         words, _, sealed = line.decode(errors="replace").rpartition(" ")
+        # Words are read only after their seal has shown that the caller knows the key.
         seal = seal_words(self._key, "rank", caller.challenge, words)
-        is_expected = hmac.compare_digest(sealed.encode(), seal.encode())
-        try:
-            number, process, host, drawn = words.split(" ")
-            rank = _ReportedRank(int(number), host, int(process), caller.connection, rest)
-            is_expected &= 0 <= rank.number < self._size and rank.number not in self._ranks
-            if is_expected:
-                caller.connection.send(f"{seal_words(self._key, 'command', drawn, caller.challenge)}\n".encode())
-        except (ValueError, OSError):
-            is_expected = False
-        if not is_expected:
+        rank = self._expected_rank(caller, words) if hmac.compare_digest(sealed.encode(), seal.encode()) else None
+        if rank is None:
             self._drop(caller)
             return
+        rank.buffer = rest
         del self._callers[caller]
         self._ranks[rank.number] = rank
         self._selector.modify(rank.connection, selectors.EVENT_READ, rank)
         self._take_lines(rank)
+
+    def _expected_rank(self, caller: _Caller, words: str) -> _ReportedRank | None:
+        """Rank that a caller with the key claims to be, after an answer to it; None if this rank is not expected."""
+        with suppress(ValueError, OSError):
+            number, process, host, drawn = words.split(" ")
+            rank = _ReportedRank(int(number), host, int(process), caller.connection)
+            if 0 <= rank.number < self._size and rank.number not in self._ranks:
+                caller.connection.send(f"{seal_words(self._key, 'command', drawn, caller.challenge)}\n".encode())
+                return rank
+        return None
 
     def _read(self, rank: _ReportedRank) -> None:
         """Receive the messages of a rank."""

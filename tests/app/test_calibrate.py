@@ -380,12 +380,11 @@ def test_values_are_written_into_the_configuration() -> None:
 )
 def test_a_file_that_could_not_be_written_is_refused_before_the_fit(text: str, named: str, tmp_path: Path) -> None:
     """Sections that are spelled in another way, and disks that are not beside the new file."""
-    loaded = read_configuration(tomllib.loads(text) if "disks" not in text else {})
-    refuse_unwritable(
-        "[sand]\nfriction = 0.4\n",
+    loaded, values, file = (
         read_configuration({"sand": {"friction": 0.4}}),
-        {STIFFNESS: 12.0},
+        {STIFFNESS: 12.345678},
         tmp_path / "new.toml",
     )
+    refuse_unwritable("[sand]\nfriction = 0.4\n", loaded, values, file)
     with pytest.raises(ConfigurationError, match=named):
-        refuse_unwritable(text, loaded, {STIFFNESS: 12.345678}, tmp_path / "new.toml")
+        refuse_unwritable(text, loaded, values, file)

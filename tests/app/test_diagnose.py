@@ -1,5 +1,6 @@
 """Why cells have no velocity, what to try, and where their lack may bias a mean."""
 
+import re
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
@@ -23,7 +24,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.task import cell_result
-from calcidem.app.config.calibrated import calibration_note
+from calcidem.app.config.calibrated import _CALIBRATED, calibration_note
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import change_configuration, load_configuration
 from calcidem.app.config.reference import key_references
@@ -326,6 +327,17 @@ def test_calibrated_values_kept_for_another_material_are_told(tmp_path: Path, in
     assert "sand.shear_modulus = 6.5e+11" in said
     assert "5e+11" in said
     assert "calcidem calibrate" in said
+
+
+def test_every_value_that_a_preset_calls_calibrated_is_known() -> None:
+    """The keys with this comment, and no others."""
+    marked = {
+        f"{section}.{key}"
+        for text in map(preset_text, PRESETS)
+        for section, body in re.findall(r"(?ms)^\[([\w.]+)\]$(.*?)(?=^\[|\Z)", text)
+        for key in re.findall(r"(?m)^(\w+) = .*# calibrated", body)
+    }
+    assert marked == set(_CALIBRATED)
 
 
 @pytest.mark.full

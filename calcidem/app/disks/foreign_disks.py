@@ -80,7 +80,7 @@ class ForeignDisks:
         read = _recognise(lines, file)
         if timestep is not None and read is not _read_dump:
             raise PackingFileError(
-                f"timestep = {timestep}: {file} is no LAMMPS dump and has no snapshots; leave it out"
+                f"timestep = {timestep}: {file} is not a LAMMPS dump and has no snapshots; leave it out"
             )
         try:
             rows = read(file, lines, timestep)
