@@ -24,7 +24,7 @@ def main() -> None:
     """Make the packing, compute all parts, and merge them."""
     config, out, parts = sys.argv[1], sys.argv[2], int(sys.argv[3])
     subprocess.run(["calcidem", "run", config, "--packing-only"], check=True)
-    if len(sys.argv) > 4:  # noqa: PLR2004 - a folder of a server was given
+    if len(sys.argv) > 4:  # a folder of a server was given
         compute(Client(sys.argv[4]), config, parts)
     else:
         with LocalCluster(worker_config=WorkerConfig()) as cluster:

@@ -57,7 +57,7 @@ def main() -> None:
         print(f"until {content:g} %")
         for group, rows in found.items():
             error, expected, bound = np.array(rows).T
-            rank = spearmanr(error, expected).statistic if len(rows) > 2 else np.nan  # noqa: PLR2004 - two always agree
+            rank = spearmanr(error, expected).statistic if len(rows) > 2 else np.nan  # two always agree
             medians = " | ".join(f"{np.median(row):.1e}" for row in (error, expected, bound))
             print(
                 f"| {group} | {len(rows)} | {rank:.2f} | {medians} | {error.max():.1e} | {np.sum(error <= bound)} |",

@@ -219,7 +219,7 @@ def kill_one(trial: Trial, command: int, numbers: random.Random) -> str:
         return "nobody"
     kind = numbers.choice(sorted({kind.removesuffix(" (starter)") for kind in kinds}))
     starter = f"{kind} (starter)"
-    if kind not in kinds or (starter in kinds and numbers.random() < 0.25):  # noqa: PLR2004 - now and then
+    if kind not in kinds or (starter in kinds and numbers.random() < 0.25):  # now and then
         kind = starter
     try:
         os.kill(numbers.choice(kinds[kind]), signal.SIGKILL)

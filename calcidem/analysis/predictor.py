@@ -76,7 +76,7 @@ class VelocityPredictor:
         (Allen 1974, doi:10.1080/00401706.1974.10489157).
         """
         x, y = np.asarray(features, dtype=np.float64), np.log(np.asarray(vs, dtype=np.float64))
-        if x.ndim != 2 or len(x) != len(y) or len(y) < FEWEST_ROWS + x.shape[1]:  # noqa: PLR2004 - a table
+        if x.ndim != 2 or len(x) != len(y) or len(y) < FEWEST_ROWS + x.shape[1]:  # a table
             fewest = f"at least {FEWEST_ROWS} more than features"
             raise ValueError(f"features {x.shape} and vs {y.shape}: give one row for each velocity, and {fewest}")
         centred = x - x.mean(axis=0)

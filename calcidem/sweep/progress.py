@@ -34,13 +34,13 @@ def duration(seconds: float | None) -> str:
     """Return a duration as text: `42 s`, `7 min`, `3 h 20 min`, `2 d 4 h`, or `?` if it is unknown."""
     if seconds is None:
         return "?"
-    if seconds < 100:  # noqa: PLR2004 - two digits are enough for a person
+    if seconds < 100:  # two digits are enough for a person
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)
-    if minutes < 100:  # noqa: PLR2004 - as above
+    if minutes < 100:  # as above
         return f"{minutes} min"
     hours, minutes = divmod(minutes, 60)
-    if hours < 48:  # noqa: PLR2004 - two days
+    if hours < 48:  # two days
         return f"{hours} h {minutes:02d} min"
     days, hours = divmod(hours, 24)
     return f"{days} d {hours} h"

@@ -56,7 +56,7 @@ def read_cells(database: str) -> xr.Dataset:
     seeds, contents = cells["seed"].to_numpy().tolist(), cells["content"].to_numpy().tolist()
     rows = np.array([[shares.get((seed, content), (np.nan, np.nan)) for content in contents] for seed in seeds])
     cells = cells.assign({name: (("seed", "content"), rows[..., n]) for n, name in enumerate(CEMENT_FEATURES)})
-    return cells.sel(content=cells["vs"].std("seed") > 1e-9)  # noqa: PLR2004 - round-off
+    return cells.sel(content=cells["vs"].std("seed") > 1e-9)  # round-off
 
 
 def features_of(cells: xr.Dataset, content: int, columns: tuple[str, ...]) -> np.ndarray:

@@ -35,7 +35,7 @@ def variance_parts(values: np.ndarray) -> VarianceParts:
     Two-way random-effects analysis of variance with one value per cell. `ValueError` for gaps or a smaller table.
     """
     rows, columns = values.shape
-    if min(rows, columns) < 2 or not np.isfinite(values).all():  # noqa: PLR2004 - a variance needs two
+    if min(rows, columns) < 2 or not np.isfinite(values).all():  # a variance needs two
         raise ValueError(f"values {values.shape}: give a complete table of at least 2 x 2")
     mean = float(values.mean())
     by_row, by_column = values.mean(axis=1), values.mean(axis=0)

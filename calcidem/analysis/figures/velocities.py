@@ -62,7 +62,7 @@ def draw_range(
     rows = [row for row in distributions if row.vs.n]
     figure, axes, placed = new_panel(height=4.6)
     low = [row for row in rows if row.content <= _LOW_CONTENT]
-    enlarged = not placed and len(low) > 2 and rows[-1].content > 4 * _LOW_CONTENT  # noqa: PLR2004 - fewer need no second picture
+    enlarged = not placed and len(low) > 2 and rows[-1].content > 4 * _LOW_CONTENT  # fewer need no second picture
     _draw_range(axes, cells, rows, [row for row in published if not enlarged or row[0] > _LOW_CONTENT])
     _draw_measured(axes, measured)
     axes.set_xlabel(CONTENT_LABEL)
@@ -247,9 +247,9 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
     floor = np.zeros_like(values)
     axes.plot(values, floor, "|", color=BLACK, ms=4, mew=0.5, clip_on=False, rasterized=values.size > _MANY)
     p_value = row.normality.p_small_sample
-    p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"  # noqa: PLR2004 - two digits
+    p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"  # two digits
     text = f"n = {row.n}, S = {row.skewness:.2f}, K = {row.kurtosis:.2f}\n{p_text}".replace("-", "\N{MINUS SIGN}")
-    colour = BLACK if p_value >= 0.05 else VERMILION  # noqa: PLR2004 - the usual level
+    colour = BLACK if p_value >= 0.05 else VERMILION  # the usual level
     axes.text(0, 1.03, text, transform=axes.transAxes, fontsize=6, color=colour)
     axes.set_ylim(0, axes.get_ylim()[1] * 1.05)
 

@@ -77,6 +77,8 @@ def _row_problems(number: int, header: Sequence[str], row: Sequence[str]) -> Ite
             value = float(text) if text or name in _REQUIRED else 2.0
         except ValueError:
             value = math.nan
-        good = {"content": value >= 0.0, "samples": value >= 2.0 and value % 1.0 == 0.0}.get(name, value > 0.0)  # noqa: PLR2004 - a scatter needs two
+        good = {"content": value >= 0.0, "samples": value >= 2.0 and value % 1.0 == 0.0}.get(
+            name, value > 0.0
+        )  # a scatter needs two
         if not good or math.isinf(value):
             yield Problem(f"row {number}, {name} = {text!r}: give {_COLUMNS[name]}")

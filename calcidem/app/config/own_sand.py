@@ -129,7 +129,7 @@ class OwnSand:
             percentages = [float(part) for part in contents.split(",")]
         except ValueError:
             percentages = [math.nan]
-        if not all(0.0 <= percentage <= 100.0 for percentage in percentages):  # noqa: PLR2004 - percent
+        if not all(0.0 <= percentage <= 100.0 for percentage in percentages):  # percent
             problems.append(Problem(f"--contents {contents}: give percent of the sand's mass, from 0 to 100"))
         if problems:
             raise ConfigurationError("the sand", problems)
@@ -319,4 +319,4 @@ def _packing_rows(own: OwnSand) -> tuple[tuple[str, str], ...]:
 def _short(value: float, digits: int = 4) -> str:
     """Write a number of a configuration with this number of significant digits."""
     text = np.format_float_scientific(value, digits - 1, trim="0", exp_digits=1)
-    return text if not 1e-4 <= value < 1e6 else repr(float(text))  # noqa: PLR2004 - what is easy to read
+    return text if not 1e-4 <= value < 1e6 else repr(float(text))  # what is easy to read

@@ -61,15 +61,15 @@ def sine_of_turns(turns: npt.ArrayLike) -> Floats:
     t = np.asarray(turns, dtype=float)
     size = np.abs(t)
     # Each of these differences is exact in its range.
-    half = np.where(size > 0.5, size - 0.5, size)  # noqa: PLR2004 - half a turn
-    quarter = np.where(half > 0.25, 0.5 - half, half)  # noqa: PLR2004 - a quarter
-    beyond = quarter > 0.125  # noqa: PLR2004 - an eighth
+    half = np.where(size > 0.5, size - 0.5, size)  # half a turn
+    quarter = np.where(half > 0.25, 0.5 - half, half)  # a quarter
+    beyond = quarter > 0.125  # an eighth
     angle = 2.0 * np.pi * np.where(beyond, 0.25 - quarter, quarter)
     square = angle * angle
     sine = angle + angle * square * _horner(_SINE, square)
     cosine = 1.0 - 0.5 * square + square * square * _horner(_COSINE, square)
     result = np.where(beyond, cosine, sine)
-    return np.asarray(np.where((size > 0.5) != (t < 0.0), -result, result))  # noqa: PLR2004 - half a turn
+    return np.asarray(np.where((size > 0.5) != (t < 0.0), -result, result))  # half a turn
 
 
 def arc_sine(value: npt.ArrayLike) -> Floats:
@@ -78,7 +78,7 @@ def arc_sine(value: npt.ArrayLike) -> Floats:
     Power series up to 1/2, ``pi / 2 - 2 arcsin(sqrt((1 - x) / 2))`` above.
     """
     x = np.asarray(value, dtype=float)
-    large = x > 0.5  # noqa: PLR2004 - as above
+    large = x > 0.5  # as above
     reduced = np.where(large, np.sqrt(np.maximum(0.5 * (1.0 - x), 0.0)), x)
     square = reduced * reduced
     angle = reduced + reduced * square * _horner(_ARC, square)

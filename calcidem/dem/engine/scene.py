@@ -50,12 +50,16 @@ class Wall:
 
     def __post_init__(self) -> None:
         """Refuse normals that are not unit vectors, negative friction and empty spans."""
-        require(abs(np.hypot(*self.normal) - 1.0) < 1e-9, "normal", self.normal, "give a vector of length 1")  # noqa: PLR2004 - rounding of a hand-typed unit vector
+        require(
+            abs(np.hypot(*self.normal) - 1.0) < 1e-9, "normal", self.normal, "give a vector of length 1"
+        )  # rounding of a hand-typed unit vector
         require(self.friction >= 0.0, "friction", self.friction, "give a coefficient of 0 or more")
         require(self.span[0] < self.span[1], "span", self.span, "give (lower, upper) with lower < upper")
         for name in ("point", "velocity"):
             values = getattr(self, name)
-            require(bool(np.all(np.isfinite(values))) and len(values) == 2, name, values, "give two finite numbers")  # noqa: PLR2004 - a plane
+            require(
+                bool(np.all(np.isfinite(values))) and len(values) == 2, name, values, "give two finite numbers"
+            )  # a plane
         if self.servo_force is not None:
             require(bool(np.isfinite(self.servo_force)), "servo_force", self.servo_force, "give a finite force in N/m")
         require(self.servo_speed > 0.0, "servo_speed", self.servo_speed, "give a positive speed in m/s")
@@ -96,7 +100,9 @@ class Bonds:
     def __post_init__(self) -> None:
         """Refuse malformed pairs and ``pfc_absolute`` without linear group."""
         pairs = np.asarray(self.pairs)
-        require(pairs.ndim == 2 and pairs.shape[1] == 2, "bonds.pairs", pairs.shape, "give an array of shape (B, 2)")  # noqa: PLR2004 - two ends
+        require(
+            pairs.ndim == 2 and pairs.shape[1] == 2, "bonds.pairs", pairs.shape, "give an array of shape (B, 2)"
+        )  # two ends
         different = bool(np.all(pairs[:, 0] != pairs[:, 1]))
         require(different, "bonds.pairs", "a disk with itself", "bond two different disks")
         if self.lanes is not None:

@@ -284,7 +284,7 @@ def mask_to_bits(typingctx: Any, mask: Any) -> Any:
     def codegen(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         del context, sig
         narrow = builder.bitcast(args[0], ir.IntType(mask.width))
-        return builder.zext(narrow, ir.IntType(64)) if mask.width < 64 else narrow  # noqa: PLR2004 - bits of uint64
+        return builder.zext(narrow, ir.IntType(64)) if mask.width < 64 else narrow  # bits of uint64
 
     return types.uint64(mask), codegen
 

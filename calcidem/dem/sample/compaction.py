@@ -362,7 +362,7 @@ def _coordination_without_rattlers(pairs: Integers, state: State) -> tuple[float
     while True:
         alive = kept[pairs].all(axis=1)
         contacts = np.bincount(pairs[alive].ravel(), minlength=state.scene.count) + at_wall
-        fewer = kept & (contacts < 2)  # noqa: PLR2004 - a single force cannot balance
+        fewer = kept & (contacts < 2)  # a single force cannot balance
         if not fewer.any():
             return 2.0 * int(alive.sum()) / max(1, int(kept.sum())), int((~kept).sum())
         kept &= ~fewer

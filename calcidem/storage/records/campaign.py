@@ -72,7 +72,7 @@ class PackingRecord(Record):
         known = {self.content_hash, other.content_hash} - {None}
         numbers = all(getattr(self, name) == getattr(other, name) for name in ("index", "hash", "width", "height"))
         arrays = all(np.array_equal(getattr(self, name), getattr(other, name)) for name in ("x", "y", "radius"))
-        if numbers and arrays and len(known) < 2:  # noqa: PLR2004 - two hashes that differ
+        if numbers and arrays and len(known) < 2:  # two hashes that differ
             return
         hashes = [packing.content_hash or "unknown" for packing in (self, other)]
         origins = "" if self.hash == other.hash else f" (they are made from {self.hash} and {other.hash})"

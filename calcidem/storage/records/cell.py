@@ -80,7 +80,7 @@ def canonical_content(content: float) -> float:
     0 <= content <= 100.
     """
     rounded = round(float(content), _CONTENT_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
-    if not 0.0 <= rounded <= 100.0:  # noqa: PLR2004 - percent; the comparison also refuses NaN
+    if not 0.0 <= rounded <= 100.0:  # percent; the comparison also refuses NaN
         raise ValueError(f"content is {content}; give percent of the sand's mass between 0 and 100.")
     return rounded
 

@@ -24,7 +24,7 @@ def filesystem_type(path: Path, mountinfo: str | None = None) -> str | None:
     for line in mountinfo.splitlines():
         before, separator, after = line.partition(" - ")
         fields = before.split()
-        if not separator or len(fields) < 5:  # noqa: PLR2004 - the mount point is the fifth field
+        if not separator or len(fields) < 5:  # the mount point is the fifth field
             continue
         mount_point = Path(_unescape(fields[4]))
         depth = len(mount_point.parts)

@@ -180,7 +180,7 @@ def _scatter_rows(study: Study, velocities: Mapping[float, Sequence[float]], see
     rows = []
     for content, found in sorted(errors.items()):
         samples = velocities.get(content, ())
-        if len(samples) < 2:  # noqa: PLR2004 - a scatter needs two
+        if len(samples) < 2:  # a scatter needs two
             continue
         spread = Distribution.of_sample(list(samples))
         deviation = spread.standard_deviation / spread.mean

@@ -228,7 +228,7 @@ def _rank_correlation(cells: Iterable[CellError]) -> float:
     pairs = {
         (cell.expected, abs(cell.vs_error)) for cell in cells if cell.vs_error is not None and cell.expected is not None
     }  # a set: without cement all seeds are the same cell
-    if len(pairs) <= 2:  # noqa: PLR2004 - two always agree
+    if len(pairs) <= 2:  # two always agree
         return np.nan
     expected, found = np.array(list(pairs)).T
     return float(spearmanr(expected, found).statistic)
