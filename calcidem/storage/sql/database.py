@@ -1,6 +1,5 @@
 """Open database: its file, its transactions, and the chosen campaign."""
 
-import errno
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, closing, nullcontext
 from pathlib import Path
@@ -148,21 +147,10 @@ def _refuse_wrong_file(address: Address, *, read_only: bool) -> None:
         return
     if path.is_dir():
         raise StoreUnavailableError(f"{path} is a folder.", "Give a file name.")
-    if path.exists() and not _can_be_read_from_its_beginning(path):
+    # Not opened: on closing the kernel would take away all locks of this process on the file, also those of a writer.
+    if path.exists() and (not path.is_file() or Path("/proc") in path.parents):
         raise ForeignDatabaseError(f"{path} is not a database file.", "Give a file name, not that of a device.")
     if read_only and not path.exists():
         raise StoreUnavailableError(f"{path} does not exist.", "Check the name; 'calcidem run' creates a database.")
     if not path.parent.is_dir():
         raise StoreUnavailableError(f"The folder {path.parent} does not exist.", "Create it, or give another name.")
-
-
-def _can_be_read_from_its_beginning(path: Path) -> bool:
-    """Whether this is a real file, not one of the operating system's virtual files."""
-    if not path.is_file():
-        return False
-    try:
-        with path.open("rb") as file:
-            file.read(1)
-    except OSError as error:
-        return error.errno != errno.EIO  # SQLite reports other problems
-    return True
