@@ -83,11 +83,11 @@ class Sleep:
     times: Sequence[float]
     payload: tuple[PackedResult, ...]
 
-    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[PackedResult]:
-        """Give outcomes after the batch's time."""
+    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[Any]:
+        """Give outcomes after the batch's time, without a payload the cells themselves."""
         time.sleep(self.times[batch.identifier])
         deadline_check()
-        return moved(self.payload, batch)
+        return moved(self.payload, batch) if self.payload else batch.cells
 
 
 def thread_times() -> tuple[float, float]:
@@ -114,10 +114,8 @@ def real_outcomes(database: str) -> tuple[PackedResult, ...]:
 
 
 def moved(payload: Sequence[PackedResult], batch: Batch[Cell]) -> tuple[PackedResult, ...]:
-    """Outcomes as if they were those of a batch, but for the checksums of their arrays; none without a payload."""
-    return tuple(
-        replace(result, key=CellKey(*cell)) for result, cell in zip(payload, batch.cells, strict=bool(payload))
-    )
+    """Outcomes as if they were those of a batch, but for the checksums of their arrays."""
+    return tuple(replace(result, key=CellKey(*cell)) for result, cell in zip(payload, batch.cells, strict=True))
 
 
 def open_sink(database: str, batches: Sequence[Batch[Cell]]) -> tuple[Store, StoreSink]:
