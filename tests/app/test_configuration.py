@@ -341,7 +341,7 @@ def test_one_checker_says_all_that_is_wrong_with_a_class(tmp_path: Path) -> None
         problem.message for problem in in_file.value.problems
     ]
     with pytest.raises(
-        FieldError, match=r"damping = 2: give a factor in \[0, 0.7\].*\namplitude = -1: give a positive"
+        FieldError, match=r"^amplitude = -1: give a positive.*\ndamping = 2: give a factor in \[0, 0.7\]"
     ):
         WaveRule(amplitude=-1, damping=2)  # in the order of the fields
 
