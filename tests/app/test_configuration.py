@@ -153,7 +153,7 @@ WRONG = {
     ),
     "cement wider than a disk": (
         "[pattern]\nc_diameter = 2.5e-3\n",
-        ("pattern.c_diameter = 0.0025", "packing.diameter[0] = 0.00212", "make it narrower"),
+        ("pattern.c_diameter = 0.0025", "packing.diameter[0] = 0.00212", "make it smaller"),
     ),
     "cluster larger than the box": (
         "[pattern]\ncluster_diameter = 0.2\n",

@@ -40,30 +40,28 @@ def _geometry_problems(configuration: Configuration) -> Iterator[Problem]:
     """Lengths that do not fit into one another, and more disks than memory can hold."""
     packing, pattern, wave = configuration.packing, configuration.pattern, configuration.wave
     width, height, (smallest, largest) = packing.width, packing.height, packing.diameter
+    size = ("packing.width", "packing.height")
     if (disks := disks_in_box(configuration)) > 1e7:  # packing them needs some 10 GB
         yield Problem(
             f"packing.width = {width}: {disks:.3g} disks fit into the box of {width} m x {height} m, "
             "more than 1e+07; make the box smaller, or packing.diameter larger",
-            ("packing.width", "packing.height", "packing.diameter", "packing.porosity"),
+            (*size, "packing.diameter", "packing.porosity"),
         )
-    box, widest = min(width, height), 0.5 * height
-    room = f"does not fit into the sample; give less than half of packing.height, {widest} m"
-    disk = f"the cement is wider than the smallest disk, packing.diameter[0] = {smallest}; make it narrower"
-    large = f"is larger than the box, {box} m; make it smaller"
+    room = f"has to be less than half of packing.height, {0.5 * height} m, to fit into the sample"
+    box, half, wide = min(width, height), 0.5 * height, "is wider than the smallest disk, packing.diameter[0] ="
     bounds = (
-        ("pattern.p_diameter", pattern.p_diameter, smallest, disk),
-        ("pattern.c_diameter", pattern.c_diameter, smallest, disk),
-        ("pattern.cluster_diameter", pattern.cluster_diameter, box, f"a cluster {large}"),
-        ("pattern.p_patch_diameter", pattern.p_patch_diameter, box, f"a patch of P {large}"),
-        ("wave.transmitter_half_width", wave.transmitter_half_width, widest, room),
-        ("wave.receiver_half_width", wave.receiver_half_width, widest, room),
-        ("wave.boundary_thickness", wave.boundary_thickness, widest, room),
+        ("pattern.p_diameter", pattern.p_diameter, smallest, f"the cement {wide} {smallest}", ("packing.diameter",)),
+        ("pattern.c_diameter", pattern.c_diameter, smallest, f"the cement {wide} {smallest}", ("packing.diameter",)),
+        ("pattern.cluster_diameter", pattern.cluster_diameter, box, f"a cluster is larger than the box, {box} m", size),
+        ("pattern.p_patch_diameter", pattern.p_patch_diameter, box, f"a patch is larger than the box, {box} m", size),
+        ("wave.transmitter_half_width", wave.transmitter_half_width, half, room, ("packing.height",)),
+        ("wave.receiver_half_width", wave.receiver_half_width, half, room, ("packing.height",)),
+        ("wave.boundary_thickness", wave.boundary_thickness, half, room, ("packing.height",)),
     )
-    for name, value, bound, words in bounds:
+    for name, value, bound, words, others in bounds:
         if value >= bound:
-            yield Problem(f"{name} = {value}: {words}", (name, "packing.width", "packing.height", "packing.diameter"))
-    for name, value in (bound[:2] for bound in bounds if bound[0].endswith("half_width")):
-        if value < 0.5 * smallest:
+            yield Problem(f"{name} = {value}: {words}; make it smaller", (name, *others))
+        elif name.endswith("half_width") and value < 0.5 * smallest:
             cure = f"narrower than a grain; give at least the smallest radius, {0.5 * smallest:.4g} m"
             yield Problem(f"{name} = {value}: {cure}", (name, "packing.diameter"))
     if not largest < wave.listening_depth <= DEEPEST_LISTENING * width:
