@@ -162,7 +162,10 @@ def _parse_plan(path: str | os.PathLike[str]) -> _ListedPlan:
     try:
         return _ListedPlan.model_validate(parse_file(Path(path)))
     except ValidationError as error:
-        found = ((".".join(map(str, detail["loc"])), detail["msg"]) for detail in error.errors())
+        words = {"missing": "is missing; add it", "extra_forbidden": "is not known; leave it out"}
+        found = (
+            (".".join(map(str, detail["loc"])), words.get(detail["type"], detail["msg"])) for detail in error.errors()
+        )
         raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
 
 
