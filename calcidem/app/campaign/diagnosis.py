@@ -17,7 +17,7 @@ import numpy as np
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.patterns import section_of, stored_experiment
 from calcidem.app.campaign.status import UNREAD
-from calcidem.app.config.reference import written
+from calcidem.dem.engine.fields import written
 from calcidem.dem.sample.judgement import judge_disks
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.dem.wave.experiment import Experiment

@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from calcidem.dem.engine.fields import PositivePart, require_fields
+from calcidem.dem.engine.fields import PositivePart, checked
 from calcidem.dem.engine.portable import arc_sine, sliding_products
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.wave.maxima import find_maxima, parabola_vertex
@@ -82,6 +82,7 @@ class Verdict(StrEnum):
     UNCERTAIN = "the standard error of the reading is above pick.largest_error"
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class PickRule:
     """Criteria of an arrival.
@@ -99,10 +100,6 @@ class PickRule:
     method: Method = "peak"
     smoothing: PositivePart = _SMOOTHING
     largest_error: PositivePart = _LARGEST_ERROR
-
-    def __post_init__(self) -> None:
-        """Refuse invalid windows and errors."""
-        require_fields(self)
 
 
 _DEFAULT_RULE = PickRule()

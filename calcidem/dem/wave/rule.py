@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval, Unit
 
-from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, require, require_fields
+from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, checked, require
 from calcidem.dem.engine.scene import Precision, Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.pulse import Pulse
@@ -18,6 +18,7 @@ _LOUDEST_LINEAR = 5.0  # largest stroke of the pulse over mean overlap with cons
 _LOUDEST_SMALL = 0.05  # largest stroke of the pulse over the smallest radius with a fixed geometry
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class WaveRule:
     """Transmission, propagation and recording of the wave (section 2.2.2 and Table 1 of the paper).
@@ -87,10 +88,6 @@ class WaveRule:
     unbalanced_force_ratio: Positive = 1.0e-6
     most_settling_steps: Annotated[int, Interval(ge=1)] = 2_000_000
     keep: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse invalid settings."""
-        require_fields(self)
 
 
 def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> None:
