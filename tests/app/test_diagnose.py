@@ -34,7 +34,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave import reading
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.first_look import WAVELENGTHS
-from calcidem.dem.wave.measurement import Interpretation, Outcome, measure
+from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.reading import (
     LEAST_COHERENCE,
     PickRule,
@@ -100,7 +100,7 @@ def experiment(small_configuration: Configuration, small_packing: Packing) -> Ex
 @pytest.fixture(scope="module")
 def section(experiment: Experiment) -> Section:
     """Give the section of a cell that has a velocity."""
-    return measure(replace(experiment, early_stop=False), CONTENT, (1,))[0].record.section
+    return measure(replace(experiment, early_stop=False), CONTENT, (1,))[0].section
 
 
 def test_every_unread_cell_has_its_number_a_remedy_and_a_picture(
@@ -139,7 +139,7 @@ def test_a_record_that_is_too_short_becomes_long_enough(
     short = replace(small_configuration, campaign=plan, wave=replace(small_configuration.wave, slowest=2000.0))
     with open_campaign(store_campaign(tmp_path / "short.db", short, small_packing)) as campaign:
         (cell,) = campaign.diagnose()
-    assert cell.reading.verdict is Verdict.TOO_SHORT
+    assert cell.reading is Verdict.TOO_SHORT
     assert f"the record ends at {1e3 * cell.section.duration:.3g} ms" in cell.finding
     assert list(cell.remedies) == ["wave.slowest"]
     (expected,) = measure(small_configuration.experiment(small_packing), CONTENT, (1,))
@@ -215,8 +215,8 @@ def find(
             names = asdict(experiment.wave).items()
             vs = outcome({name for name, value in names if value != getattr(used.wave, name)})
             if isinstance(vs, str):
-                return (SimpleNamespace(result=Interpretation(Outcome.NO_ARRIVAL, vs)),)
-            return (SimpleNamespace(result=Interpretation(Outcome.DONE, vs=vs)),)
+                return (SimpleNamespace(vs=None, reason=vs),)
+            return (SimpleNamespace(vs=vs, reason=""),)
 
         monkeypatch.setattr("calcidem.app.campaign.diagnosis.measure", measured)
         cell = SimpleNamespace(reason=reason, key=SimpleNamespace(content=CONTENT, seed=1))
