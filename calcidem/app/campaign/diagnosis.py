@@ -20,8 +20,7 @@ from calcidem.app.campaign.status import UNREAD
 from calcidem.app.config.reference import written
 from calcidem.dem.sample.judgement import judge_disks
 from calcidem.dem.sample.settling import SettlingError
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.first_look import WAVELENGTHS, suitable_frequency
+from calcidem.dem.wave.experiment import WAVELENGTHS, Experiment, suitable_frequency
 from calcidem.dem.wave.measurement import LARGEST_BOUND, measure
 from calcidem.dem.wave.reading import (
     LEAST_COHERENCE,

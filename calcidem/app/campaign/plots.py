@@ -26,7 +26,7 @@ from calcidem.app.campaign.diagnosis import Diagnosis
 from calcidem.app.campaign.patterns import stored_section
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.film import film_wave
+from calcidem.dem.wave.propagation import film_wave
 from calcidem.dem.wave.reading import LEAST_COHERENCE, Reading, find_candidates, prepare, velocity_spectrum
 from calcidem.dem.wave.section import Section
 from calcidem.storage.files import write_atomically

@@ -33,9 +33,6 @@ from calcidem.dem.kernels.layout import (
     Y,
 )
 
-_ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
-_BLOWN_UP = 1e100  # m: far beyond any scene, yet its square does not overflow
-
 
 @dataclass(frozen=True, slots=True)
 class Assembly:
@@ -65,8 +62,9 @@ def aligned_copy(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def _aligned(make: Callable[..., npt.NDArray[Any]], shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     """Array that starts on a cache line, in memory that ``make`` provides."""
     size = prod(shape) * np.dtype(dtype).itemsize
-    raw = make(size + _ALIGNMENT, dtype=np.uint8)
-    start = -raw.ctypes.data % _ALIGNMENT
+    line = 64  # bytes of a cache line, and of an AVX-512 vector
+    raw = make(size + line, dtype=np.uint8)
+    start = -raw.ctypes.data % line
     return raw[start : start + size].view(dtype).reshape(shape)
 
 
@@ -144,7 +142,8 @@ def assemble(
     if scene.bonds is not None and len(scene.bonds.pairs):
         cemented = pair_keys(np.argsort(order)[np.asarray(scene.bonds.pairs)], scene.count)
     # A sample that has blown up must not disturb the others, so its neighbours are not listed.
-    samples = np.flatnonzero((np.abs(centres) < _BLOWN_UP).all(axis=(0, 1)))
+    # A sample has blown up at 1e100 m: far beyond any scene, yet the square does not overflow.
+    samples = np.flatnonzero((np.abs(centres) < 1e100).all(axis=(0, 1)))
     present = centres[order][:, :, samples]
     near = near_pairs(present, radius, skin) if len(samples) else np.zeros((0, 2), dtype=np.int64)
     listed = pair_keys(near, scene.count)

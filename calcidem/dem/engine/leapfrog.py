@@ -26,8 +26,6 @@ from calcidem.dem.kernels.layout import (
 from calcidem.dem.kernels.records import RECORD
 from calcidem.dem.kernels.steps import advance_steps
 
-_REACH = 0.45  # part of the skin a disk may move before relisting; below 1/2, since that step is completed first
-_REACH_TOGETHER = 0.35  # the same with several steps in flight
 _STEPS_TOGETHER = 4
 _SMALLEST_BLOCK = 32
 
@@ -171,8 +169,8 @@ def run_in_place(state: State, steps: int, recording: Recording) -> State:
 
 
 def _reach(state: State) -> float:
-    """Distance that a disk may move before pairs are relisted, m."""
-    return (_REACH if _steps_together(state.features) == 1 else _REACH_TOGETHER) * state.skin
+    """Distance that a disk may move before pairs are relisted, m; steps in flight may take it to half of the skin."""
+    return (0.45 if _steps_together(state.features) == 1 else 0.35) * state.skin
 
 
 def _left_reach(state: State) -> bool:

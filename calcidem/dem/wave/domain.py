@@ -19,13 +19,6 @@ from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
 DEEPEST_LISTENING = 0.3
 """Largest listening depth over box width; beyond it, velocities in a lattice are over 10 % high (docs/reading.md)."""
 
-_STATIONS = 9
-"""Recorded slices of the sample between transmitter and receiver; 18 improve no reading."""
-
-_NEAR_TRANSMITTER = 0.125  # smallest distance of a station from the transmitter over the width
-
-_DEPTH = 6.0  # computed depth of a damping layer in mean diameters
-
 
 @dataclass(frozen=True, slots=True)
 class Domain:
@@ -95,11 +88,11 @@ def listening_disks(packing: Packing, rule: WaveRule) -> Integers:
 def station_disks(packing: Packing, rule: WaveRule) -> tuple[Integers, ...]:
     """Disks of each station, starting at the transmitter: slices of equal thickness before the listening disks.
 
-    There are `_STATIONS` of them, fewer if slices would be thinner than the largest disk, and none if one would be
-    empty. The first part of the path is left out, because P and S wave have not separated there.
+    There are 9 of them, fewer if slices would be thinner than the largest disk, and none if one would be empty. The
+    first eighth of the path is left out, because P and S wave have not separated there.
     """
-    begin, end = _NEAR_TRANSMITTER * packing.width, packing.width - rule.listening_depth
-    count = min(_STATIONS, max(0, int((end - begin) / (2.0 * float(packing.radius.max())))))
+    begin, end = 0.125 * packing.width, packing.width - rule.listening_depth
+    count = min(9, max(0, int((end - begin) / (2.0 * float(packing.radius.max())))))  # 18 improve no reading
     in_band = np.abs(packing.y - packing.height / 2.0) < rule.receiver_half_width
     slices = pairwise(np.linspace(begin, end, count + 1))
     found = tuple(np.flatnonzero(in_band & (a <= packing.x) & (packing.x < b)) for a, b in slices)
@@ -127,5 +120,6 @@ def _within_reach(packing: Packing, rule: WaveRule) -> Flags:
         return np.ones(len(packing.x), dtype=bool)
     middle = packing.height / 2.0
     bands = max(rule.transmitter_half_width, rule.receiver_half_width)
-    reach = max(middle - rule.boundary_thickness, bands) + _DEPTH * 2.0 * float(packing.radius.mean())
+    # Six mean diameters of a damping layer are computed; after four, a billionth of the stroke remains.
+    reach = max(middle - rule.boundary_thickness, bands) + 6.0 * 2.0 * float(packing.radius.mean())
     return np.asarray(np.abs(packing.y - middle) < reach)

@@ -26,10 +26,8 @@ from calcidem.dem.kernels.layout import (
 )
 from calcidem.dem.wave.section import Nonlinearity
 
-_ALL = slice(None)
 
-
-def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
+def nonlinearity(state: State, lanes: Integers | slice = slice(None)) -> Nonlinearity:
     """Changes by the contact laws at the present displacements, in all lanes or in some.
 
     A contact with more shear than friction permits slips before the wave arrives. It starts at its limit here.
