@@ -183,11 +183,12 @@ def _left_reach(state: State) -> bool:
 
 def run_kernel(state: State, steps: int, recording: Recording) -> int:
     """Run the kernel on a state in place; return the number of completed steps."""
-    assembly = state.assembly
+    assembly, lanes = state.assembly, state.features.lanes
     system = System(
         grains=assembly.grains,
-        motion=Motion(*(_rows(array) for array in state.motion)),
-        pairs=assembly.pairs._replace(bond_force=_rows(assembly.pairs.bond_force)),
+        # Views as rows of lanes, the shape that kernels index fastest.
+        motion=Motion(*(array.reshape(-1, lanes) for array in state.motion)),
+        pairs=assembly.pairs._replace(bond_force=assembly.pairs.bond_force.reshape(-1, lanes)),
         wall_pairs=assembly.wall_pairs,
         walls=assembly.walls,
         front=_make_front(state),
@@ -202,11 +203,6 @@ def run_kernel(state: State, steps: int, recording: Recording) -> int:
     done = advance_steps(state.features, steps, time_step, bundled)
     unbundle(bundled, bundles, system, state.features)
     return done
-
-
-def _rows(array: Floats) -> Floats:
-    """View of an array as rows of lanes, the shape that kernels index fastest."""
-    return array.reshape(-1, array.shape[-1])
 
 
 def no_recording(state: State) -> Recording:

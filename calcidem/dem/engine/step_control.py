@@ -83,8 +83,9 @@ def _contact_durations(
     ratio = 0.5 * mass / coefficient
     with np.errstate(divide="ignore"):
         duration = 3.2180 / root(approach / (ratio * ratio), 5)  # 2.943275 (5/4)^(2/5)
-    # Impacts do not matter if at most 1 % of the stored energy is free.
-    matters = (free > 1e-2 * now.stored) & _may_touch(assembly, features)
+    # Impacts do not matter if at most 1 % of the stored energy is free, or all listed contacts are cemented.
+    loose = (~lanes_of_bits(assembly.pairs.intact, features.lanes)).any(axis=0) | (len(assembly.wall_pairs.disk) > 0)
+    matters = (free > 1e-2 * now.stored) & loose
     return np.where((inverse > 0.0) & matters, duration, np.inf), fastest
 
 
@@ -96,12 +97,6 @@ def _wall_speeds(assembly: Assembly, reaction: Floats, time_step: Floats) -> Flo
     speed = gain * np.abs(target - reaction[:, NORMAL]) / (np.where(held, reaction[:, STIFFNESS], 1.0) * time_step)
     served = np.where(held, np.minimum(speed, fastest), fastest)
     return np.where(gain > 0.0, served, np.abs(walls.motion[:, NORMAL_SPEED].astype(float)))
-
-
-def _may_touch(assembly: Assembly, features: Features) -> Floats:
-    """Lanes (L,) with a wall contact or an uncemented pair in the list."""
-    loose = ~lanes_of_bits(assembly.pairs.intact, features.lanes)
-    return np.asarray(loose.any(axis=0) | (len(assembly.wall_pairs.disk) > 0))
 
 
 SAFETY = 0.8  # default step over the critical time step

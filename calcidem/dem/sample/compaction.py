@@ -109,7 +109,8 @@ def make_packing(
         manner = _HALTED if covered < 0.547 else _FLYING if cost.expansion_step < rule.expansion_steps else _CRUSHED
         state = relax(scene, preload, rule, cost, check, manner)
         x, y = state.position().T
-        preload = _preload_of(state)
+        contacts = contact_forces(state)
+        preload = Preload(contacts.pairs, contacts.shear)
     cost.expansion_step += 1
     lid_force = rule.stress * rule.width
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
@@ -301,12 +302,6 @@ def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str
 def _lid_stress(state: State, rule: PackingRule) -> float:
     """Normal stress on the lid, Pa."""
     return float(wall_reactions(state)[LID, 0]) / rule.width
-
-
-def _preload_of(state: State) -> Preload:
-    """Shear forces of the touching pairs."""
-    contacts = contact_forces(state)
-    return Preload(contacts.pairs, contacts.shear)
 
 
 def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:

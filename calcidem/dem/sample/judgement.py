@@ -86,7 +86,9 @@ def judge_disks(packing: Packing, sand: Sand) -> tuple[_Fault, ...]:
     """
     report, (left, right, floor, lid) = packing.report, packing.report.wall_stress
     stress = max(left, right, floor, lid)
-    deepest = max(deepest_overlap(packing.x, packing.y, packing.radius, packing.pairs), _deepest_at_walls(packing))
+    rim = np.minimum.reduce([packing.x, packing.width - packing.x, packing.y, packing.height - packing.y])
+    at_walls = float(np.max(1.0 - rim / packing.radius, initial=0.0))
+    deepest = max(deepest_overlap(packing.x, packing.y, packing.radius, packing.pairs), at_walls)
     found = []
     if deepest > DEEP_OVERLAP:
         cause = f"stress of {stress:.3g} Pa on a wall, too high for sand.shear_modulus = {sand.shear_modulus:g}"
@@ -136,12 +138,6 @@ def deepest_overlap(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> fl
     distance = np.hypot(x[second] - x[first], y[second] - y[first])
     overlap = (radius[first] + radius[second] - distance) / np.minimum(radius[first], radius[second])
     return float(overlap.max(initial=0.0))
-
-
-def _deepest_at_walls(packing: Packing) -> float:
-    """Return the largest overlap of a disk and a wall, over the radius; 0 without any."""
-    distance = np.minimum.reduce([packing.x, packing.width - packing.x, packing.y, packing.height - packing.y])
-    return float(np.max(1.0 - distance / packing.radius, initial=0.0))
 
 
 def _softer(deepest: float, stress: float, sand: Sand) -> str:

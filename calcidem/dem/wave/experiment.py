@@ -13,11 +13,10 @@ from calcidem.dem.engine.portable import interpolate
 from calcidem.dem.engine.scene import Installation, Scene
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.domain import Domain, domain_of, driven_disks, listening_disks, station_disks
 from calcidem.dem.wave.pulse import excitation_frequency
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.dem.wave.scene import wave_scene
+from calcidem.dem.wave.scene import Domain, domain_of, driven_disks, listening_disks, station_disks, wave_scene
 
 WAVELENGTHS = 2.5
 """Path over wavelength: with fewer wavelengths the near field disturbs, with many more little propagates."""
