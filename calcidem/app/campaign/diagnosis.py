@@ -30,7 +30,6 @@ from calcidem.dem.wave.reading import (
     Verdict,
     find_candidates,
     read_section,
-    reading_error_parts,
 )
 from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.dem.wave.static_speed import static_speed
@@ -269,10 +268,8 @@ def _explain_refusal(experiment: Experiment, section: Section, reading: Reading 
         text = f"The best of {len(candidates)} peaks, {section.distance / best.travel_time:.0f} m/s, has a coherence of"
         return f"{text} {best.coherence:.3f}; {max(best.rival, LEAST_COHERENCE):.3f} is needed."
     if isinstance(reading, Reading) and reading.error > pick.largest_error:
-        parts = reading_error_parts(reading, section.frequency)
-        part = max(parts._fields, key=lambda field: getattr(parts, field)).replace("_", " ")
         text = f"The standard error of the reading is {reading.error:.1%}; {pick.largest_error:.1%} is allowed"
-        return f"{text} (pick.largest_error). Its largest part is '{part}'."
+        return f"{text} (pick.largest_error)."
     if bound is not None and bound > LARGEST_BOUND:
         return f"The bound of the numerical error is {bound:.1%}; {LARGEST_BOUND:.0%} is allowed."
     return f"The {pick.method.replace('_', ' ')} is more than a quarter of a period from the stacked arrival."

@@ -121,21 +121,6 @@ class Reading:
     """
 
 
-class ReadingErrorParts(NamedTuple):
-    """Independent parts of the relative standard error of a reading, see `reading_error`."""
-
-    least: float
-    """Error of the clearest reading."""
-    p_left: float
-    """Remainder of the P wave."""
-    near_field: float
-    """P and S wave overlap on a short path."""
-    early: float
-    """The crest left before the transmitted peak."""
-    tie: float
-    """Another peak continues the section nearly as well."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """Peak of the receiver that may be the S wave."""
@@ -476,16 +461,15 @@ def reading_error(found: Reading, frequency: float) -> float:
     be the S wave. The error is at most 1: nothing is known. The factors were fitted to sections with a known delay
     (docs/reading.md).
     """
-    return float(min(1.0, np.sqrt(sum(part * part for part in reading_error_parts(found, frequency)))))
-
-
-def reading_error_parts(found: Reading, frequency: float) -> ReadingErrorParts:
-    """Return the parts of `reading_error`; ``frequency`` is that of the pulse, Hz."""
     periods = found.travel_time * frequency
-    # P and S wave overlap: 4 % on a path of one wavelength, falling with the power 2.5 of the path.
-    near = 0.04 / (periods * periods * float(np.sqrt(periods)))
-    # Dispersion and scattering shift any peak by 1.9 %; the rest of the P wave by 3/4 of what subtracting it did.
-    return ReadingErrorParts(0.019, 0.75 * found.shifted, near, found.early, found.tie)
+    parts = (
+        0.019,  # dispersion and scattering shift any peak by this much
+        0.75 * found.shifted,  # rest of the P wave
+        0.04 / (periods * periods * float(np.sqrt(periods))),  # P and S wave overlap, as on a path of one wavelength
+        found.early,
+        found.tie,
+    )
+    return float(min(1.0, np.sqrt(sum(part * part for part in parts))))
 
 
 def _read_first_arrival(section: Section, found: Reading) -> float | None:
