@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # loaded by the command itself, not by its help
 
 _parse_timeout = number_parser(1.0, 1e6, "is not a number of seconds from 1 to 1,000,000")
 
-_Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED", "DAMAGED"])
+_Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED"])
 
 
 def run_command(
@@ -72,8 +72,8 @@ def run_command(
 ) -> None:
     """Compute a campaign, or its missing cells: after a stop, the same command continues.
 
-    Cells with the status failed, timed_out, quarantined (three workers were lost while computing them) or damaged are
-    computed again only with --retry.
+    Cells with the status failed, timed_out or quarantined (three workers were lost while computing them) are computed
+    again only with --retry.
     """
     overrides = {"database": database, "output": None if output is None else str(output), "part": part}
     if part is not None and with_report:
