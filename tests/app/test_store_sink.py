@@ -69,6 +69,6 @@ def test_workers_of_an_executor_are_noted_once_they_answer(tmp_path: Path) -> No
             packed = (replace(result, worker=worker),)
             sink.store([BatchOutcome(Batch(0, ((1, 5.0),)), Place(rank, worker.hosts[0]), 1.0, packed)])
         found = store.runs()[-1][1].workers
-        assert store.integrity()[1] == []
+        assert store.damage() == []
     assert [(worker.ranks, worker.hosts) for worker in found] == [((0, 2), own.hosts), ((3,), ("far",))]
     assert [("Warning" in text, "riscv64" in text) for text in told] == [(True, True)]

@@ -44,9 +44,6 @@ _Column = tuple[str, str, NDArray[Any]]
 
 _COMPRESSED = {"compression": "zlib", "complevel": 1, "shuffle": True, "fletcher32": True}
 
-_CELLS_COPIED_AT_ONCE = 10_000
-"""Number of cells whose numbers are in memory at a time."""
-
 
 def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collection[str] = ()) -> Path:
     """Write the store's whole campaign into one compressed NetCDF-4 file, as `write_atomically` does; return its path.
@@ -68,7 +65,7 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
     ):
         for index in store.packing_indices():
             _append_packing(file, store.packing(index))
-        for attempts in chunks(store.history(), _CELLS_COPIED_AT_ONCE):
+        for attempts in chunks(store.history(), 10_000):
             _append_attempts(file, attempts)
         _write_cells(file, store, wanted)
     return Path(path).absolute()
@@ -119,7 +116,7 @@ def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:
             f"Campaign '{store.record.name}' has no cells.", "Plan some seeds and contents first."
         )
     file.setncatts(campaign_attributes(store))
-    rows = max(1, _CELLS_COPIED_AT_ONCE // contents.size)
+    rows = max(1, 10_000 // contents.size)  # cells whose numbers are in memory at a time
     _create_variables(file, seeds, contents, min(rows, seeds.size))
     for first in range(0, seeds.size, rows):
         block = seeds[first : first + rows]

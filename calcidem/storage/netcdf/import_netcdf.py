@@ -103,16 +103,15 @@ def _open(path: Path) -> Group:
         raise StoreUnavailableError(f"{path} can't be read as NetCDF ({error}).", "Check the name.") from error
     file.set_auto_mask(False)
     layout = getattr(file, "calcidem_layout", None)
-    lacking = [name for name in _VALUE_NAMES if name not in file.variables]
-    if layout == LAYOUT and not lacking:
+    if layout == LAYOUT:
         return file
     is_own = layout is not None or hasattr(file, "calcidem_format")  # the mark before 1.0
     file.close()
     if not is_own:
         raise ForeignDatabaseError(f"{path} was not written by calcidem.", "Give a file made by 'calcidem export'.")
-    differing = f"it lacks {', '.join(lacking[:3])}" if layout == LAYOUT else f"layout {layout}, not {LAYOUT}"
     raise OtherSchemaError(
-        f"{path} was exported by another version of calcidem, whose files this one does not read ({differing}).",
+        f"{path} was exported by another version of calcidem, whose files this one does not read (layout {layout}, not "
+        f"{LAYOUT}).",
         "Use that version, or compute the campaign again.",
     )
 
@@ -123,10 +122,16 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
     for start in range(0, len(seeds), 500):  # seeds in memory
         rows = slice(start, start + 500)
-        columns = {name: QUANTITY_BY_NAME[name].as_values(file[name][rows]) for name in _VALUE_NAMES}
+        columns = {
+            # A file of an earlier version may lack quantities.
+            name: QUANTITY_BY_NAME[name].as_values(file[name][rows])
+            for name in _VALUE_NAMES
+            if name in file.variables
+        }
         for i, j in np.argwhere(~np.isin(status[rows], _WITHOUT_OUTCOME)).tolist():
             key = CellKey(seeds[start + i], contents[j])
-            values = {name: column[i, j] for name, column in columns.items()}
+            values: dict[str, Any] = dict.fromkeys(_VALUE_NAMES)
+            values |= {name: column[i, j] for name, column in columns.items()}
             yield CellResult.from_values(key, values | {name: found.of_cell(key) for name, found in arrays.items()})
 
 

@@ -21,8 +21,6 @@ from calcidem.storage.records.quantity import Bound, Quantity, Record
 from calcidem.storage.records.run import WorkerRecord
 from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, RecordedSection
 
-_CONTENT_DECIMALS = 9
-
 _Real = float | None
 _Whole = int | None
 _POSITIVE, _NOT_NEGATIVE = Bound.POSITIVE, Bound.NOT_NEGATIVE
@@ -71,7 +69,7 @@ def canonical_content(content: float) -> float:
     can compare exactly. 1e-9 percent is far below the cement of a single contact. `ValueError` unless
     0 <= content <= 100.
     """
-    rounded = round(float(content), _CONTENT_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
+    rounded = round(float(content), 9) + 0.0  # + 0.0 turns -0.0 into 0.0
     if not 0.0 <= rounded <= 100.0:  # percent; the comparison also refuses NaN
         raise ValueError(f"content is {content}; give percent of the sand's mass between 0 and 100.")
     return rounded

@@ -294,8 +294,12 @@ class StoreReader(Closable):
         names = [field.name for field in fields(AttemptRecord) if field.name != "key"]
         statement = sa.select(*_BY_KEY, *(ATTEMPT.c[name] for name in names))
         statement = statement.join(ATTEMPT, ATTEMPT.c.cell_id == CELL.c.id).order_by(*_BY_KEY, ATTEMPT.c.number)
-        rows = self._piecewise(selection, lambda connection, cells: connection.execute(statement.where(cells)))
-        return (AttemptRecord(CellKey(seed, content), *values) for seed, content, *values in rows)
+
+        def fetch(connection: sa.Connection, chosen: sa.ColumnElement[bool]) -> Iterator[AttemptRecord]:
+            for seed, content, *values in connection.execute(statement.where(chosen)):
+                yield AttemptRecord(CellKey(seed, content), *values)
+
+        return self._piecewise(selection, fetch)
 
     # Outcomes
 
@@ -377,7 +381,10 @@ class StoreReader(Closable):
                 [np.array(column, dtype=kind) for column, kind in zip(zip(*block, strict=True), types, strict=True)]
                 for block in rows.partitions()
             )
-        return {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
+            table = {name: np.concatenate(parts) for name, parts in zip(names, zip(*blocks, strict=True), strict=True)}
+            if "status" in table and (unknown := sorted(set(table["status"]) - set(CellStatus))):
+                raise ValueError(f"{unknown[0]} is no status")
+        return table
 
     @staticmethod
     def _cell_in(keys: Sequence[CellKey]) -> sa.ColumnElement[bool]:
