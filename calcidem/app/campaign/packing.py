@@ -39,9 +39,7 @@ def provide_packing(
     stored one is damaged.
     """
     if store is not None and 0 in store.packing_indices():
-        packing = stored_packing(store.packing())
-        tell("Packing: taken from the database.")
-        return packing
+        return stored_packing(store.packing())
     kept = kept_packing(configuration.packing_hash, tell)
     packing = kept or new_packing(configuration, tell, check, watch)
     if kept is None:

@@ -177,7 +177,7 @@ ATTEMPT = sa.Table(
     sa.Column("run_id", sa.ForeignKey("run.id")),
     *_columns_of(AttemptRecord, "key", "number", "run_id"),
     *_checks_of(AttemptRecord.quantities()),
-    _check_one_of("outcome", (*STORED_STATUSES, "lost")),
+    _check_one_of("outcome", (*STORED_STATUSES, "lost", CellStatus.RUNNING.value)),
 )
 """One attempt at a cell (`AttemptRecord`)."""
 
