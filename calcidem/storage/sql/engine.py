@@ -30,6 +30,7 @@ from calcidem.storage.errors import (
 from calcidem.storage.files import is_network_filesystem
 from calcidem.storage.passwords import hide_passwords, password_of
 
+_BUSY_TIMEOUT_SECONDS = 30.0
 _WRITES = "calcidem_writes"
 """Execution option of a connection whose next transaction will write."""
 
@@ -176,7 +177,7 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         # A log needs a writable folder. Without one no process writes, so the file can be read directly.
         query["immutable"] = "1"
     url = URL.create("sqlite", database=path.as_uri(), query=query)
-    engine = create_engine(url, connect_args={"timeout": 30.0})  # seconds of waiting for a lock
+    engine = create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_SECONDS})
     journal = None if read_only else ("DELETE" if is_network_filesystem(path) else "WAL")
 
     @event.listens_for(engine, "connect")
@@ -217,7 +218,7 @@ def find_damage(path: Path, pragma: str = "quick_check") -> list[str]:
     """
     mode = "rw" if Path(f"{path}-journal").exists() else "ro"
     try:
-        with closing(sqlite3.connect(f"{path.as_uri()}?mode={mode}", timeout=30.0, uri=True)) as connection:
+        with closing(sqlite3.connect(f"{path.as_uri()}?mode={mode}", timeout=_BUSY_TIMEOUT_SECONDS, uri=True)) as connection:
             lines = [str(line) for (line,) in connection.execute(f"PRAGMA {pragma}(20)")]
     except sqlite3.DatabaseError as error:
         if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_CORRUPT:
