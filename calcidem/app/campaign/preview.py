@@ -14,7 +14,7 @@ from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.parts import planned_batches, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
-from calcidem.app.campaign.stored_packing import readable_packing
+from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.app.config.checks import (
     check_against_packing,
     cutoff_estimate,
@@ -99,7 +99,7 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
             settled = {key for key in own if statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING}
             widths = _expected_half_widths(store, configuration)
             if store.packing_indices():
-                packing = readable_packing(store, 0)
+                packing = stored_packing(store.packing())
     packing = packing or kept_packing(configuration.packing_hash, lambda _: None)
     cells = len(plan.seed_numbers) * len(plan.contents)
     yield (
