@@ -33,7 +33,7 @@ from calcidem.analysis.predictor import VelocityPredictor
 from calcidem.analysis.published import PublishedLaw
 from calcidem.analysis.weights import RatioScan
 
-_VARIABLE_SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
+_VARIABLE_SYMBOLS = {name: symbol for name, (symbol, _) in FEATURES.items()} | {"vs": "V_s"}
 _READABLE_ON_DARK = 0.6
 _SAMPLES_OF_AN_INTERVAL = 4
 """Fewest samples of a content for an interval."""

@@ -82,8 +82,9 @@ def stability(
 ) -> StudyResult:
     """Judge the first seed of a campaign at a content, percent, with each of the `QUANTITIES` varied alone.
 
-    With ``scenes``, as many scenes are judged, in which all quantities are drawn from their ranges with the seed
-    ``draw``. Grain sizes are not varied, since each needs a packing of its own. ``experiment`` is that of the campaign.
+    With ``scenes``, as many scenes are judged, in which all quantities are drawn with the seed ``draw``, between their
+    second value and their last but one. Grain sizes are not varied, since each needs a packing of its own.
+    ``experiment`` is that of the campaign.
     """
     seed, contents = configuration.campaign.seed_numbers[0], configuration.campaign.contents
     plan = replace(configuration.campaign, seeds=(seed,), contents=(content,), until=None)
@@ -95,7 +96,7 @@ def stability(
     }
     if scenes:
         ranges = {
-            key: tuple(np.log10([values[0], values[-1]])) if key in _POWERS else (values[0], values[-1])
+            key: tuple(np.log10([values[1], values[-2]])) if key in _POWERS else (values[1], values[-2])
             for key, (_, values) in QUANTITIES.items()
         }
         groups = {"all": draw_latin(ranges, _POWERS, scenes, draw)}
