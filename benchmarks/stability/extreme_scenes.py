@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from calcidem.app.studies.stability import Judgement, draw_latin, judge, pressed_stiffness
+from calcidem.app.studies.stability import Judgement, draw_latin, judge_scene, pressed_stiffness
 from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.scene import Preload, Regime, Scene
@@ -120,7 +120,7 @@ class Extreme:
 
     def judge(self) -> Judgement:
         """Run the scene and compare it with a smaller step."""
-        return judge(self.experiment, self.seed)
+        return judge_scene(self.experiment, self.seed)
 
     def at_rest(self, damping: float) -> tuple[Scene, Packing]:
         """Cemented scene without a pulse, with one damping factor for all disks, and its packing."""
@@ -263,7 +263,7 @@ class Packed:
 
     def judge(self) -> Judgement:
         """Run the sample and compare it with a smaller step in the finite regime, which neglects nothing."""
-        return judge(self.experiment, self.seed, reference="finite")
+        return judge_scene(self.experiment, self.seed, reference="finite")
 
 
 def _lattice(extreme: Extreme, sand: Sand) -> Packing:

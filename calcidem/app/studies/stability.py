@@ -112,7 +112,7 @@ def stability(
                 if changed["campaign.contents"] > max(contents):  # the campaign may lack a frequency there
                     changed.setdefault("wave.frequency", experiment.frequency(max(contents)))
             scene = partial(_changed_experiment, replace(configuration, campaign=plan), experiment.packing, changed)
-            rows.append({"quantity": name, **changed, **asdict(judge(scene, seed))})
+            rows.append({"quantity": name, **changed, **asdict(judge_scene(scene, seed))})
     counts = markdown_table(
         ("quantity", *SceneVerdict),
         count_verdicts({name: [row["verdict"] for row in rows if row["quantity"] == name] for name in groups}),
@@ -140,7 +140,7 @@ def stability(
     )
 
 
-def judge(scene: Callable[[], tuple[Experiment, float]], seed: int, reference: Regime | None = None) -> Judgement:
+def judge_scene(scene: Callable[[], tuple[Experiment, float]], seed: int, reference: Regime | None = None) -> Judgement:
     """Measure a scene; if it gives a velocity, repeat it longer and more precisely with a quarter of the step.
 
     ``scene`` returns an experiment and a content, percent, or raises a `ValueError`. With a regime as ``reference`` the
