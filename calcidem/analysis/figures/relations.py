@@ -30,7 +30,7 @@ from calcidem.analysis.published import published_study
 
 def _symbol(name: str) -> str:
     """Return the symbol of a variable as mathematical text, such as ``$C_{d,n}$``."""
-    symbols = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
+    symbols = {name: symbol for name, (symbol, _) in FEATURES.items()} | {"vs": "V_s"}
     base, _, index = symbols[name].partition("_")
     upright = f"\\mathrm{{{base}}}" if len(base) > 1 else base
     return f"${upright}_{{{index}}}$" if index else f"${upright}$"

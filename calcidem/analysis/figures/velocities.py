@@ -247,10 +247,10 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
     axes.hist(values, bins="auto", density=True, color=SKY, alpha=0.75, edgecolor="white", linewidth=0.5)
     reach = 3.4 * row.standard_deviation
     grid = np.linspace(min(values.min(), row.mean - reach), max(values.max(), row.mean + reach), 200)
-    axes.plot(grid, row.normal_fit.density(grid), color=VERMILION, linewidth=1.2)
+    axes.plot(grid, row.normal_density(grid), color=VERMILION, linewidth=1.2)
     floor = np.zeros_like(values)
     axes.plot(values, floor, "|", color=BLACK, ms=4, mew=0.5, clip_on=False, rasterized=values.size > 30)
-    p_value = row.normality.p_small_sample
+    p_value = row.p_small_sample
     p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"  # two digits
     text = f"n = {row.n}, S = {row.skewness:.2f}, K = {row.kurtosis:.2f}\n{p_text}".replace("-", "\N{MINUS SIGN}")
     colour = BLACK if p_value >= 0.05 else VERMILION  # the usual level

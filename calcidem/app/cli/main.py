@@ -54,7 +54,7 @@ PANELS = {
         "verify": "Compute stored cells again and compare; check for damage.",
         "explain": "What the computation leaves out, and why that is safe.",
         "accuracy": "Error against run time of every numerical setting.",
-        "stability": "Extreme scenes: which are stable, refused or detected.",
+        "stability": "Extreme values: which are stable, refused or stopped.",
     },
 }
 """Short help of each command."""

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+import numpy as np
 from scipy import stats
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
@@ -60,7 +61,7 @@ def _published_table(analysis: CampaignAnalysis) -> Table | None:
     marked: set[int] = set()
     for content, row in published:
         vs = here[round(content, 6)]
-        p_value = vs.normality.p_small_sample
+        p_value = vs.p_small_sample
         if _differs(vs, row):
             marked.add(len(rows))
         rows.append(
@@ -259,7 +260,11 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
                 lambda g: decimal(1e3 * median_diameter_by_mass(g.packing.radius), 3),
                 "d50",
             ),
-            ("median diameter by count (mm)", lambda g: decimal(1e3 * g.scale.median_diameter, 3), "d50 of Eq. 9 here"),
+            (
+                "median diameter by count (mm)",
+                lambda g: decimal(2e3 * float(np.median(g.packing.radius)), 3),
+                "d50 of Eq. 9 here",
+            ),
             *_stresses(graphs[0]),
             ("mean overlap / diameter", lambda g: significant(g.packing.mean_relative_overlap), ""),
             ("largest overlap / diameter", lambda g: significant(g.packing.largest_relative_overlap), ""),
