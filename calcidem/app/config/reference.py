@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.reader import SECTIONS, TAKEN_FROM_ELSEWHERE, read_configuration
 from calcidem.dem.engine.fields import accepted_values, field_hints, unit_of
-from calcidem.storage.records import CampaignRecord
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
@@ -109,28 +108,3 @@ def _kind_in_words(hint: Any) -> str:  # noqa: ANN401 - a type hint has no type 
         count = f"{len(inner)} " if len(inner) > 1 else ""
         return f"list of {count}{_kind_in_words(inner[0])}s"
     return _WORDS.get(hint) or " or ".join(dict.fromkeys(_WORDS.get(type(arm)) or _kind_in_words(arm) for arm in inner))
-
-
-def stored_text(record: CampaignRecord, disks: str) -> str:
-    """Text of a configuration with the identity of a stored campaign.
-
-    ``disks`` is a CSV file with the disks at rest, which replaces the campaign's own file of disks, since databases do
-    not contain that. With ``disks`` the identity differs.
-    """
-    physics, seeds = record.parameters, record.seeds
-    plan = {
-        "name": record.name,
-        "seeds": len(seeds) if seeds == tuple(range(1, len(seeds) + 1)) else seeds,
-        "contents": record.contents,
-        "root_seed": physics["root_seed"],
-    }
-    packing = dict(physics["packing"])
-    if packing.pop("file_sha256", None) is not None:
-        packing["file"] = disks
-    lines = [f"# Campaign {record.hash}, written from its database."]
-    for section, values in {"campaign": plan, **physics, "packing": packing}.items():
-        if isinstance(values, Mapping):
-            given = {name: value for name, value in values.items() if f"{section}.{name}" not in TAKEN_FROM_ELSEWHERE}
-            keys = (f"{name} = {written(value)}" for name, value in given.items() if value is not None)
-            lines += ["", f"[{section}]", *keys]
-    return "\n".join((*lines, ""))
