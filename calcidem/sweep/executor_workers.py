@@ -19,11 +19,12 @@ from hashlib import sha256
 from queue import SimpleQueue
 from typing import Any, Generic, TypeAlias
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.attempt import Compute, Deadline, attempt, hard_stop
 from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.environment import available_cores
 from calcidem.sweep.options import SweepOptions
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place
 from calcidem.sweep.sweep_end import SweepEnd, SweepError
 from calcidem.sweep.workers import Loss
 
@@ -159,7 +160,7 @@ class ExecutorWorkers(Generic[CellT]):
             try:
                 results = pickle.loads(results)  # noqa: S301 - as above
             except Exception as error:  # noqa: BLE001 - unpickling runs code of the result's class
-                results, failure = None, Failure.from_exception(FailureKind.FAILED, error)
+                results, failure = None, Failure.from_exception(CellStatus.FAILED, error)
             else:
                 self._slowest = max(self._slowest, seconds / flight.batch.cost)
                 self._longest = max(self._longest, seconds)
@@ -250,5 +251,5 @@ def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], optio
         try:
             results = pickle.dumps(outcome.results, pickle.HIGHEST_PROTOCOL)
         except Exception as error:  # noqa: BLE001 - pickling runs code of the result's class
-            failure = Failure.from_exception(FailureKind.FAILED, error)
+            failure = Failure.from_exception(CellStatus.FAILED, error)
     return pickle.dumps((worker, (outcome.seconds, results, failure)))

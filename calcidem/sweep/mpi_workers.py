@@ -8,12 +8,13 @@ from typing import Any, Generic
 
 from mpi4py import MPI
 
+from calcidem.ends import CellStatus
 from calcidem.launch.channel import command_listens, lost_according_to_command
 from calcidem.sweep.attempt import Compute, Deadline, SweepInterrupted, attempt, hard_stop
 from calcidem.sweep.backoff import Backoff, wait_until
 from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.options import SweepOptions
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place, ResultT
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place, ResultT
 from calcidem.sweep.processes import ProcessIdentity, ProcessWatch
 from calcidem.sweep.protocol import MASTER, Incoming, Ranks, Tag
 from calcidem.sweep.signals import leave_signals_to_master
@@ -240,7 +241,7 @@ class MPIWorkers(Generic[CellT]):
         try:
             outcome: BatchOutcome[CellT, Any] = message.value()
         except Exception as error:  # noqa: BLE001 - unpickling runs code of the result's class
-            failure = Failure.from_exception(FailureKind.FAILED, error)
+            failure = Failure.from_exception(CellStatus.FAILED, error)
             return BatchOutcome(batch, worker.place, time.monotonic() - worker.since, failure=failure)
         if outcome.failure is None:
             self._slowest = max(self._slowest, outcome.seconds / batch.cost)
@@ -293,7 +294,7 @@ def _send_outcome(ranks: Ranks, outcome: BatchOutcome[CellT, ResultT]) -> MPI.Re
     except MPI.Exception:
         raise
     except Exception as error:  # noqa: BLE001 - pickling runs code of the result's class
-        failure = Failure.from_exception(FailureKind.FAILED, error)
+        failure = Failure.from_exception(CellStatus.FAILED, error)
         seconds = outcome.seconds + time.monotonic() - start
         unsent: BatchOutcome[CellT, ResultT] = BatchOutcome(outcome.batch, outcome.place, seconds, failure=failure)
         return ranks.send(unsent, MASTER, Tag.OUTCOME)

@@ -5,8 +5,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place, ResultT
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place, ResultT
 
 _LOSSES_BEFORE_SPLIT = 2
 """Number of lost workers after which a batch is split into single cells, to isolate the bad one."""
@@ -84,14 +85,14 @@ class Schedule(Generic[CellT]):
     def settle(self, outcome: BatchOutcome[CellT, ResultT]) -> BatchOutcome[CellT, ResultT] | None:
         """Return an outcome if it is final, None if its cells are computed again."""
         cells = len(outcome.batch.cells)
-        if outcome.failure is not None and outcome.failure.kind is FailureKind.FAILED and cells > 1:
+        if outcome.failure is not None and outcome.failure.kind is CellStatus.FAILED and cells > 1:
             self._queue.extendleft(reversed(self._split(outcome.batch)))
             return None
         self.tally.settled += cells
         if outcome.failure is not None:
-            if outcome.failure.kind is FailureKind.FAILED:
+            if outcome.failure.kind is CellStatus.FAILED:
                 self.tally.failed += cells
-            elif outcome.failure.kind is FailureKind.TIMED_OUT:
+            elif outcome.failure.kind is CellStatus.TIMED_OUT:
                 self.tally.timed_out += cells
         return outcome
 
@@ -111,7 +112,7 @@ class Schedule(Generic[CellT]):
         self.tally.settled += 1
         self.tally.quarantined += 1
         message = f"took down {batch.losses} workers and is not tried again; the last one: {reason}"
-        return BatchOutcome(batch, place, seconds, failure=Failure(FailureKind.QUARANTINED, message))
+        return BatchOutcome(batch, place, seconds, failure=Failure(CellStatus.QUARANTINED, message))
 
     def _split(self, batch: Batch[CellT]) -> tuple[Batch[CellT], ...]:
         parts = batch.split(self._next_identifier)

@@ -25,11 +25,11 @@ import calcidem
 from calcidem.app.campaign.display import LiveDisplay, _CallbackDisplay, _LineDisplay
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.dem.sample.packing import PackingStage
+from calcidem.ends import CellStatus
 from calcidem.launch import channel
 from calcidem.launch.starter import DESCRIPTOR_VARIABLE
-from calcidem.storage.records import CellStatus
 from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place
 from calcidem.sweep.sweep_end import SweepEnd, SweepState
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def tell_a_story(display: ProgressDisplay) -> None:
     reporter.on_start(BATCHES, workers=2)
     results = (Result(CellStatus.DONE), Result(CellStatus.NO_ARRIVAL))
     reporter.on_outcome(BatchOutcome(BATCHES[0], PLACE, 10.0, results=results))
-    failure = Failure(FailureKind.FAILED, "ZeroDivisionError: on order")
+    failure = Failure(CellStatus.FAILED, "ZeroDivisionError: on order")
     reporter.on_outcome(BatchOutcome(BATCHES[1], PLACE, 1.0, failure=failure))
     reporter.on_loss(PLACE, "its process ended")
     time.sleep(0.25)  # longer than the pause between two pictures

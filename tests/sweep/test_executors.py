@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 import pytest
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch, plan_batches
 from calcidem.sweep.executor_workers import ExecutorWorkers
 from calcidem.sweep.options import SweepOptions
-from calcidem.sweep.outcome import FailureKind, Place
+from calcidem.sweep.outcome import Place
 from calcidem.sweep.run import _Master, run_sweep
 from calcidem.sweep.sweep_end import SweepError, SweepState
 from calcidem.sweep.workers import Loss
@@ -103,7 +104,7 @@ def test_a_failure_on_an_executor_is_that_of_a_serial_run(sink: "MemorySink", tm
     cells = {cell for outcome in failed for cell in outcome.batch.cells}
     assert cells == ({(2, 5.0), BAD_CELL} if kind == "slow" else {BAD_CELL})
     assert failed[0].failure is not None
-    assert failed[0].failure.kind is (FailureKind.TIMED_OUT if kind == "slow" else FailureKind.FAILED)
+    assert failed[0].failure.kind is (CellStatus.TIMED_OUT if kind == "slow" else CellStatus.FAILED)
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell not in cells}
 
 
@@ -122,7 +123,7 @@ def test_a_cell_that_kills_processes_is_quarantined_by_the_same_call(
         assert "a process of the executor was lost" in end.detail
     assert end.state is SweepState.COMPLETE
     failures = {cell: o.failure.kind for o in sink.outcomes if o.failure is not None for cell in o.batch.cells}
-    assert failures == {BAD_CELL: FailureKind.QUARANTINED}
+    assert failures == {BAD_CELL: CellStatus.QUARANTINED}
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}
 
 
@@ -284,5 +285,5 @@ def test_a_cell_that_kills_workers_of_a_real_cluster_is_quarantined(sink: "Memor
     assert end.state is SweepState.COMPLETE
     assert end.tally.lost_workers >= 3  # a batch that waits on a killed worker counts a loss, too
     failures = {cell: o.failure.kind for o in sink.outcomes if o.failure is not None for cell in o.batch.cells}
-    assert failures == {BAD_CELL: FailureKind.QUARANTINED}
+    assert failures == {BAD_CELL: CellStatus.QUARANTINED}
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}

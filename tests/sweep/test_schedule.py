@@ -2,14 +2,15 @@ from typing import Any
 
 import pytest
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place
 from calcidem.sweep.schedule import Schedule
 
 PLACE = Place(rank=1, host="here")
 
 
-def failed(batch: Batch[str], kind: FailureKind = FailureKind.FAILED) -> BatchOutcome[str, int]:
+def failed(batch: Batch[str], kind: CellStatus = CellStatus.FAILED) -> BatchOutcome[str, int]:
     """Return the outcome of a batch that failed."""
     return BatchOutcome(batch, PLACE, 1.0, failure=Failure(kind, "on order"))
 
@@ -75,7 +76,7 @@ def test_a_batch_that_timed_out_is_settled_as_a_whole() -> None:
     schedule = Schedule((Batch(0, ("a", "b")),))
     batch = schedule.take()
     assert batch is not None
-    assert schedule.settle(failed(batch, FailureKind.TIMED_OUT)) is not None
+    assert schedule.settle(failed(batch, CellStatus.TIMED_OUT)) is not None
     assert (schedule.tally.settled, schedule.tally.timed_out, len(schedule)) == (2, 2, 0)
 
 
@@ -107,7 +108,7 @@ def test_the_deadly_cell_alone_is_quarantined() -> None:
     assert [outcome.batch.cells for outcome in quarantined] == [("deadly",)]
     failure = quarantined[0].failure
     assert failure is not None
-    assert failure.kind is FailureKind.QUARANTINED
+    assert failure.kind is CellStatus.QUARANTINED
     assert "took down 3 workers" in failure.message
     assert schedule.tally.quarantined == 1
 
