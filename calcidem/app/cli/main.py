@@ -36,8 +36,7 @@ PANELS = {
         "report": "One HTML page with all tables, figures and cells.",
         "serve": "The same in the browser, live.",
         "query": "Cells that meet conditions, as a table or a file.",
-        "show": "One cell: its quantities, figures, and a movie of its wave.",
-        "diagnose": "Why cells have no velocity, and what to try.",
+        "show": "One cell: its quantities, why it has no velocity, figures, a movie.",
     },
     "Move data": {
         "export": "A campaign as NetCDF, or one sample for ParaView or as CSV.",

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
 from calcidem.analysis.figures.registry import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.app.campaign.patterns import section_of
+from calcidem.app.campaign.patterns import read_candidates, section_of
 from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
-from calcidem.dem.wave.reading import LEAST_COHERENCE, PickRule, find_candidates
+from calcidem.dem.wave.reading import LEAST_COHERENCE
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult, RecordedSection
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95
 from calcidem.storage.store import ALL_CELLS, Selection
@@ -40,8 +40,6 @@ _TRACE_LEVELS = 40
 
 _MOST_PEAKS = 5
 """Number of displayed peaks, the most coherent ones."""
-
-_SAME = 1e-3  # relative difference of travel times below which a peak is that of the stored velocity
 
 
 def gather_cell_data(analysis: CampaignAnalysis, room: int) -> tuple[dict[str, str], list[str]]:
@@ -86,7 +84,7 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> tuple[dict[str, s
     if drawn < len(shown):
         remarks.append(
             f"Space-time sections of {f'the first {drawn}' if drawn else 'no'} seeds are in this page; "
-            "“calcidem diagnose DB --seed S --content C --out DIR” draws every one."
+            "“calcidem show DB --seed S --content C --out DIR” draws every one."
         )
     return blocks, remarks
 
@@ -252,20 +250,18 @@ def _describe_section(analysis: CampaignAnalysis, cell: CellResult, stored: Reco
     Times are in milliseconds, places in millimetres.
     """
     section = section_of(stored)
-    smoothing = analysis.config.get("pick", {}).get("smoothing", PickRule().smoothing)
-    candidates = find_candidates(section, smoothing)
-    travel = None if cell.vs_peak is None else section.distance / cell.vs_peak
-    chosen = [one for one in candidates if travel is not None and abs(one.travel_time / travel - 1.0) < _SAME]
+    _, candidates, arrival = read_candidates(section, analysis.config)
+    chosen = None if cell.vs_peak is None else arrival
     motion = np.asarray(section.across, dtype=float)
     if chosen:  # later samples do not matter
-        motion = chosen[0].clean[: max(2, round(chosen[0].decided / section.sampling_interval))]
+        motion = chosen.clean[: max(2, round(chosen.decided / section.sampling_interval))]
     elif candidates:
         motion = max(candidates, key=lambda one: one.coherence).clean
     stride = -(-len(motion) // _MOST_TIMES)
     traces = motion[::stride]
     largest = np.abs(traces).max(axis=0, initial=0.0)
     levels = np.rint(traces / np.where(largest > 0.0, largest, 1.0) * _TRACE_LEVELS).astype(int)
-    ranked = sorted(candidates, key=lambda one: (one not in chosen, -one.coherence))[:_MOST_PEAKS]
+    ranked = sorted(candidates, key=lambda one: (one is not chosen, -one.coherence))[:_MOST_PEAKS]
     return {
         "start": round(1e3 * section.start_time, 6),
         "interval": float(f"{1e3 * stride * section.sampling_interval:.6g}"),
@@ -275,7 +271,7 @@ def _describe_section(analysis: CampaignAnalysis, cell: CellResult, stored: Reco
         "begin": float(f"{0.5e3 / section.frequency:.6g}"),
         "least": LEAST_COHERENCE,
         "peaks": [
-            [float(f"{1e3 * one.travel_time:.5g}"), round(one.coherence, 2), int(one in chosen)]
+            [float(f"{1e3 * one.travel_time:.5g}"), round(one.coherence, 2), int(one is chosen)]
             for one in sorted(ranked, key=lambda one: one.travel_time)
         ],
     }

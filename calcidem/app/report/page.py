@@ -266,7 +266,7 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
         shares = ", ".join(f"{row.content:g} % ({row.failed} of {row.failed + row.vs.n})" for row in doubtful)
         remarks.append(
             f"Possible selection bias at {shares}: cells without velocity may shift the mean by more than its standard "
-            "error. The command calcidem diagnose explains why they have none and proposes remedies."
+            "error. The table of cells without a velocity names reasons and remedies."
         )
     broken = analysis.cells["broken_bonds"].to_numpy()
     if count := int(np.sum(broken > 0)):

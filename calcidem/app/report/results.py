@@ -22,6 +22,7 @@ from calcidem.app.report.wording import (
     significant,
     with_bounds,
 )
+from calcidem.ends import Verdict
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95, departs
 from calcidem.sweep.progress import first_of
 
@@ -149,7 +150,8 @@ def count_reasons(
     found: Counter[tuple[str, str]] = Counter()
     where: dict[tuple[str, str], set[float]] = {}
     for outcome, text, at in zip(status[failed], reason[failed], content[failed], strict=True):
-        key = (str(outcome), str(text))
+        verdict = Verdict.of(str(text))  # the numbers that follow it differ from cell to cell
+        key = (str(outcome), verdict.explained if verdict else str(text))
         found[key] += 1
         where.setdefault(key, set()).add(float(at))
     return [(*key, sorted(where[key]), count) for key, count in found.most_common(_MOST_REASONS)]

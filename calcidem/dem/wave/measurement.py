@@ -12,8 +12,9 @@ from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.error_estimate import NumericalError, chatters, cure_of, estimate_error, shift_by_change
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves, stiffness_contrast, with_half_step
-from calcidem.dem.wave.reading import Reading, ShearArrival, is_settled, read_section
+from calcidem.dem.wave.reading import Reading, ShearArrival, describe_refusal, is_settled, read_section
 from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.ends import Verdict
 
 LARGEST_BOUND = 0.05  # bound of the numerical error above which a velocity is rejected
 _INEXACT = "the numerical error may be above 5 %"
@@ -153,7 +154,8 @@ def interpret_record(experiment: Experiment, record: WaveRecord, coarser: WaveRe
         return Interpretation(Outcome.UNSTABLE, record.problem)
     reading = read_section(record.section, experiment.pick)
     if reading.arrival is None or reading.verdict is not None:
-        return Interpretation(Outcome.NO_ARRIVAL, str(reading.verdict), reading=reading)
+        reason = describe_refusal(reading.verdict or Verdict.SILENT, record.section, experiment.pick, reading.error)
+        return Interpretation(Outcome.NO_ARRIVAL, reason, reading=reading)
     change = None if coarser is None else _change_by_halving(experiment, record, reading.arrival, coarser)
     error = estimate_error(experiment, record, reading.arrival, change)
     vs: float | None = getattr(reading, experiment.pick.method)

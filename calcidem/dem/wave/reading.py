@@ -13,7 +13,6 @@ A candidate depends on no sample beyond its horizon, so a record cut there gives
 """
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -23,6 +22,7 @@ from calcidem.dem.engine.portable import arc_sine, sliding_products
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.wave.maxima import find_maxima, parabola_vertex
 from calcidem.dem.wave.section import RESOLUTION, Section
+from calcidem.ends import Verdict
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 
@@ -71,15 +71,6 @@ _CREST = 1.8
 
 ONSET = 0.1
 """Level of the first arrival, relative to the peak (Viggiani and Atkinson 1995, doi:10.1680/geot.1995.45.1.149)."""
-
-
-class Verdict(StrEnum):
-    """Reason why a section gives no velocity; `calcidem.app.campaign.diagnosis` has a number and remedies for each."""
-
-    SILENT = "no motion above 0.1 % of v0 arrived"
-    TOO_SHORT = "the record ends before the S wave is certain"
-    NO_LINE = "no peak of the receiver continues the motion of the stations"
-    UNCERTAIN = "the standard error of the reading is above pick.largest_error"
 
 
 @dataclass(frozen=True, slots=True)
@@ -406,6 +397,24 @@ def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]
         decided = (horizon + int(smoothing * section.period)) * section.sampling_interval
         found.append(Candidate(index, travel * section.sampling_interval, decided, coherence, rival, clean))
     return tuple(found)
+
+
+def describe_refusal(verdict: Verdict, section: Section, rule: PickRule, error: float | None) -> str:
+    """Return a verdict on a section and the numbers behind it; ``error`` is that of the reading, if there is one."""
+    candidates, end = find_candidates(section, rule.smoothing), 1e3 * section.duration
+    match verdict:
+        case Verdict.SILENT:
+            largest = float(np.abs(section.across[:, -1]).max(initial=0)) * RESOLUTION
+            return f"{verdict}: the receiver reaches {largest:.2%} of v0 in {end:.3g} ms"
+        case Verdict.TOO_SHORT:
+            late = min(one.decided for one in candidates if one.decided > section.duration)
+            return f"{verdict}: a peak is decided at {1e3 * late:.3g} ms, the record ends at {end:.3g} ms"
+        case Verdict.NO_LINE:
+            best = max(candidates, key=lambda one: one.coherence)
+            text = f"the best of {len(candidates)}, {section.distance / best.travel_time:.0f} m/s, has a coherence of"
+            return f"{verdict}: {text} {best.coherence:.3f}, {max(best.rival, LEAST_COHERENCE):.3f} is needed"
+        case Verdict.UNCERTAIN:
+            return f"{verdict}: it is {error:.1%}, {rule.largest_error:.1%} is allowed"
 
 
 def velocity_spectrum(section: Section, smoothing: float, velocities: Floats) -> Floats:
