@@ -223,7 +223,7 @@ class CampaignPlots:
             samples=None if cell.section is None else len(cell.section.across),
             watch=lambda done, count: watch(done, 2 * count),
         )
-        shown = replace(cell, section=stored_section(film.record.section))
+        shown = replace(cell, section=stored_section(film.section))
         moving = film.times, film.velocity
         figure = draw_film(
             self.analysis.store.packing(cell.packing_index),

@@ -26,12 +26,10 @@ from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
-from calcidem.dem.wave.reading import Reading
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.records import (
     CellKey,
     CellResult,
-    CellStatus,
     CementPattern,
     GrainPath,
     GraphSummary,
@@ -151,47 +149,44 @@ def cell_result(
     Without a ``graph`` of the packing, as in `verify`, path features and graph summary are left out. So no quantity
     that `is_exact` may need it.
     """
-    cement, record, result = measurement.cement, measurement.record, measurement.result
+    cement, section, reading = measurement.cement, measurement.section, measurement.reading
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
     path, features, summary = (None, None, None) if graph is None else _describe_graph(graph, pattern)
-    on_path, over_d50 = wavelengths(
-        result.vs, measurement.frequency, record.section.distance, _median_diameter(packing)
-    )
-    reading, error = result.reading or Reading(None), result.error
+    on_path, over_d50 = wavelengths(measurement.vs, section.frequency, section.distance, _median_diameter(packing))
     return CellResult(
         key=CellKey(measurement.seed, measurement.content),
-        status=CellStatus(result.outcome.value),
-        reason=result.reason,
-        vs=result.vs,
-        vs_peak=reading.peak,
-        vs_first_arrival=reading.first_arrival,
-        vs_cross_correlation=reading.cross_correlation,
-        coherence=reading.arrival.coherence if reading.arrival else None,
-        reading_error=reading.error,
-        path_vs=reading.path,
-        path_error=reading.path_error,
-        frequency=measurement.frequency,
-        distance=record.section.distance,
+        status=measurement.status,
+        reason=measurement.reason,
+        vs=measurement.vs,
+        vs_peak=reading and reading.peak,
+        vs_first_arrival=reading and reading.first_arrival,
+        vs_cross_correlation=reading and reading.cross_correlation,
+        coherence=reading and reading.coherence,
+        reading_error=reading and reading.error,
+        path_vs=reading and reading.path,
+        path_error=reading and reading.path_error,
+        frequency=section.frequency,
+        distance=section.distance,
         wavelengths_on_path=on_path,
         wavelength_over_d50=over_d50,
-        time_step=record.time_step,
-        stability_limit=record.stability_limit,
-        steps=record.steps,
-        expected_error=error and error.expected,
-        error_bound=error and error.bound,
+        time_step=section.time_step,
+        stability_limit=section.stability_limit,
+        steps=section.steps,
+        expected_error=measurement.expected_error,
+        error_bound=measurement.error_bound,
         content_reached=cement.content_reached,
         content_of_contacts=content_of_contacts(packing, experiment.cement_rule, cement.kind),
         p_contacts=cement.p_contacts,
         c_contacts=cement.c_contacts,
         clusters=cement.clusters,
         bonded_contacts=int(np.count_nonzero(cement.bonded)),
-        broken_bonds=record.broken_bonds,
-        retry=record.retry,
+        broken_bonds=section.broken_bonds,
+        retry=section.retry,
         seconds=measurement.seconds,
         features=features,
         graph=summary,
         path=path,
-        section=stored_section(record.section) if store_sections else None,
+        section=stored_section(section) if store_sections else None,
         cement=pattern,
     )
 

@@ -1,9 +1,9 @@
 """Settings common to all samples: packing, materials, cement, wave and picking."""
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from typing import Any, TypeVar
+from functools import cached_property
+from typing import Any, TypeVar, TypeVarTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.scene import wave_scene
 
 _Found = TypeVar("_Found")
+_Arguments = TypeVarTuple("_Arguments")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class Experiment:
     """(contents in percent, frequencies in Hz), interpolated linearly; None takes Table 2 of the paper. Or a function
     of an experiment and a content, percent, that returns the frequency in Hz and is called once for each content.
     """
-    _kept: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+    _kept: dict[tuple[Callable[..., Any], tuple[Any, ...]], Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse invalid factors, and settings that the linear regime excludes."""
@@ -68,13 +69,14 @@ class Experiment:
         if self.frequencies is None:
             return excitation_frequency(content)
         if callable(self.frequencies):
-            return self.once(("frequency", content), partial(self.frequencies, self, content))
+            return self.once(self.frequencies, content)
         return interpolate(content, *self.frequencies)
 
-    def once(self, key: Hashable, compute: Callable[[], _Found]) -> _Found:
-        """Value of a key, computed on first use."""
+    def once(self, compute: Callable[["Experiment", *_Arguments], _Found], *arguments: *_Arguments) -> _Found:
+        """Value of a function of this experiment and of hashable arguments, computed on first use."""
+        key = (compute, arguments)
         if key not in self._kept:
-            self._kept[key] = compute()
+            self._kept[key] = compute(self, *arguments)
         found: _Found = self._kept[key]
         return found
 

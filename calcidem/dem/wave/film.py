@@ -8,7 +8,7 @@ import numpy as np
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.section import Section
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,7 +23,7 @@ class _WaveFilm:
     """(F,) s."""
     velocity: Floats
     """(F, N) along y, the direction of the transmitter's motion, m/s."""
-    record: WaveRecord
+    section: Section
     """Signals, identical to those of a measurement."""
 
 
@@ -61,5 +61,4 @@ def film_wave(
         velocity.append(recorder.state.velocity()[:, 1].astype(np.float32))
         watch(len(times), -(-samples // stride))
     scene = recorder.state.scene
-    record = recorder.record_of(0, "")
-    return _WaveFilm(scene.x, scene.y, scene.radius, np.array(times), np.array(velocity), record)
+    return _WaveFilm(scene.x, scene.y, scene.radius, np.array(times), np.array(velocity), recorder.section_of(0))

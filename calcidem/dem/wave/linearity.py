@@ -24,28 +24,9 @@ from calcidem.dem.kernels.layout import (
     X,
     Y,
 )
+from calcidem.dem.wave.section import Nonlinearity
 
 _ALL = slice(None)
-
-
-class Nonlinearity(NamedTuple):
-    """Changes of a wave in the linear regime by Hertz's and Coulomb's laws; zero in other regimes.
-
-    Each is (L,), or the value of one sample.
-    """
-
-    share: Floats | float = 0.0
-    """Sum of ``|dF| |du|`` over the sum of ``F du`` of all contacts of disks. du is the relative displacement of two
-    disks since the start, F the force increment with constant stiffnesses. dF is its deviation from the contact laws,
-    by which contacts stiffen, open and slip. Cement is linear in either case.
-    """
-    softening: Floats | float = 0.0
-    """Largest relative loss of the sample's stiffness by slip, see `nonlinearity`."""
-    rescaling: Floats | float = 0.0
-    """Work, in absolute values, of the initial shear forces that contacts would lose where the wave unloads them (shear
-    rescaling mode 1, `laws.rescale_shear`), over that of ``F du``. It scales with the loads of the packing, not with
-    the amplitude.
-    """
 
 
 def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:

@@ -13,7 +13,7 @@ A candidate depends on no sample beyond its horizon, so a record cut there gives
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 
@@ -99,9 +99,10 @@ class PickRule:
 _DEFAULT_RULE = PickRule()
 
 
+@final
 @dataclass(frozen=True, slots=True, eq=False)
-class ShearArrival:
-    """The S wave in a section."""
+class Reading:
+    """S wave in a section, and the velocities read from it."""
 
     travel_time: float
     """From the transmitted to the received peak, s."""
@@ -119,25 +120,16 @@ class ShearArrival:
     """
     roughness: float
     """Rms motion of the receiver that smoothing removes, until a period after the peak, over its amplitude."""
-    path_velocity: float | None
     path_scatter: float | None
-    """Velocity of the crest from station to station, m/s, and its relative standard error from the scatter of the
-    stations about their line; None with fewer than `_FEWEST_STATIONS`.
-    """
+    """Relative standard error of `path` from the scatter of the stations about their line."""
     index: int
     """Sample of the peak."""
     clean: Floats
     """(H, X) smoothed motion across without the P wave, up to the horizon, over v0."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """Reading of a section."""
-
-    verdict: Verdict | None
-    """Reason for a missing velocity; None if there is one."""
-    arrival: ShearArrival | None = None
-    """S wave; None if none was found."""
+    error: float = 1.0
+    """Relative standard error of the velocities to the receiver, see `reading_error`; 1 is unknown."""
+    verdict: Verdict | None = None
+    """`Verdict.UNCERTAIN` if this error is too large; None if the velocities are known."""
     peak: float | None = None
     first_arrival: float | None = None
     cross_correlation: float | None = None
@@ -145,8 +137,6 @@ class Reading:
     from the lag of the best fit of the pulse. The latter two are None if they differ from the first by more than a
     quarter of a period.
     """
-    error: float | None = None
-    """Relative standard error of these velocities, see `reading_error`."""
     path: float | None = None
     path_error: float | None = None
     """Velocity of the crest from station to station, without receiver and transmitter, m/s, and its relative standard
@@ -269,26 +259,37 @@ def _receiver_peaks(prepared: _Prepared) -> list[int]:
     return [i for i in found if i > prepared.peak + 1.0]  # the peak itself may lie half a sample earlier
 
 
-def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
-    """Pick the travel time of the shear wave; `Verdict.TOO_SHORT` if only a longer record can decide."""
-    arrival = _find_arrival(prepare(section, rule.smoothing), section)
-    if isinstance(arrival, Verdict):
-        return Reading(arrival)
-    error = reading_error(arrival, section.frequency)
+def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading | Verdict:
+    """Pick the travel time of the shear wave.
+
+    The verdict is `Verdict.TOO_SHORT` if only a longer record can decide. A reading with too large an error has no
+    velocities.
+    """
+    found = _find_arrival(prepare(section, rule.smoothing), section)
+    if isinstance(found, Verdict):
+        return found
+    error = reading_error(found, section.frequency)
     if error > rule.largest_error:
-        return Reading(Verdict.UNCERTAIN, arrival, error=error)
-    others = (_read_first_arrival(section, arrival), _read_cross_correlation(section, arrival))
+        return replace(found, error=error, verdict=Verdict.UNCERTAIN, path=None)
+    others = (_read_first_arrival(section, found), _read_cross_correlation(section, found))
     near = 0.25 / section.frequency
     first, correlated = (
-        section.distance / time if time is not None and abs(time - arrival.travel_time) < near else None
+        section.distance / time if time is not None and abs(time - found.travel_time) < near else None
         for time in others
     )
-    reading = Reading(None, arrival, section.distance / arrival.travel_time, first, correlated, error)
-    if arrival.path_scatter is None:
-        return reading
-    path_error = float(np.sqrt(error * error + (_CREST * arrival.path_scatter) ** 2))
-    known = path_error <= rule.largest_error
-    return replace(reading, path=arrival.path_velocity, path_error=path_error) if known else reading
+    path, path_error = found.path, None
+    if found.path_scatter is not None:
+        path_error = float(np.sqrt(error * error + (_CREST * found.path_scatter) ** 2))
+        path, path_error = (path, path_error) if path_error <= rule.largest_error else (None, None)
+    return replace(
+        found,
+        error=error,
+        peak=section.distance / found.travel_time,
+        first_arrival=first,
+        cross_correlation=correlated,
+        path=path,
+        path_error=path_error,
+    )
 
 
 def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = _SMOOTHING) -> float:
@@ -325,8 +326,8 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
         return False
     prepared = prepare(section, rule.smoothing)
     found = _find_arrival(prepared, section)
-    if isinstance(found, ShearArrival) or found is Verdict.TOO_SHORT:
-        return isinstance(found, ShearArrival)
+    if isinstance(found, Reading) or found is Verdict.TOO_SHORT:
+        return isinstance(found, Reading)
     if is_quiet or (prepared.p_peak < 0).any():
         return is_quiet
     clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))
@@ -336,7 +337,7 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
     return float(np.minimum(highest / _largest(clean), 1.0).mean()) < LEAST_COHERENCE
 
 
-def _find_arrival(prepared: _Prepared, section: Section) -> ShearArrival | Verdict:
+def _find_arrival(prepared: _Prepared, section: Section) -> Reading | Verdict:
     """Find the S wave; `Verdict.TOO_SHORT` if only a longer record can decide."""
     peaks = _receiver_peaks(prepared)
     if not peaks:
@@ -348,7 +349,7 @@ def _find_arrival(prepared: _Prepared, section: Section) -> ShearArrival | Verdi
     return Verdict.NO_LINE
 
 
-def _judge(prepared: _Prepared, section: Section, index: int) -> ShearArrival | Verdict | None:
+def _judge(prepared: _Prepared, section: Section, index: int) -> Reading | Verdict | None:
     """Judge a peak of the receiver; None if it is not the S wave."""
     early, time = _line_to(prepared, index)
     travel = time - prepared.peak
@@ -365,14 +366,14 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> ShearArrival | 
     shifted = min((abs(other - time) for other in with_p), default=travel) / travel
     rough = (section.across[:horizon, -1] * RESOLUTION - whole)[: index + int(prepared.period)]
     crest, interval = _crest(prepared, clean, travel), section.sampling_interval
-    return ShearArrival(
+    return Reading(
         travel_time=travel * interval,
         coherence=coherence,
         shifted=shifted,
         early=0.0 if crest is None else max(0.0, 1.0 - travel / crest[0]),
         tie=_tie(coherence, travel, rivals),
         roughness=float(np.sqrt(np.mean(rough * rough)) / clean[index, -1]),
-        path_velocity=None if crest is None else section.distance / (crest[0] * interval),
+        path=None if crest is None else section.distance / (crest[0] * interval),
         path_scatter=None if crest is None else crest[1],
         index=index,
         clean=clean,
@@ -399,22 +400,20 @@ def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]
     return tuple(found)
 
 
-def describe_refusal(verdict: Verdict, section: Section, rule: PickRule, error: float | None) -> str:
-    """Return a verdict on a section and the numbers behind it; ``error`` is that of the reading, if there is one."""
-    candidates, end = find_candidates(section, rule.smoothing), 1e3 * section.duration
-    match verdict:
-        case Verdict.SILENT:
-            largest = float(np.abs(section.across[:, -1]).max(initial=0)) * RESOLUTION
-            return f"{verdict}: the receiver reaches {largest:.2%} of v0 in {end:.3g} ms"
-        case Verdict.TOO_SHORT:
-            late = min(one.decided for one in candidates if one.decided > section.duration)
-            return f"{verdict}: a peak is decided at {1e3 * late:.3g} ms, the record ends at {end:.3g} ms"
-        case Verdict.NO_LINE:
-            best = max(candidates, key=lambda one: one.coherence)
-            text = f"the best of {len(candidates)}, {section.distance / best.travel_time:.0f} m/s, has a coherence of"
-            return f"{verdict}: {text} {best.coherence:.3f}, {max(best.rival, LEAST_COHERENCE):.3f} is needed"
-        case Verdict.UNCERTAIN:
-            return f"{verdict}: it is {error:.1%}, {rule.largest_error:.1%} is allowed"
+def describe_refusal(found: Reading | Verdict, section: Section, rule: PickRule) -> str:
+    """Return the verdict on a section, or on a reading with too large an error, and the numbers behind it."""
+    if isinstance(found, Reading):
+        return f"{Verdict.UNCERTAIN}: it is {found.error:.1%}, {rule.largest_error:.1%} is allowed"
+    candidates, end = find_candidates(section, rule.smoothing), f"{1e3 * section.duration:.3g} ms"
+    if found is Verdict.SILENT:
+        largest = float(np.abs(section.across[:, -1]).max(initial=0)) * RESOLUTION
+        return f"{found}: the receiver reaches {largest:.2%} of v0 in {end}"
+    if found is Verdict.TOO_SHORT:
+        late = min(one.decided for one in candidates if one.decided > section.duration)
+        return f"{found}: a peak is decided at {1e3 * late:.3g} ms, the record ends at {end}"
+    best = max(candidates, key=lambda one: one.coherence)
+    text = f"the best of {len(candidates)}, {section.distance / best.travel_time:.0f} m/s, has a coherence of"
+    return f"{found}: {text} {best.coherence:.3f}, {max(best.rival, LEAST_COHERENCE):.3f} is needed"
 
 
 def velocity_spectrum(section: Section, smoothing: float, velocities: Floats) -> Floats:
@@ -511,7 +510,7 @@ def _median(values: Floats) -> float:
     return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2.0)
 
 
-def reading_error(arrival: ShearArrival, frequency: float) -> float:
+def reading_error(found: Reading, frequency: float) -> float:
     """Relative standard error of a picked velocity: root of the sum of squares of independent parts.
 
     The subtraction may leave a part of the P wave. On a path of few wavelengths P and S wave overlap (Arroyo et al.
@@ -520,19 +519,19 @@ def reading_error(arrival: ShearArrival, frequency: float) -> float:
     be the S wave. The error is at most 1: nothing is known. The factors were fitted to sections with a known delay
     (docs/reading.md).
     """
-    return float(min(1.0, np.sqrt(sum(part * part for part in reading_error_parts(arrival, frequency)))))
+    return float(min(1.0, np.sqrt(sum(part * part for part in reading_error_parts(found, frequency)))))
 
 
-def reading_error_parts(arrival: ShearArrival, frequency: float) -> ReadingErrorParts:
+def reading_error_parts(found: Reading, frequency: float) -> ReadingErrorParts:
     """Return the parts of `reading_error`; ``frequency`` is that of the pulse, Hz."""
-    periods = arrival.travel_time * frequency
+    periods = found.travel_time * frequency
     near = _NEAR_FIELD / (periods * periods * float(np.sqrt(periods)))
-    return ReadingErrorParts(_LEAST_ERROR, _P_LEFT * arrival.shifted, near, arrival.early, arrival.tie)
+    return ReadingErrorParts(_LEAST_ERROR, _P_LEFT * found.shifted, near, found.early, found.tie)
 
 
-def _read_first_arrival(section: Section, arrival: ShearArrival) -> float | None:
+def _read_first_arrival(section: Section, found: Reading) -> float | None:
     """Time between the last rises through the onset level before both peaks, s."""
-    received = arrival.clean[: arrival.index + 1, -1]
+    received = found.clean[: found.index + 1, -1]
     level = ONSET * float(received[-1])
     below = np.flatnonzero(received < level)
     if not len(below):
@@ -544,10 +543,10 @@ def _read_first_arrival(section: Section, arrival: ShearArrival) -> float | None
     return arrived - float(arc_sine(np.sqrt(ONSET))) / (np.pi * section.frequency)
 
 
-def _read_cross_correlation(section: Section, arrival: ShearArrival) -> float | None:
+def _read_cross_correlation(section: Section, found: Reading) -> float | None:
     """Lag of the best fit of the pulse to the received signal, within half a period of the peak's, s."""
     pulse = section.transmitted[: int(section.period)]
-    received, lag = arrival.clean[:, -1], round(arrival.travel_time / section.sampling_interval)
+    received, lag = found.clean[:, -1], round(found.travel_time / section.sampling_interval)
     begin = max(0, lag - int(section.period / 2.0))
     products = sliding_products(received[begin : lag + int(1.5 * section.period)], pulse)
     best = int(np.argmax(products)) if len(products) else 0
