@@ -2,6 +2,8 @@
 
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -11,12 +13,14 @@ from time import thread_time
 import numpy as np
 
 from calcidem.app.campaign.identity import choose_campaign
+from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
 from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.parts import planned_batches, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
-from calcidem.app.campaign.stored_packing import readable_packing
+from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder, readable_packing
 from calcidem.app.config.calibrated import calibration_note
 from calcidem.app.config.checks import (
+    can_make_files,
     check_against_packing,
     cutoff_estimate,
     disks_in_box,
@@ -27,11 +31,18 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.first_look import WAVELENGTHS, expected_speed
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import Address
+from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.environment import available_cores
+from calcidem.sweep.environment import (
+    LAUNCHER_VARIABLES,
+    available_cores,
+    mpi_library_version,
+    refuse_ranks_off_linux,
+)
 from calcidem.sweep.progress import duration
+from calcidem.sweep.sweep_end import LaunchError
 
 _LOOSE_DISKS = 20
 """Time to bring a loose lattice to rest (porosity 0.33, 1,440 disks of two sizes) over that to make a packing."""
@@ -80,8 +91,10 @@ class _ExpectedCost:
     """Bytes of the database and the NetCDF file."""
 
 
-def preview_lines(configuration: Configuration) -> Iterator[str]:
-    """Check a configuration against its database and packing, if any, and describe the run.
+def preview_lines(configuration: Configuration, ranks: int | None = None) -> Iterator[str]:
+    """Check a configuration against its database, its packing, if any, and this machine, and describe the run.
+
+    MPI ``ranks`` are started for a moment; None for a run without them.
 
     `ConfigurationError` if the packing cannot hold the planned cement; `StoreError` if the database cannot be read, or
     has another campaign of that name, or this one under another name.
@@ -121,6 +134,9 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     kept = [(batch, [cell for cell in batch.cells if CellKey(*cell) not in settled]) for batch in batches]
     left = [replace(batch, cells=tuple(cells)) for batch, cells in kept if cells]
     yield from _cost_lines(configuration, speeds, left, is_packed=packing is not None)
+    yield from _machine_warnings(address.path)
+    if ranks is not None and ranks != 1:
+        yield _describe_ranks(Launch((), ranks).ranks)
     if packing is None:
         yield (
             "Packing: not made yet. Make it with 'calcidem run CONFIG --packing-only', then check again for contents"
@@ -173,6 +189,58 @@ def _cost_lines(
         yield f"Warning: run.lanes: memory suffices for {enough} of {cores} cores; use fewer ranks or lanes."
     if free is not None and cost.disk > free:
         yield "Warning: run.output: results need more space than is free; free some space, or give another folder."
+
+
+def _machine_warnings(database: Path | None) -> Iterator[str]:
+    """Warnings about the places of database and caches; the database is None on a server."""
+    from calcidem.dem.kernels.steps import advance_steps  # noqa: PLC0415 - takes a second to import
+
+    if database is not None and is_network_filesystem(database):
+        yield (
+            f"Warning: run.database: {filesystem_type(database)} is shared between machines, so each commit is slow; a "
+            "local disk is faster, if you copy the database back."
+        )
+    if not can_make_files(cache_folder()):
+        yield (
+            f"Warning: {CACHE_VARIABLE}: {cache_folder()} cannot be written, so every campaign makes its packing again; set "
+            "it to a folder in which you may write."
+        )
+    kernels = getattr(getattr(advance_steps, "stats", None), "cache_path", None)
+    if kernels is not None and not can_make_files(Path(kernels)):
+        yield (
+            f"Warning: NUMBA_CACHE_DIR: {kernels} cannot be written, so every process compiles its kernels; set it to "
+            "a folder in which you may write."
+        )
+    elif kernels is not None and is_network_filesystem(Path(kernels)):
+        yield f"Warning: NUMBA_CACHE_DIR: {kernels} is shared between machines; set it to a disk of the node."
+
+
+def _describe_ranks(ranks: int) -> str:
+    """Start MPI ranks as a run does, and say whether they communicate."""
+    try:
+        refuse_ranks_off_linux()
+        mpirun = find_mpirun()
+        done = subprocess.run(  # noqa: S603 - our own program
+            [
+                *(mpirun, *launcher_options(mpirun, ranks)),
+                *(sys.executable, "-c", "from mpi4py import MPI; print(MPI.COMM_WORLD.Get_size(), 'ranks')"),
+            ],
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=120.0,  # s; a network file system without cache is slow
+            env={name: value for name, value in os.environ.items() if name not in LAUNCHER_VARIABLES},
+            stdin=subprocess.DEVNULL,
+        )
+    except (LaunchError, OSError, subprocess.SubprocessError) as error:
+        written = [line for line in str(getattr(error, "stderr", None) or "").splitlines() if line.strip(" -")]
+        return f"Warning: --ranks {ranks}: {written[-1].strip() if written else error}."
+    if done.stdout.splitlines().count(f"{ranks} ranks") != ranks:
+        return (
+            f"Warning: --ranks {ranks}: {mpirun} starts them, but they do not communicate; set MPIRUN to the launcher "
+            "of the MPI library that mpi4py loads."
+        )
+    return f"Ranks: {mpirun} starts {ranks}, and they communicate ({mpi_library_version()})."
 
 
 def _waves(configuration: Configuration, packing: Packing, speeds: Mapping[float, float]) -> Iterator[str]:

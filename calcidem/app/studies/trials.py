@@ -20,7 +20,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
-from calcidem.launch.starter import die_with_parent
+from calcidem.sweep.processes import die_with_parent
 
 _MeasureTrials = Callable[[Sequence[Configuration]], Iterator[Floats]]
 """Function of configurations that yields Vs of each in turn, m/s, shape (seeds, contents), NaN if missing."""
