@@ -1,12 +1,10 @@
 """Campaigns with the real command and the real mpirun: the same bits whatever happens on the way."""
 
 import os
-import platform
 import shutil
 import signal
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,30 +37,6 @@ def test_ranks_do_not_change_a_bit(workshop: "Workshop", expected: "Cells", rank
     done = workshop.run("run", "c.toml", "--ranks", str(ranks))
     assert done.code == 0, done.errors
     assert workshop.cells() == expected
-
-
-@pytest.mark.full
-@pytest.mark.skipif(platform.machine() != "x86_64", reason="the setting names a processor of x86-64")
-def test_a_run_on_unlike_ranks_says_so(workshop: "Workshop") -> None:
-    """Each kind of worker is stored with its ranks and shown in the report; that no bit depends on it is told."""
-    customize = (
-        "import os\nif os.environ.get('OMPI_COMM_WORLD_RANK') == '1': os.environ['OPENBLAS_CORETYPE'] = 'Prescott'\n"
-    )
-    (workshop.folder / "sitecustomize.py").write_text(customize, encoding="utf-8")
-    workshop.variables["PYTHONPATH"] = f"{workshop.folder}{os.pathsep}{CHECKOUT}"
-    workshop.configure(seeds=1)
-    done = workshop.run("run", "c.toml", "--ranks", "3", "--report")
-    assert done.code == 0, done.errors
-    assert "The ranks are not alike, but no bit of a result depends on it" in done.output
-    with open_campaign(workshop.database) as campaign:
-        ((_, run),) = campaign.runs()
-    assert [worker.ranks for worker in run.workers] == [(0, 2), (1,)]
-    core = run.workers[1].blas_core  # OpenBLAS has a name of its own for the oldest
-    assert core != run.workers[0].blas_core
-    assert run.workers[1] == replace(run.workers[0], ranks=(1,), blas_core=core)
-    page = workshop.database.with_suffix(".html").read_text(encoding="utf-8")
-    assert run.workers[0].processor in page
-    assert f"OpenBLAS {core}" in page
 
 
 @pytest.mark.full

@@ -202,13 +202,13 @@ def _machine_warnings(database: Path | None) -> Iterator[str]:
         )
     if not can_make_files(cache_folder()):
         yield (
-            f"Warning: {CACHE_VARIABLE}: {cache_folder()} cannot be written, so every campaign makes its packing again; set "
-            "it to a folder in which you may write."
+            f"Warning: {CACHE_VARIABLE}: {cache_folder()} cannot be written, so each campaign makes its packing again; "
+            "give a folder in which you may write."
         )
     kernels = getattr(getattr(advance_steps, "stats", None), "cache_path", None)
     if kernels is not None and not can_make_files(Path(kernels)):
         yield (
-            f"Warning: NUMBA_CACHE_DIR: {kernels} cannot be written, so every process compiles its kernels; set it to "
+            f"Warning: NUMBA_CACHE_DIR: {kernels} cannot be written, so every process compiles its kernels; give "
             "a folder in which you may write."
         )
     elif kernels is not None and is_network_filesystem(Path(kernels)):

@@ -10,6 +10,9 @@ import typer
 from calcidem.app.cli.arguments import number_parser, refuse_options
 from calcidem.app.cli.terminal import printable
 
+_RAISED_BY_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
+"""Exceptions of the NetCDF library and its callers for changed bytes of a file."""
+
 
 def import_command(
     file: Annotated[
@@ -71,8 +74,6 @@ def _import_campaign(file: Path, database: str) -> None:
     from calcidem.storage.sql.store import Store
 
     path = Address.parse(database).path
-    # The NetCDF library and its callers raise all these for changed bytes of a file.
-    by_damage = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError, InvalidRecordError)
     try:
         if path is None:  # opening a server's database creates tables, which would remain after a refusal
             with TemporaryDirectory() as folder, Store(Path(folder) / "trial.db") as trial:
@@ -81,7 +82,7 @@ def _import_campaign(file: Path, database: str) -> None:
         place = write_atomically(path) if path and is_new else nullcontext(database)
         with place as target, Store(target) as store:
             campaign = import_netcdf(file, store, identify_packing)
-    except by_damage as error:
+    except (*_RAISED_BY_DAMAGE, InvalidRecordError) as error:
         problem = f"{file} is damaged ({type(error).__name__}: {error})."
         raise DamagedStoreError(problem, "Export it again, and import it again; nothing was written.") from error
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"

@@ -217,13 +217,12 @@ def _run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
             run.exit_state or "still running, or killed",
             str(run.ranks),
             f"{run.host} ({run.cpu})",
-            "; ".join(f"{worker.kind} on {worker.places}" for worker in run.workers) or _UNKNOWN,
             ", ".join(f"{name} {version}" for name, version in run.versions.items()),
             _source(run),
         )
         for run_number, run in runs
     )
-    header = ("run", "started", "took", "ended", "ranks", "host", "workers", "versions", "source")
+    header = ("run", "started", "took", "ended", "ranks", "host", "versions", "source")
     return Table("Runs of the program on this campaign.", header, rows)
 
 
