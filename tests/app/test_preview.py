@@ -63,7 +63,7 @@ def test_costs_are_those_of_cells_that_were_computed(
     small_configuration: Configuration, small_packing: Packing, small_database: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Steps, and bytes of the database, within a factor of two; speeds are those of the samples."""
-    monkeypatch.setattr(preview, "_seconds_of_arithmetic", lambda: preview._SECONDS_WHERE_MEASURED)
+    monkeypatch.setattr(preview, "_seconds_of_arithmetic", lambda: preview.SECONDS_WHERE_MEASURED)
     speeds = preview._expected_speeds(small_configuration, small_packing)
     with open_campaign(str(small_database)) as campaign:
         done = [result for result in campaign.select() if result.vs is not None]

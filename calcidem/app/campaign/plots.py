@@ -33,7 +33,12 @@ from calcidem.storage.records import CellResult
 
 _FIGURES = {figure.name: figure for figure in CAMPAIGN_FIGURES}
 
-_ARGUMENTS = """Parameters
+_Method = TypeVar("_Method", bound=Callable[..., Figure])
+
+
+def _with_caption(method: _Method) -> _Method:
+    """Add the caption to the documentation of a method that draws a figure of the report."""
+    arguments = """Parameters
 ----------
 ax
     Axes of the caller in which, or in whose place, it is drawn; None for a figure of its own.
@@ -42,13 +47,7 @@ Returns
 -------
 matplotlib.figure.Figure
     The whole figure."""
-
-_Method = TypeVar("_Method", bound=Callable[..., Figure])
-
-
-def _with_caption(method: _Method) -> _Method:
-    """Add the caption to the documentation of a method that draws a figure of the report."""
-    method.__doc__ = f"{method.__doc__}\n\n{_FIGURES[method.__name__].caption}\n\n{_ARGUMENTS}"
+    method.__doc__ = f"{method.__doc__}\n\n{_FIGURES[method.__name__].caption}\n\n{arguments}"
     return method
 
 

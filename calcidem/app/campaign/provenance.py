@@ -14,9 +14,6 @@ from calcidem.storage.records import RunRecord
 from calcidem.sweep.environment import mpi_library_version
 from calcidem.version import __version__
 
-_LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")
-"""Packages on which numbers and files depend, besides Python and calcidem."""
-
 
 def describe_run(ranks: int) -> RunRecord:
     """Provenance of a run that begins now, on rank 0 of this number of ranks."""
@@ -38,7 +35,7 @@ def describe_run(ranks: int) -> RunRecord:
 def library_versions() -> dict[str, str]:
     """Versions of Python, of the packages on which numbers and files depend, and of the C library if known."""
     versions = {"python": platform.python_version(), "calcidem": __version__}
-    versions |= {name: _version_of(name) for name in _LIBRARIES}
+    versions |= {name: _version_of(name) for name in ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")}
     return versions | ({"libc": " ".join(platform.libc_ver())} if any(platform.libc_ver()) else {})
 
 

@@ -10,7 +10,6 @@ from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, refuse_options
 from calcidem.app.config.presets import PRESETS, preset_text
 
 Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})  # type: ignore[misc]  # not literal
-_FIRST = next(iter(Preset))
 
 
 def init_command(
@@ -48,7 +47,7 @@ def init_command(
     if grain_size is None and disks is None:
         of_a_sand = {"--stress": stress, "--mineral": mineral, "--contents": contents}
         refuse_options("give --grain-size or --disks, too: it is for a sand of your own", of_a_sand)
-        text = _example_text(preset or _FIRST, full=full)
+        text = _example_text(preset or Preset("quick"), full=full)
     elif preset is not None or full:
         hint = "--grain-size" if disks is None else "--disks"
         raise typer.BadParameter("leave --preset and --full out: they are for examples", param_hint=hint)
@@ -69,7 +68,8 @@ def init_command(
         problem = f"{file} exists and was left unchanged; run it with 'calcidem run {file}', or "
         if grain_size is not None or disks is not None:
             raise typer.BadParameter(f"{problem}give another name") from None
-        other, chosen = file.with_stem(f"{file.stem}-{preset or _FIRST}"), preset or _FIRST
+        chosen = preset or Preset("quick")
+        other = file.with_stem(f"{file.stem}-{chosen}")
         raise typer.BadParameter(f"{problem}write another with 'calcidem init {other} --preset {chosen}'") from None
     typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
 

@@ -20,9 +20,6 @@ from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import pluralize
 
-_FORMAT_OF_ENDING = {f".{layout}": layout for layout in Format if layout is not Format.TABLE}
-_DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "vs_error", "seconds")
-
 Columns = Mapping[str, NDArray[Any]]
 """Columns of equal length by name of their quantity, as from `StoreReader.table`."""
 
@@ -59,14 +56,15 @@ def query_command(
         rows, remark = _feature_rows(database, selection, campaign)
         headings = {name: name != "feature" for name in rows[0]}
     else:
-        names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
+        usual = ("seed", "content", "status", "vs", "vs_error", "seconds")
+        names = usual if columns is None else tuple(dict.fromkeys(_split_list(columns)))
         names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
         with read_campaign(database, campaign) as store:
             rows = as_rows(store.table(names, selection, sort=_split_list(sort), limit=limit))
         headings = _headings(names)
         remark = pluralize(len(rows), "cell")
     if layout is Format.TABLE and out is not None:
-        layout = _FORMAT_OF_ENDING.get(out.suffix.lower(), layout)
+        layout = {f".{one}": one for one in Format}.get(out.suffix.lower(), layout)
     if layout is not Format.TABLE:
         tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
     elif out is None:
