@@ -228,7 +228,7 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
     if published_study().has_sand_of(analysis.config):
         notes = (f"published {_value_text(published_study().parameters['porosity'])}", "published weights: 3.05")
 
-    def stress_on(wall: str) -> Callable[[PackingGraph], str]:
+    def stress_on(wall: str) -> Any:  # noqa: ANN401 - one of the functions of a graph
         return lambda graph: decimal(graph.packing.wall_stress[wall] / 1e3, 3)
 
     rows: list[tuple[str, ...]] = [
