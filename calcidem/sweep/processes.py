@@ -31,6 +31,17 @@ def die_with_parent(parent: int | None = None) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
+def exists(process: int) -> bool:
+    """Whether a process of this machine with this number exists."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
 def end_after(process: int, grace: float, exit_code: int) -> None:
     """End this process some seconds after the end of another one of this machine, unless it ends by itself.
 

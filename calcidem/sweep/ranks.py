@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from calcidem.sweep.attempt import IS_INTERRUPTED
 from calcidem.sweep.environment import COMMAND_VARIABLE, launcher, own_rank, refuse_ranks_off_linux
-from calcidem.sweep.processes import die_with_parent, end_after
+from calcidem.sweep.processes import die_with_parent, end_after, exists
 from calcidem.sweep.signals import StopRequest
 from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
 
@@ -34,8 +34,7 @@ def run_on_ranks(lead: Callable[[Executor | None, StopRequest], int], grace: flo
     die_with_parent()
     # Handlers come before MPI is initialised, for which all ranks wait: no request that rank 0 was told of can find a
     # rank without them.
-    leads = own_rank() in {0, None}
-    with StopRequest(finishes=leads, lost_by_sigterm=COMMAND_VARIABLE in os.environ) as stop:
+    with StopRequest(finishes=own_rank() in {0, None}) as stop:
         # Open MPI's search for devices for one-sided messages, which nothing here uses, takes a second.
         os.environ.setdefault("OMPI_MCA_btl", "^ofi")
         from mpi4py import MPI  # noqa: PLC0415 - importing it starts MPI, which a serial run must not need
@@ -44,15 +43,17 @@ def run_on_ranks(lead: Callable[[Executor | None, StopRequest], int], grace: flo
         comm = MPI.COMM_WORLD
         if comm.Get_size() == 1:
             return lead(None, stop)
+        processes = comm.allgather((platform.node(), os.getpid()))
+        here = [process for host, process in processes if host == platform.node()]
         if comm.Get_rank() == 0:
-            comm.bcast((platform.node(), os.getpid()), 0)
+            # A command passes requests of its user on as SIGUSR2. Without one a missing process tells.
+            stop.has_lost = lambda: COMMAND_VARIABLE in os.environ or not all(map(exists, here))
             with MPICommExecutor(comm) as found:
                 executor: Any = found
                 return _lead_others(executor, comm, partial(lead, executor, stop), grace)
         try:
-            host, process = comm.bcast(None, 0)
-            if host == platform.node():
-                end_after(process, 10.0, EXIT_RESUMABLE)
+            if processes[0] == (platform.node(), here[0]):
+                end_after(here[0], 10.0, EXIT_RESUMABLE)
             IS_INTERRUPTED.set(stop.hurry)
             with MPICommExecutor(comm):
                 return EXIT_COMPLETE  # that of rank 0 counts

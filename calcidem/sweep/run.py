@@ -143,6 +143,8 @@ class _Master:
             commits.add(*final)
             handed_out = not commits.is_full and self._hand_out(workers, commits)
             commits.advance()
+            if level is not StopLevel.NONE:
+                workers.cancel()
             if (end := self._reason_to_end(workers, level)) is not None:
                 return end
             self._beat()

@@ -68,22 +68,24 @@ class StopRequest(SignalHandlers):
     ----------
     finishes
         Whether SIGUSR1 is a request; the ranks that compute ignore it and finish their batches.
-    lost_by_sigterm
-        Whether a SIGTERM means that another rank has died, since the launcher passes requests of users on as SIGUSR2.
+    has_lost
+        Asked at a SIGTERM: whether it came since another rank has died.
 
     Attributes
     ----------
+    has_lost
+        As the parameter.
     level
         Urgency of a requested end.
     reason
         Name of the signal that requested it, empty if none.
     """
 
-    def __init__(self, *, finishes: bool = True, lost_by_sigterm: bool = False) -> None:
+    def __init__(self, *, finishes: bool = True, has_lost: Callable[[], bool] = lambda: False) -> None:
         super().__init__(
             {"SIGUSR1": self._drain if finishes else lambda *_: None} | dict.fromkeys(_HURRY_SIGNALS, self._hurry)
         )
-        self._lost_by_sigterm = lost_by_sigterm
+        self.has_lost = has_lost
         self._hurry_since: float | None = None
         self.level = StopLevel.NONE
         self.reason = ""
@@ -107,7 +109,7 @@ class StopRequest(SignalHandlers):
         now, name = time.monotonic(), signal.Signals(number).name
         if self._hurry_since is None:
             self._hurry_since = now
-            is_loss = self._lost_by_sigterm and name == "SIGTERM"
+            is_loss = name == "SIGTERM" and self.has_lost()
             self.level, self.reason = StopLevel.LOST if is_loss else StopLevel.HURRY, name
         elif now - self._hurry_since > 1.0:
             os._exit(EXIT_RESUMABLE)

@@ -53,6 +53,8 @@ class _Flight(Generic[CellT]):
     batch: Batch[CellT]
     patience: float
     """Seconds after its begin at which the worker counts as hanging."""
+    is_first: bool
+    """Whether no worker had answered when it was submitted, so that its worker may have to load its libraries."""
     begun: float | None = None
     """Time of its begin as far as the executor tells, s on the monotonic clock."""
 
@@ -70,7 +72,8 @@ class Workers(Generic[CellT]):
         Seconds for a batch. Its own check ends it there; a worker that does not answer for twice as long hangs.
     silence_floor
         Without a time limit a worker hangs after 20 times the slowest batch so far, scaled by cost, but not before
-        these seconds. It has as long in addition to load its libraries and to compile.
+        these seconds. The first one has as long in addition to load its libraries and to compile, the others 10 times
+        as long as the first took.
 
     Attributes
     ----------
@@ -95,6 +98,7 @@ class Workers(Generic[CellT]):
         self._rank_of: dict[_Identity, int] = {}
         self._last_answer: dict[_Identity, float] = {}
         self._last_event = time.monotonic()  # a submission or an answer
+        self._loading = silence_floor  # seconds that a worker may need in addition for its first batch
         self._slowest = 0.0  # seconds for a unit of cost
         self._longest = 0.0  # seconds of a batch
         self.exhausted = ""
@@ -150,7 +154,9 @@ class Workers(Generic[CellT]):
         outcomes: list[BatchOutcome[CellT, Any]] = []
         while not self._done.empty():
             future = self._done.get_nowait()
-            flight = self._in_flight.pop(future)
+            flight = self._in_flight.pop(future, None)
+            if flight is None:
+                continue
             try:
                 outcome = self._answer(future.result(), flight)
             except SweepInterrupted:
@@ -170,9 +176,11 @@ class Workers(Generic[CellT]):
         return outcomes
 
     def cancel(self) -> None:
-        """Cancel batches not yet begun; the results of running ones are ignored."""
-        for future in self._in_flight:
-            future.cancel()
+        """Cancel batches not yet begun."""
+        self._held = None
+        for future in list(self._in_flight):
+            if future.cancel():
+                del self._in_flight[future]
 
     def _submit(self, batch: Batch[CellT], *, with_computation: bool) -> None:
         if self._time_limit is not None:
@@ -181,15 +189,13 @@ class Workers(Generic[CellT]):
             patience = max(self._silence_floor, 20.0 * self._slowest * batch.cost)
         else:
             patience = 10.0 * self._silence_floor
-        if not self._rank_of:
-            patience += self._silence_floor  # to load libraries and compile kernels
         computation = self._computation if with_computation else None
         try:
             future = self._executor.submit(_compute_batch, self._key, computation, batch, self._time_limit)
         except Exception as error:  # noqa: BLE001 - each executor has its own
             self._end(f"the executor takes no more batches ({type(error).__name__}: {error})")
         else:
-            self._in_flight[future] = _Flight(batch, patience)
+            self._in_flight[future] = _Flight(batch, patience, is_first=not self._last_answer)
             self._last_event = time.monotonic()
             future.add_done_callback(self._done.put)
 
@@ -197,7 +203,10 @@ class Workers(Generic[CellT]):
         """Outcome returned by a worker; None if the worker lacks the computation."""
         worker: _Identity
         worker, packed = pickle.loads(answer)  # noqa: S301 - written by a worker of the same program
-        self._last_answer[worker] = self._last_event = time.monotonic()
+        now = time.monotonic()
+        if not self._last_answer and flight.begun is not None:
+            self._loading = min(self._silence_floor, 10.0 * (now - flight.begun))
+        self._last_answer[worker] = self._last_event = now
         rank = worker[3] if worker[3] is not None else len(self._rank_of) + (worker[1] != os.getpid())
         place = Place(self._rank_of.setdefault(worker, rank), worker[0])
         if packed is None:
@@ -235,9 +244,10 @@ class Workers(Generic[CellT]):
         now = time.monotonic()
         longest = max((flight.patience for flight in self._in_flight.values()), default=0.0)
         for flight in self._in_flight.values():
-            if flight.begun is not None and now - flight.begun > flight.patience:
+            allowed = flight.patience + (self._loading if flight.is_first else 0.0)
+            if flight.begun is not None and now - flight.begun > allowed:
                 cells = ", ".join(map(str, flight.batch.cells[:3]))
-                self._end(f"a worker has not answered within {flight.patience:.3g} s (cells {cells} ...)")
+                self._end(f"a worker has not answered within {allowed:.3g} s (cells {cells} ...)")
         if self._in_flight and now - self._last_event > longest + 10.0 * self._silence_floor:
             self._end(f"no worker has answered within {now - self._last_event:.3g} s")
 

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from places import CHECKOUT
-
 from calcidem.launch import starter
+from places import CHECKOUT
 
 if TYPE_CHECKING:
     from conftest import Cells, Workshop

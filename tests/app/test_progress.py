@@ -18,16 +18,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from calcidem.app.campaign.display import LiveDisplay, _CallbackDisplay, _LineDisplay
+from calcidem.launch import channel
+from calcidem.launch.starter import DESCRIPTOR_VARIABLE
 from places import CHECKOUT
 from rich.console import Console
 
 import calcidem
-from calcidem.app.campaign.display import LiveDisplay, _CallbackDisplay, _LineDisplay
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.ends import CellStatus
-from calcidem.launch import channel
-from calcidem.launch.starter import DESCRIPTOR_VARIABLE
 from calcidem.sweep.batch import Batch
 from calcidem.sweep.outcome import BatchOutcome, Failure, Place
 from calcidem.sweep.sweep_end import SweepEnd, SweepState

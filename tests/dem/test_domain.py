@@ -12,13 +12,12 @@ from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.cement import CementRule, draw_cement
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.domain import domain_of, listening_disks, station_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
-from calcidem.dem.wave.scene import wave_scene
+from calcidem.dem.wave.scene import domain_of, listening_disks, station_disks, wave_scene
 from calcidem.dem.wave.section import RESOLUTION, Counts
 from calcidem.ends import CellStatus
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from itertools import product
 
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.wave.first_look import WAVELENGTHS
+from calcidem.dem.wave.experiment import WAVELENGTHS
 from calcidem.sweep.batch import Batch, Cell, plan_batches
 
 

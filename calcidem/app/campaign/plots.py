@@ -25,7 +25,7 @@ from calcidem.analysis.figures.style import MM, MS, drawn_in
 from calcidem.app.campaign.patterns import read_candidates, section_of, stored_section
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.film import film_wave
+from calcidem.dem.wave.propagation import film_wave
 from calcidem.dem.wave.reading import LEAST_COHERENCE, prepare, velocity_spectrum
 from calcidem.dem.wave.section import Section
 from calcidem.storage.files import write_atomically

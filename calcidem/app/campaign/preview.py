@@ -28,7 +28,7 @@ from calcidem.app.config.checks import (
 )
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.first_look import WAVELENGTHS, expected_speed
+from calcidem.dem.wave.experiment import WAVELENGTHS, expected_speed
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem

@@ -43,16 +43,6 @@ from calcidem.version import __version__
 if sys.platform != "win32":
     import fcntl
 
-_SEEDS_REMEMBERED = 64
-"""Number of seeds whose cement is kept for the next contents, 0.3 MB each; batches of the same seeds follow each other.
-"""
-
-_AFTER_FIRST_CHUNK = 2
-"""Number of calls of the check after which the kernel has run once; one more if samples settle first."""
-
-_AT_REST_AT_ONCE = 1e300
-"""Unbalanced-force ratio above that of every sample."""
-
 
 @dataclass(frozen=True)
 class CellComputation:
@@ -96,7 +86,8 @@ class CellComputation:
 
     @cached_property
     def _ordering(self) -> Callable[[int], CementOrdering]:
-        return lru_cache(_SEEDS_REMEMBERED)(self._experiment.ordering)
+        # Batches of the same seeds follow each other; a seed has 0.3 MB.
+        return lru_cache(64)(self._experiment.ordering)
 
     @cached_property
     def _graph(self) -> PackingGraph:
@@ -263,7 +254,7 @@ def kernel_compilations(
     """
     experiment = configuration.experiment(packing)
     # Samples settle at the first check, so that the kernel of their wave is also compiled.
-    experiment = replace(experiment, wave=replace(experiment.wave, unbalanced_force_ratio=_AT_REST_AT_ONCE))
+    experiment = replace(experiment, wave=replace(experiment.wave, unbalanced_force_ratio=1e300))
     seed, lanes = configuration.campaign.seed_numbers[0], configuration.run.lanes
     contents = configuration.campaign.contents
     kernels = [("samples with cement", max(contents))] if max(contents) > 0.0 else []
@@ -285,7 +276,7 @@ def _run_first_chunk(
     def check() -> None:
         nonlocal calls
         calls += 1
-        if calls == _AFTER_FIRST_CHUNK + settles:
+        if calls == 2 + settles:  # then the kernel of the wave has run once
             raise _EnoughSeen
 
     with contextlib.suppress(_EnoughSeen), watch_compiling(tell):

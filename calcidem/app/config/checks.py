@@ -11,12 +11,11 @@ from calcidem.app.config.errors import ConfigurationError, Problem, quote
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.judgement import expected_overlap, judge_disks, judge_stress
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.domain import DEEPEST_LISTENING, driven_disks, listening_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import refuse_unfit_pulse, refuse_unfit_samples
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.rule import FEWEST_SAMPLES, refuse_long_stroke
-from calcidem.dem.wave.scene import wave_scene
+from calcidem.dem.wave.scene import DEEPEST_LISTENING, driven_disks, listening_disks, wave_scene
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import Address
 

@@ -24,7 +24,7 @@ from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.judgement import expected_overlap
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.sample.packing_file import checked_disks
-from calcidem.dem.wave.first_look import WAVELENGTHS
+from calcidem.dem.wave.experiment import WAVELENGTHS
 from calcidem.dem.wave.pulse import cutoff_frequency
 
 _CALCITE = Sand(shear_modulus=32e9, poisson_ratio=0.32, density=2710.0)

@@ -23,8 +23,7 @@ from calcidem.dem.engine.scene import Installation
 from calcidem.dem.kernels.features import LANE_COUNTS
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.first_look import suitable_frequency
+from calcidem.dem.wave.experiment import Experiment, suitable_frequency
 from calcidem.dem.wave.pulse import EXCITATION
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule

@@ -15,7 +15,6 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableErr
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.registry import published_velocities
 from calcidem.analysis.measured import misfits, root_mean_square_misfit
-from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
 from calcidem.analysis.shear_wave import median_diameter_by_mass
 from calcidem.app.campaign.stored_packing import content_hash_of

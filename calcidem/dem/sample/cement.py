@@ -77,10 +77,6 @@ def _half_area(diameter: Floats, cement_diameter: Floats) -> Floats:
     return np.asarray(cement_diameter * height - segment)
 
 
-_CENTRES_AT_ONCE = 512
-_MOST_CENTRES = 400 * _CENTRES_AT_ONCE  # limit for clusters so small that they rarely contain a contact
-
-
 class CementCapacityError(ValueError):
     """Requested content above the sample's capacity."""
 
@@ -407,13 +403,14 @@ def _circles(
 ) -> Iterator[tuple[Floats, Integers, Integers]]:
     """Yield blocks of random centres in the box, with circle and point, increasing, of each point in a circle.
 
-    Empty circles are skipped; the search ends after `_MOST_CENTRES` centres.
+    Empty circles are skipped; the search ends after 204,800 centres, as if clusters are so small
+    that they rarely contain a contact.
     """
     if len(points) == 0:
         return
     tree = scipy.spatial.cKDTree(points)
-    for _ in range(_MOST_CENTRES // _CENTRES_AT_ONCE):
-        centres = generator.uniform(0.0, 1.0, (_CENTRES_AT_ONCE, 2)) * box
+    for _ in range(400):
+        centres = generator.uniform(0.0, 1.0, (512, 2)) * box
         # The tree searches slightly too far; the exact test follows.
         lists = tree.query_ball_point(centres, radius * (1.0 + 1e-9), return_sorted=True)
         near = cast("list[list[int]]", lists)

@@ -18,7 +18,6 @@ WALL_NAMES = ("left", "right", "floor", "lid")
 LID = WALL_NAMES.index("lid")
 PACKING_METHOD = 2
 """Increased when the same rule and generator produce other packings; those of campaigns stay."""
-_DIAMETERS = "(smallest, largest) in m, both positive"
 
 
 class PackingError(RuntimeError):
@@ -77,7 +76,7 @@ class PackingRule:
         """Refuse impossible packings."""
         require_fields(self)
         smallest, largest = self.diameter
-        require(smallest <= largest, "diameter", self.diameter, f"give {_DIAMETERS}")
+        require(smallest <= largest, "diameter", self.diameter, "give (smallest, largest) in m, both positive")
         is_roomy = largest < min(self.width, self.height) / 4.0
         cure = "at least 4 disks must fit across the box; give smaller disks, or a larger width and height"
         require(is_roomy, "diameter", self.diameter, cure, "width", "height")

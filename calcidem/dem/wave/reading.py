@@ -18,9 +18,8 @@ from typing import Literal, NamedTuple, final
 import numpy as np
 
 from calcidem.dem.engine.fields import PositivePart, require_fields
-from calcidem.dem.engine.portable import arc_sine, sliding_products
+from calcidem.dem.engine.portable import arc_sine, find_maxima, parabola_vertex, sliding_products
 from calcidem.dem.kernels.layout import Floats, Integers
-from calcidem.dem.wave.maxima import find_maxima, parabola_vertex
 from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.ends import Verdict
 
@@ -28,9 +27,6 @@ Method = Literal["peak", "first_arrival", "cross_correlation"]
 
 SILENCE = 0.001
 """Velocity over v0 below which nothing is picked; the presets have at least 0.017, small stiff samples maybe less."""
-
-_LARGER_SWING = 3.0
-"""A swing along the path is a precursor if one this many times as large follows within a period."""
 
 _STEEPEST = 0.5
 """Largest ratio of motion across to motion along in a P wave: it then arrives at 27 degrees to the path."""
@@ -43,31 +39,6 @@ _P_TO_S = 2.1
 
 _STRETCH = 0.04
 """Relative tolerance of a line's velocity: the last grains delay or advance the receiver."""
-
-
-_FEWEST_STATIONS = 4
-"""Fewest stations with the crest for a velocity of the path: fewer cannot tell a line from a curve."""
-
-_SMOOTHING = 0.3
-"""Half-width of the smoothing window over the period: little of shorter duration propagates through grains."""
-
-_LARGEST_ERROR = 0.25
-"""Standard error above which a reading is refused; a smaller value refuses more fast samples than slow ones."""
-
-_LEAST_ERROR = 0.019
-"""Standard error of the clearest reading: dispersion and scattering shift any peak by this much."""
-
-_P_LEFT = 0.75
-"""Standard error over the shift by subtracting the P wave."""
-
-_NEAR_FIELD = 0.04
-"""Standard error at a path of one wavelength, where P and S wave overlap; it falls with the power 2.5 of the path."""
-
-_TIE = 0.05
-"""Difference of coherence above which the better of two peaks is certain; small changes of a signal cause less."""
-
-_CREST = 1.8
-"""Standard error of the path's velocity over the estimate from the scatter of the stations about their line."""
 
 ONSET = 0.1
 """Level of the first arrival, relative to the peak (Viggiani and Atkinson 1995, doi:10.1680/geot.1995.45.1.149)."""
@@ -88,15 +59,12 @@ class PickRule:
     """
 
     method: Method = "peak"
-    smoothing: PositivePart = _SMOOTHING
-    largest_error: PositivePart = _LARGEST_ERROR
+    smoothing: PositivePart = 0.3  # little of shorter duration propagates through grains
+    largest_error: PositivePart = 0.25  # a smaller value refuses more fast samples than slow ones
 
     def __post_init__(self) -> None:
         """Refuse invalid windows and errors."""
         require_fields(self)
-
-
-_DEFAULT_RULE = PickRule()
 
 
 @final
@@ -142,21 +110,6 @@ class Reading:
     """Velocity of the crest from station to station, without receiver and transmitter, m/s, and its relative standard
     error; None with too few stations or an error above `PickRule.largest_error`.
     """
-
-
-class ReadingErrorParts(NamedTuple):
-    """Independent parts of the relative standard error of a reading, see `reading_error`."""
-
-    least: float
-    """Error of the clearest reading."""
-    p_left: float
-    """Remainder of the P wave."""
-    near_field: float
-    """P and S wave overlap on a short path."""
-    early: float
-    """The crest left before the transmitted peak."""
-    tie: float
-    """Another peak continues the section nearly as well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -231,7 +184,8 @@ def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int
     for peak in find_maxima(swing).tolist():
         if swing[peak] < SILENCE or peak + soon >= len(swing):
             continue
-        if swing[peak : peak + soon].max() > _LARGER_SWING * swing[peak]:
+        # A swing is a precursor if one three times as large follows within a period.
+        if swing[peak : peak + soon].max() > 3.0 * swing[peak]:
             continue
         # The last sample counts in part, as the peak lies behind it, so the share does not jump with the sampling.
         weight = along[: peak + 1].copy()
@@ -259,7 +213,7 @@ def _receiver_peaks(prepared: _Prepared) -> list[int]:
     return [i for i in found if i > prepared.peak + 1.0]  # the peak itself may lie half a sample earlier
 
 
-def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading | Verdict:
+def read_section(section: Section, rule: PickRule = PickRule()) -> Reading | Verdict:
     """Pick the travel time of the shear wave.
 
     The verdict is `Verdict.TOO_SHORT` if only a longer record can decide. A reading with too large an error has no
@@ -279,7 +233,8 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading | 
     )
     path, path_error = found.path, None
     if found.path_scatter is not None:
-        path_error = float(np.sqrt(error * error + (_CREST * found.path_scatter) ** 2))
+        # The fitted standard error is 1.8 times the estimate from the scatter.
+        path_error = float(np.sqrt(error * error + (1.8 * found.path_scatter) ** 2))
         path, path_error = (path, path_error) if path_error <= rule.largest_error else (None, None)
     return replace(
         found,
@@ -292,10 +247,10 @@ def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading | 
     )
 
 
-def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = _SMOOTHING) -> float:
+def record_duration(distance: float, velocity: float, frequency: float) -> float:
     """Length of record needed to pick a pulse without dispersion, s; SI units."""
     travel, period = distance / velocity, 1.0 / frequency
-    return max(_P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
+    return max(_P_TO_S * travel, travel + period) + (0.5 + 2.0 * PickRule().smoothing) * period
 
 
 def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool:
@@ -359,7 +314,7 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> Reading | Verdi
     clean = early[:horizon]
     largest = _largest(clean)
     coherence, rivals = _coherence(prepared, clean, largest, travel), _rivals(prepared, clean, largest, index)
-    if coherence < LEAST_COHERENCE or any(other.coherence > coherence for other in rivals):
+    if coherence < LEAST_COHERENCE or any(other > coherence for _, other in rivals):
         return None
     whole = prepared.across[:horizon, -1]
     with_p = [i + parabola_vertex(whole, i) for i in find_maxima(whole).tolist() if i > prepared.peak]
@@ -394,7 +349,7 @@ def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]
         seen = clean[:horizon]
         largest = _largest(seen)
         coherence = _coherence(prepared, seen, largest, travel)
-        rival = max((other.coherence for other in _rivals(prepared, seen, largest, index)), default=0.0)
+        rival = max((other for _, other in _rivals(prepared, seen, largest, index)), default=0.0)
         decided = (horizon + int(smoothing * section.period)) * section.sampling_interval
         found.append(Candidate(index, travel * section.sampling_interval, decided, coherence, rival, clean))
     return tuple(found)
@@ -446,29 +401,23 @@ def _largest(clean: Floats) -> Floats:
     return np.asarray(np.maximum(np.abs(clean).max(axis=0), SILENCE * RESOLUTION))
 
 
-class _Rival(NamedTuple):
-    """Another peak of the receiver: its travel time, samples, and the coherence of its line."""
-
-    travel: float
-    coherence: float
-
-
-def _rivals(prepared: _Prepared, clean: Floats, largest: Floats, index: int) -> list[_Rival]:
-    """All peaks of the receiver but one."""
+def _rivals(prepared: _Prepared, clean: Floats, largest: Floats, index: int) -> list[tuple[float, float]]:
+    """All peaks of the receiver but one: their travel times, samples, and the coherence of their lines."""
     rivals = []
     for other in find_maxima(clean[:, -1]).tolist():
         if other > prepared.peak and clean[other, -1] > SILENCE and other != index:
             travel = other + parabola_vertex(clean[:, -1], other) - prepared.peak
-            rivals.append(_Rival(travel, _coherence(prepared, clean, largest, travel)))
+            rivals.append((travel, _coherence(prepared, clean, largest, travel)))
     return rivals
 
 
-def _tie(coherence: float, travel: float, rivals: list[_Rival]) -> float:
+def _tie(coherence: float, travel: float, rivals: list[tuple[float, float]]) -> float:
     """Rms distance of the other peaks, weighted by odds that fall from 1/2 at equal coherence to 0."""
     total = 0.0
-    for other in rivals:
-        odds = 0.5 * max(0.0, 1.0 - (coherence - other.coherence) / _TIE)
-        apart = other.travel / travel - 1.0
+    for other_travel, other in rivals:
+        # Small changes of a signal change a coherence by less than 0.05.
+        odds = 0.5 * max(0.0, 1.0 - (coherence - other) / 0.05)
+        apart = other_travel / travel - 1.0
         total += odds * apart * apart
     return float(np.sqrt(total))
 
@@ -493,7 +442,7 @@ def _crest(prepared: _Prepared, clean: Floats, travel: float) -> tuple[float, fl
         if near:
             place.append(part)
             time.append(min(near, key=lambda peak: abs(peak - wanted)))
-    if len(place) < _FEWEST_STATIONS:
+    if len(place) < 4:  # fewer cannot tell a line from a curve
         return None
     x, t = np.array(place), np.array(time)
     first, second = np.triu_indices(len(x), 1)
@@ -519,14 +468,15 @@ def reading_error(found: Reading, frequency: float) -> float:
     be the S wave. The error is at most 1: nothing is known. The factors were fitted to sections with a known delay
     (docs/reading.md).
     """
-    return float(min(1.0, np.sqrt(sum(part * part for part in reading_error_parts(found, frequency)))))
-
-
-def reading_error_parts(found: Reading, frequency: float) -> ReadingErrorParts:
-    """Return the parts of `reading_error`; ``frequency`` is that of the pulse, Hz."""
     periods = found.travel_time * frequency
-    near = _NEAR_FIELD / (periods * periods * float(np.sqrt(periods)))
-    return ReadingErrorParts(_LEAST_ERROR, _P_LEFT * found.shifted, near, found.early, found.tie)
+    parts = (
+        0.019,  # dispersion and scattering shift any peak by this much
+        0.75 * found.shifted,  # rest of the P wave
+        0.04 / (periods * periods * float(np.sqrt(periods))),  # P and S wave overlap, as on a path of one wavelength
+        found.early,
+        found.tie,
+    )
+    return float(min(1.0, np.sqrt(sum(part * part for part in parts))))
 
 
 def _read_first_arrival(section: Section, found: Reading) -> float | None:

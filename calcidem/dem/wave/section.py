@@ -13,14 +13,14 @@ from calcidem.dem.wave.pulse import Pulse
 RESOLUTION = 2.0**-20
 """Resolution of recorded velocities over the amplitude of the pulse: 1e-3 of the weakest accepted arrival."""
 
-_LARGEST_COUNT = 2**30
 Counts = npt.NDArray[np.int32]
 
 
 def quantise(velocity: Floats, amplitude: float) -> Counts:
     """Velocities in multiples of `RESOLUTION`; NaN and values far above any wave become the largest count."""
     steps = np.rint(velocity / (amplitude * RESOLUTION))
-    return np.where(np.abs(steps) < _LARGEST_COUNT, steps, _LARGEST_COUNT).astype(np.int32)
+    # Far above any wave, and half of what int32 holds.
+    return np.where(np.abs(steps) < 2**30, steps, 2**30).astype(np.int32)
 
 
 class Nonlinearity(NamedTuple):

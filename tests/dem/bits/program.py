@@ -28,6 +28,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
+from calcidem.ends import CellStatus
 
 SEEDS = (1, 2, 3)
 SMALL = PackingRule(width=0.03, height=0.06, unbalanced_force_ratio=1e-5)
@@ -91,8 +92,9 @@ def hashes_of_cells(cells: tuple[Measurement, ...]) -> Iterator[tuple[str, str]]
             *(counts for s in sections for counts in (s.across, s.along)),
         ),
     )
-    readings = [cell.reading for cell in cells if cell.reading is not None]
-    numbers = [(r.peak, r.first_arrival, r.cross_correlation, r.error, r.path, r.path_error) for r in readings]
+    names = ("peak", "first_arrival", "cross_correlation", "error", "path", "path_error")
+    stable = [cell for cell in cells if cell.status is not CellStatus.UNSTABLE]
+    numbers = [tuple(cell.reading and getattr(cell.reading, name) for name in names) for cell in stable]
     errors = [(cell.expected_error, cell.error_bound) for cell in cells if cell.error_bound is not None]
     yield "Vs", digest(*(n for row in numbers for n in row), *(cell.vs for cell in cells), *errors)
 
