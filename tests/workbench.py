@@ -62,7 +62,7 @@ LONG = (
     "calcidem.app.campaign.packing.make_packing",
     "calcidem.app.campaign.packing.packing_from_csv",
     "calcidem.app.campaign.preview._describe_ranks",
-    "calcidem.app.campaign.run.CampaignRun._begin",
+    "calcidem.app.campaign.run.CampaignRun.compute",
     "calcidem.app.studies.stability.command.random_scenes",
     "calcidem.app.studies.stability.command.stability",
     "calcidem.app.cli.status.time.sleep",

@@ -5,6 +5,7 @@ in the database, or in what the launcher wrote.
 """
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -239,8 +240,9 @@ class _Start:
             return run.exit_state.partition(": ")[2] or run.exit_state
         if self.code < 0:
             return f"{self._name} was killed by {signal.Signals(-self.code).name}"
-        told = next((line for line in self._tail if "exited on signal" in line), None)
-        return told.strip().rstrip(".") if told else f"{self._name} returned {self.code}, see above"
+        words = " ".join(" ".join(self._tail).split())
+        told = re.search(r"process rank \d+ [^()]* exited on signal \d+ \([^)]*\)", words)
+        return told.group() if told else f"{self._name} returned {self.code}, see above"
 
     def _pass_on(self, pipe: IO[bytes], stream: IO[str]) -> None:
         """Write the lines of the ranks, above the display if there is one."""

@@ -35,6 +35,8 @@ class StoreSink:
         self._store, self._tell = store, tell
         self.busy = Lock()
         """Lock held while a thread uses the store."""
+        self.patience = 600.0
+        """Longest wait for a lock of another process, s."""
         self._next_renewal = 0.0
         self._counts = store.attempt_counts(keys) if keys else {}
         self._running: set[CellKey] = set()
@@ -83,9 +85,9 @@ class StoreSink:
     def _with_patience(self, write: Callable[[], T]) -> T:
         """Write, and wait while another process has locked the database, so that no computed cell is lost.
 
-        `StoreLockedError` if the lock remains for more than ten minutes.
+        `StoreLockedError` if the lock remains for longer than `patience`.
         """
-        deadline = time.monotonic() + 600.0
+        deadline = time.monotonic() + self.patience
         with self.busy:
             while True:
                 try:
