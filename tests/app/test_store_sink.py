@@ -14,6 +14,7 @@ from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, Cell
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.batch import Batch
+from calcidem.sweep.outcome import BatchOutcome, Place
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
 
