@@ -35,16 +35,12 @@ def describe_run(ranks: int) -> RunRecord:
 def library_versions() -> dict[str, str]:
     """Versions of Python, of the packages on which numbers and files depend, and of the C library if known."""
     versions = {"python": platform.python_version(), "calcidem": __version__}
-    versions |= {name: _version_of(name) for name in ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")}
+    for name in ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy"):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = ""
     return versions | ({"libc": " ".join(platform.libc_ver())} if any(platform.libc_ver()) else {})
-
-
-def _version_of(name: str) -> str:
-    """Version of an installed distribution; empty if it is not installed."""
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return ""
 
 
 def _cpu_model() -> str:

@@ -98,8 +98,15 @@ def _split_list(text: str) -> list[str]:
 
 
 def as_rows(columns: Columns) -> RecordRows:
-    """Columns as rows."""
-    values = (_plain_values(name, column) for name, column in columns.items())
+    """Columns as rows of Python objects; missing real numbers are NaN, other missing values None."""
+    from calcidem.storage.records import QUANTITY_BY_NAME
+
+    values: list[list[Any]] = []
+    for name, column in columns.items():
+        found = column.tolist()
+        if QUANTITY_BY_NAME[name].kind == "whole":
+            found = [None if math.isnan(value) else int(value) for value in found]
+        values.append(list(column) if QUANTITY_BY_NAME[name].kind == "text" else found)
     return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
 
 
@@ -114,18 +121,6 @@ def _headings(names: Sequence[str]) -> dict[str, bool]:
         unit = " [-]" if bare else f" [{quantity.unit}]" if quantity.unit not in {"", "1"} else ""
         headings[f"{name}{unit}"] = quantity.kind != "text"
     return headings
-
-
-def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
-    """Values of a column as Python objects; missing real numbers are NaN, other missing values None."""
-    from calcidem.storage.records import QUANTITY_BY_NAME
-
-    kind = QUANTITY_BY_NAME[name].kind
-    if kind == "text":
-        return list(values)
-    if kind == "whole":
-        return [None if math.isnan(value) else int(value) for value in values.tolist()]
-    return [float(value) for value in values.tolist()]
 
 
 def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str) -> str:

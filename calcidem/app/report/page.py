@@ -292,6 +292,7 @@ def _explained_terms(table: Table) -> tuple[tuple[str, str], ...]:
 def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
     """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
+    Tables have rounded numbers as in the report; the NetCDF files have the exact ones.
     The folder is made if missing; files of the same names are replaced. Return reasons for omitted outputs by name.
     `OSError` if the folder cannot be written.
     """
@@ -305,7 +306,12 @@ def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dic
     for name, make in TABLES.items():
         table, reasons[f"table_{name}"] = make_or_explain(make, analysis)
         if table is not None:
-            _write_table(table, folder / f"table_{name}.csv")
+            with (folder / f"table_{name}.csv").open("w", newline="", encoding="utf-8") as stream:
+                writer = csv.writer(stream)
+                writer.writerow(table.header)
+                for row in table.rows:  # for programs with an ASCII minus, and empty where a number is missing
+                    read = ("" if text == ABSENT else text.replace("\N{MINUS SIGN}", "-") for text in row)
+                    writer.writerow(map(spreadsheet_value, read))
     exact: dict[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
         "distributions": lambda analysis: tabulate(analysis.distributions),
         "features": lambda analysis: analysis.table,
@@ -318,13 +324,3 @@ def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dic
         if numbers is not None:
             write_netcdf(numbers, folder / f"{name}.nc")
     return {name: reason for name, reason in reasons.items() if reason}
-
-
-def _write_table(table: Table, file: Path) -> None:
-    """Write a table as CSV, with rounded numbers as in the report; the NetCDF files have the exact ones."""
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(table.header)
-        for row in table.rows:  # for programs with an ASCII minus, and empty where a number is missing
-            read = ("" if text == ABSENT else text.replace("\N{MINUS SIGN}", "-") for text in row)
-            writer.writerow(map(spreadsheet_value, read))
