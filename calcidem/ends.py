@@ -8,8 +8,9 @@ class CellStatus(StrEnum):
     """Status of a cell; the values are stored."""
 
     PENDING = "pending"
+    """It has no outcome yet; this is never stored."""
     RUNNING = "running"
-    """The first two are never stored: such a cell has no outcome."""
+    """The same, while it is computed: an attempt has begun."""
     DONE = "done"
     """It has a velocity."""
     NO_ARRIVAL = "no_arrival"
@@ -21,9 +22,7 @@ class CellStatus(StrEnum):
     TIMED_OUT = "timed_out"
     """The computation reached the time limit of a batch."""
     QUARANTINED = "quarantined"
-    """Workers were lost so often while computing the cell that it is not tried again."""
-    DAMAGED = "damaged"
-    """Never stored either: it marks a stored outcome that was changed."""
+    """Three runs died while it was computed, so it is not tried again."""
 
     @property
     def words(self) -> str:

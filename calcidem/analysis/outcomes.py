@@ -42,7 +42,7 @@ def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
     """Outcome of each cell as text along (seed, content), from its `STATUS_CODES`; empty if there is none."""
     names = np.full(max(STATUS_CODES.values()) + 1, _NOT_COMPUTED, dtype=object)
     for name, code in STATUS_CODES.items():
-        if name not in (CellStatus.PENDING, CellStatus.DAMAGED, NOT_PLANNED):
+        if name not in (CellStatus.PENDING, NOT_PLANNED):
             names[code] = str(name)
     return xr.DataArray(names[codes.to_numpy()], codes.coords, codes.dims)
 

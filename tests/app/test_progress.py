@@ -59,7 +59,7 @@ def test_lines_tell_what_matters() -> None:
     text = stream.getvalue()
     total = sum(CampaignStatus.read(TUTORIAL).counts.values())
     for line in (
-        "packing: radius step 2 of 5, unbalanced-force ratio 5.0e-01",
+        "packing: radius step 2 of 5",
         "compiling",
         "6 cells in 3 batches on 2 workers",
         "failed: seed 1, 2.55 %, seed 2, 2.55 % on rank 2 (node7): ZeroDivisionError: on order",

@@ -515,6 +515,7 @@ def test_a_record_is_long_enough_at_its_horizon(travel: float, behind: float) ->
     assert cut(given, needed - 1) is Verdict.TOO_SHORT
     lasts = record_duration(DISTANCE, DISTANCE * FREQUENCY / travel, FREQUENCY) * FREQUENCY
     assert needed / 40.0 <= lasts < needed / 40.0 + 0.5
+    assert record_duration(travel, 1.0, 1.0) == pytest.approx(max(2.1 * travel, travel + 1.0) + 0.5 + 2.0 * 0.3)
 
 
 def drawn(seed: int) -> Section:

@@ -17,8 +17,7 @@ from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
 from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.parts import planned_batches, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
-from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder, readable_packing
-from calcidem.app.config.calibrated import calibration_note
+from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder, stored_packing
 from calcidem.app.config.checks import (
     can_make_files,
     check_against_packing,
@@ -26,12 +25,13 @@ from calcidem.app.config.checks import (
     disks_in_box,
     limit_of_mean_disks,
 )
+from calcidem.app.config.reference import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import WAVELENGTHS, expected_speed
+from calcidem.storage.files import filesystem_type, is_network_filesystem
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import Address
-from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
@@ -82,7 +82,7 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
             settled = {key for key in own if statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING}
             widths = _expected_half_widths(store, configuration)
             if store.packing_indices():
-                packing = readable_packing(store, 0)
+                packing = stored_packing(store.packing())
     packing = packing or kept_packing(configuration.packing_hash, lambda _: None)
     cells = len(plan.seed_numbers) * len(plan.contents)
     yield (

@@ -56,15 +56,16 @@ def query_command(
         rows, remark = _feature_rows(database, selection, campaign)
         headings = {name: name != "feature" for name in rows[0]}
     else:
-        usual = ("seed", "content", "status", "vs", "vs_error", "seconds")
-        names = usual if columns is None else tuple(dict.fromkeys(_split_list(columns)))
+        names = tuple(
+            dict.fromkeys(_split_list("seed,content,status,vs,vs_error,seconds" if columns is None else columns))
+        )
         names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
         with read_campaign(database, campaign) as store:
             rows = as_rows(store.table(names, selection, sort=_split_list(sort), limit=limit))
         headings = _headings(names)
         remark = pluralize(len(rows), "cell")
     if layout is Format.TABLE and out is not None:
-        layout = {f".{one}": one for one in Format}.get(out.suffix.lower(), layout)
+        layout = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET}.get(out.suffix.lower(), layout)
     if layout is not Format.TABLE:
         tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
     elif out is None:
@@ -103,10 +104,13 @@ def as_rows(columns: Columns) -> RecordRows:
 
     values: list[list[Any]] = []
     for name, column in columns.items():
-        found = column.tolist()
-        if QUANTITY_BY_NAME[name].kind == "whole":
-            found = [None if math.isnan(value) else int(value) for value in found]
-        values.append(list(column) if QUANTITY_BY_NAME[name].kind == "text" else found)
+        kind = QUANTITY_BY_NAME[name].kind
+        if kind == "text":
+            values.append(list(column))
+        elif kind == "whole":
+            values.append([None if math.isnan(value) else int(value) for value in column.tolist()])
+        else:
+            values.append([float(value) for value in column.tolist()])
     return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
 
 

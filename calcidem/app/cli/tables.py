@@ -44,7 +44,7 @@ def marks_of(counts: Mapping[CellStatus, int], departing: int) -> str:
     `calcidem.analysis.doubt` explains the first; ``departing`` is the number of cells with the second.
     """
     done = counts.get(CellStatus.DONE, 0)
-    failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0) - counts.get(CellStatus.DAMAGED, 0)
+    failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0)
     return f"{' !' if is_in_doubt(done, failed) else ''}{' ~' if departing else ''}"
 
 

@@ -13,11 +13,10 @@ from scipy import stats
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import Distribution
-from calcidem.analysis.figures.registry import published_velocities
+from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import misfits, root_mean_square_misfit
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
 from calcidem.analysis.shear_wave import median_diameter_by_mass
-from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.report.results import RESULT_TABLES
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
 from calcidem.storage.records import RunRecord
@@ -264,7 +263,7 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
             ),
             (
                 "content hash",
-                lambda g: content_hash_of(g.packing) or _UNKNOWN,
+                lambda g: g.packing.content_hash,
                 "of all bits of disks, walls and forces",
             ),
             ("time to make", lambda g: duration(g.packing.seconds), ""),

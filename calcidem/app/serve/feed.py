@@ -78,7 +78,7 @@ class CampaignFeed:
 
     @property
     def busy(self) -> bool:
-        """Whether some cells were not yet compared with their checksums."""
+        """Whether some cells were not yet read with all quantities."""
         return bool(self._unchecked)
 
     def refresh(self) -> list[Event]:
@@ -141,7 +141,6 @@ class CampaignFeed:
             self._open()
             analysis = self._analyse()
             found = analysis.cell(seed, content)
-            found.refuse_damage()
             return {
                 "cells": list(describe_cells(analysis, [found], self._graphs(analysis), {})),
                 "sections": describe_sections(analysis, [found]),
@@ -229,7 +228,7 @@ class CampaignFeed:
             self._check_some(store)
 
     def _check_some(self, store: Store) -> None:
-        """Read the next cells with all displayed quantities, compared with their checksums."""
+        """Read the next cells with all displayed quantities."""
         assert self._columns is not None  # noqa: S101 - it is there as soon as there are cells to check
         before = len(self._unchecked)
         seeds = self._unchecked.pop(0)

@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy  # loads its submodules on use: the rule alone needs no trees
 from annotated_types import Interval, Unit
+from pydantic import AllowInfNan
 
-from calcidem.dem.engine.fields import NotNegative, Positive, require_fields
+from calcidem.dem.engine.fields import NotNegative, Positive, checked
 from calcidem.dem.engine.portable import arc_sine, length
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.packing import Packing
@@ -89,6 +90,7 @@ class CementKind(IntEnum):
     C = 2
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class CementRule:
     """Calcite of contacts and clusters, and the content at which clusters appear (paper, section 2.2).
@@ -118,17 +120,13 @@ class CementRule:
     p_diameter: Annotated[Positive, Unit("m")] = 1.06e-3
     c_diameter: Annotated[Positive, Unit("m")] = 1.33e-3
     cluster_diameter: Annotated[Positive, Unit("m")] = 12.0e-3
-    threshold: Annotated[float, Interval(ge=0.0), Unit("percent")] = 0.66  # infinite for P only
+    threshold: Annotated[float, Interval(ge=0.0), AllowInfNan(), Unit("percent")] = 0.66  # infinite for P only
     keep_p: bool = True
     p_share: Positive = 1.0
     cluster_area: Annotated[Positive, Unit("m^2")] | None = None
     p_patch_diameter: Annotated[NotNegative, Unit("m"), "0 for single contacts, or a diameter in m"] = 0.0
     sand_density: Annotated[Positive, Unit("kg/m^3")] = 2650.0
     calcite_density: Annotated[Positive, Unit("kg/m^3")] = 2600.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible cements."""
-        require_fields(self)
 
     def content(self, calcite_area: float, sand_area: float) -> float:
         """Content of an area of calcite in an area of sand (both m^2), percent of the sand's mass."""

@@ -17,7 +17,7 @@ from typing import Literal, NamedTuple, final
 
 import numpy as np
 
-from calcidem.dem.engine.fields import PositivePart, require_fields
+from calcidem.dem.engine.fields import PositivePart, checked
 from calcidem.dem.engine.portable import arc_sine, find_maxima, parabola_vertex, sliding_products
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.wave.section import RESOLUTION, Section
@@ -44,6 +44,7 @@ ONSET = 0.1
 """Level of the first arrival, relative to the peak (Viggiani and Atkinson 1995, doi:10.1680/geot.1995.45.1.149)."""
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class PickRule:
     """Criteria of an arrival.
@@ -61,10 +62,6 @@ class PickRule:
     method: Method = "peak"
     smoothing: PositivePart = 0.3  # little of shorter duration propagates through grains
     largest_error: PositivePart = 0.25  # a smaller value refuses more fast samples than slow ones
-
-    def __post_init__(self) -> None:
-        """Refuse invalid windows and errors."""
-        require_fields(self)
 
 
 @final

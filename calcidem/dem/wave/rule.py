@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval, Unit
 
-from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, require, require_fields
+from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, checked, require
 from calcidem.dem.engine.scene import Precision, Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.pulse import Pulse
@@ -16,6 +16,7 @@ WHOLE_DOMAIN = "whole_domain"
 FEWEST_SAMPLES = 20  # samples per period of the pulse; with 20 a peak shifts by 0.1 % (docs/reading.md)
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class WaveRule:
     """Transmission, propagation and recording of the wave (section 2.2.2 and Table 1 of the paper).
@@ -85,10 +86,6 @@ class WaveRule:
     unbalanced_force_ratio: Positive = 1.0e-6
     most_settling_steps: Annotated[int, Interval(ge=1)] = 2_000_000
     keep: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse invalid settings."""
-        require_fields(self)
 
 
 def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> None:
