@@ -13,9 +13,9 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.patterns import read_candidates
 from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.task import cell_result
-from calcidem.app.config.calibrated import _CALIBRATED, calibration_note
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import change_configuration, load_configuration
+from calcidem.app.config.reference import CALIBRATED, calibration_note
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import _velocity_remarks
 from calcidem.app.report.results import count_reasons
@@ -198,4 +198,4 @@ def test_every_value_that_a_preset_calls_calibrated_is_known() -> None:
         for section, body in re.findall(r"(?ms)^\[([\w.]+)\]$(.*?)(?=^\[|\Z)", text)
         for key in re.findall(r"(?m)^(\w+) = .*# calibrated", body)
     }
-    assert marked == set(_CALIBRATED)
+    assert marked == set(CALIBRATED)
