@@ -22,8 +22,9 @@ import calcidem
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.status import CampaignStatus
 from calcidem.dem.sample.packing import PackingStage
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place
 from calcidem.sweep.sweep_end import SweepEnd, SweepState
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def tell_a_story(display: ProgressDisplay, database: Path) -> None:
     time.sleep(0.5)
     reporter.read = lambda: CampaignStatus.read(database)
     reporter.on_start(BATCHES, workers=2)
-    failure = Failure(FailureKind.FAILED, "ZeroDivisionError: on order")
+    failure = Failure(CellStatus.FAILED, "ZeroDivisionError: on order")
     reporter.on_outcome(BatchOutcome(BATCHES[1], PLACE, 1.0, failure=failure))
     time.sleep(0.5)
     reporter.on_heartbeat()

@@ -30,11 +30,9 @@ from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.random_field import describe_fields
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
-from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
 from calcidem.app.campaign.prediction import draw_pattern, pattern_features, predict_velocity
-from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -256,7 +254,6 @@ class Campaign(Closable):
     def recorded_section(self, *, seed: int, content: float) -> RecordedSection:
         """Return the stored section of a cell; `UnknownCellError` if it was not stored."""
         found = self.store.cell(seed=seed, content=content)
-        found.refuse_damage()
         if found.section is None:
             raise UnknownCellError(
                 f"No section is stored for seed {seed} and content {content} %.",
@@ -495,27 +492,12 @@ class Campaign(Closable):
         """Return the experiment of the cells of a packing, for `dem.wave.measurement`; errors as for `sample`."""
         return stored_experiment(self.store, packing_index)
 
-    def diagnose(
-        self, *, seed: int | Collection[int] | None = None, content: float | Collection[float] | None = None
-    ) -> tuple[Diagnosis, ...]:
-        """Explain why cells have no velocity, and find values that give one.
-
-        See `calcidem.app.campaign.diagnosis.diagnose`; ``draw()`` of a result draws its section.
-
-        Examples
-        --------
-        >>> campaign = open_campaign("quick.db")
-        >>> for cell in campaign.diagnose(content=9.0):  # all of 9 % have a velocity
-        ...     print(cell.key, cell.reason, cell.remedies, cell.vs)
-        """
-        return tuple(diagnose(self.store, Selection(seed, content)))
-
-    def content_hash(self, packing_index: int = 0) -> str | None:
-        """Return the content hash of a packing; None if it is old and its state damaged.
+    def content_hash(self, packing_index: int = 0) -> str:
+        """Return the content hash of a packing.
 
         All cells with this packing were computed on the same bits of disks and forces.
         """
-        return content_hash_of(self.packing(packing_index))
+        return self.packing(packing_index).content_hash
 
     @cached_property
     def plot(self) -> "CampaignPlots":
@@ -545,7 +527,6 @@ class Campaign(Closable):
     def _cement(self, seed: int, content: float) -> tuple[int, CementPattern]:
         """Return the index of a cell's packing, and its cement."""
         cell = self.cell(seed=seed, content=content)
-        cell.refuse_damage()
         if cell.cement is None:
             raise UnknownCellError(
                 f"The cement of seed {seed} and content {content} % is not stored, and cannot be drawn again.",

@@ -1,17 +1,19 @@
 """Conversion of cement and sections between store and simulation; cement that is not stored is drawn again."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from calcidem.app.campaign.identity import physics_version
-from calcidem.app.campaign.stored_packing import readable_packing
+from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.sample.cement import CementCapacityError, PlacedCement
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.reading import LEAST_COHERENCE, Candidate, PickRule, find_candidates
 from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import CellResult, CementPattern, RecordedSection
@@ -20,7 +22,8 @@ from calcidem.storage.sql.store import Store
 
 def stored_experiment(store: Store, packing_index: int = 0) -> Experiment:
     """Experiment of the cells of a packing, as `calcidem.Campaign.experiment`, for modules that `Campaign` imports."""
-    return Configuration.from_physics(store.record.parameters).experiment(readable_packing(store, packing_index))
+    packing = stored_packing(store.packing(packing_index))
+    return Configuration.from_physics(store.record.parameters).experiment(packing)
 
 
 def with_patterns(store: Store, outcomes: Iterable[CellResult]) -> Iterator[CellResult]:
@@ -77,3 +80,17 @@ def section_of(stored: RecordedSection) -> Section:
         across=stored.across,
         along=stored.along,
     )
+
+
+def read_candidates(
+    section: Section, config: Mapping[str, Any]
+) -> tuple[float, tuple[Candidate, ...], Candidate | None]:
+    """Return the smoothing of a configuration, peaks that may be the S wave, and that which is; None if none is."""
+    smoothing = config.get("pick", {}).get("smoothing", PickRule().smoothing)
+    candidates = find_candidates(section, smoothing)
+    for one in candidates:
+        if one.decided > section.duration:
+            break
+        if one.coherence >= max(one.rival, LEAST_COHERENCE):
+            return smoothing, candidates, one
+    return smoothing, candidates, None

@@ -25,7 +25,7 @@ from calcidem.storage.store import Selection
 CEMENT_FEATURES = ("column_share", "cemented_share")
 """Cemented shares of the contacts at the receiver's height and of all contacts, from which Vs is predicted."""
 
-_FEATURE_NAMES = (*(feature.name for feature in FEATURES), *CEMENT_FEATURES)
+_FEATURE_NAMES = (*FEATURES, *CEMENT_FEATURES)
 
 
 _Shares = dict[tuple[int, float], tuple[float, float]]

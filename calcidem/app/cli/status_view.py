@@ -12,6 +12,7 @@ from rich.text import Text
 from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, URGENCY, CampaignStatus, ContentStatus, Trouble
 from calcidem.app.cli.tables import format_number, marks_of, remarks_on
 from calcidem.app.cli.terminal import printable
+from calcidem.ends import Verdict
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, first_of, pluralize
 
@@ -26,7 +27,6 @@ _STATUS_CHARACTERS = {
     CellStatus.FAILED: ("F", "bold red"),
     CellStatus.TIMED_OUT: ("T", "bold red"),
     CellStatus.QUARANTINED: ("Q", "bold white on red"),
-    CellStatus.DAMAGED: ("D", "bold white on red"),
 }
 """Character and style of each status of a cell; the characters differ, so colours are not needed."""
 
@@ -53,6 +53,8 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
     if half_width is not None:
         parts += map(Text, _seed_lines(status, half_width))
     parts += [Text(printable(line), overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
+    verdicts = {Verdict.of(trouble.reason) for trouble in status.troubles}
+    parts += [Text(f"No arrival: {verdict.explained}.") for verdict in Verdict if verdict in verdicts]
     return Group(*parts)
 
 
@@ -60,7 +62,7 @@ def _head_lines(status: CampaignStatus) -> Iterator[str]:
     """Campaign, its progress, and its last run."""
     yield (
         f"Campaign {status.name}: {len(status.seeds)} seeds x {len(status.contents)} contents, hash {status.hash[:12]}"
-        + "".join(f", packing {(found or 'unknown')[:12]}" for found in status.content_hashes.values())
+        + "".join(f", packing {found[:12]}" for found in status.content_hashes.values())
     )
     total = sum(status.counts.values())
     finished = total - status.pending
@@ -143,7 +145,7 @@ def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
     went_wrong = {trouble.status for trouble in status.troubles if trouble.reason}
     if went_wrong & {*UNREAD}:
         kinds = " and ".join(kind.words for kind in UNREAD if kind in went_wrong)
-        yield f"Cells with {kinds} give the same again; 'calcidem diagnose DB' explains why and proposes remedies."
+        yield f"Cells with {kinds} give the same again; 'calcidem show DB --seed S --content C --out DIR' draws them."
     for kind in sorted(went_wrong - {*UNREAD}):
         yield f"'calcidem run CONFIG --retry {kind}' computes cells that are {kind.words} again."
 

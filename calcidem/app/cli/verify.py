@@ -2,14 +2,11 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calcidem.app.cli.arguments import CampaignName
+from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable
 from calcidem.sweep.progress import pluralize
@@ -21,32 +18,33 @@ if TYPE_CHECKING:  # loaded by the command itself, not by its help
 
 
 def verify_command(
-    database: Annotated[str, typer.Argument(metavar="DB|CRATE", help="SQLite file, database URL, or RO-Crate.")],
+    database: Database,
     cells: Annotated[int, typer.Option(min=1, help="Number of cells to compute again.")] = 4,
     choice: Annotated[
         int | None,
         typer.Option(min=0, metavar="SEED", help="Seed of their random choice."),
     ] = None,
     integrity: Annotated[
-        bool, typer.Option("--integrity", help="Compute nothing: compare all stored data with their checksums.")
+        bool, typer.Option("--integrity", help="Compute nothing: let SQLite check the whole file.")
     ] = False,
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
     """Compute random cells of a campaign again, on its own packing, and compare them with the stored ones.
 
-    Status, readings, step, cement and stored sections are compared; of a crate also configuration and packing.
-    --integrity names all damaged cells; exit code 1 if there are any.
+    Status, readings, step, cement and stored sections are compared. --integrity names the damage that SQLite finds in
+    the file; exit code 1 if there is any.
 
     Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 not comparable,
     such as cells of another physics version.
     """
+    from calcidem.app.campaign.opened import open_campaign
     from calcidem.app.cli.exit_codes import EXIT_ROUNDING
     from calcidem.app.studies.verify import Agreement, random_cells, verify
 
-    with _open_any(database, campaign) as opened:
+    with open_campaign(database, campaign) as opened:
         if integrity:
-            _verify_integrity(database, opened, layout)
+            _verify_integrity(opened, layout)
             return
         keys = random_cells(opened.store, cells, choice)
         found = []
@@ -58,8 +56,6 @@ def verify_command(
     if layout is Format.TABLE:
         verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
         typer.echo(f"{pluralize(len(found), 'cell')}: {verdicts}.")
-        if lacking := dict.fromkeys(name for verification in found for name in verification.lacking):
-            typer.echo(f"Quantities that stored cells lack were not compared: {', '.join(lacking)}.")
     else:
         tell_rows([_verification_row(verification) for verification in found], layout)
     codes = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
@@ -67,48 +63,18 @@ def verify_command(
         raise typer.Exit(code)
 
 
-@contextmanager
-def _open_any(path: str, campaign_name: str | None) -> Iterator["Campaign"]:
-    """Open a campaign of a database or of a crate."""
-    from calcidem.app.campaign.opened import open_campaign
-    from calcidem.app.cli.import_ import told_as_damage
-    from calcidem.app.report.crate import is_crate, open_crate
+def _verify_integrity(opened: "Campaign", layout: Format) -> None:
+    """Name all damage of the file; exit code 1 if there is any."""
+    from calcidem.storage.sql.engine import DAMAGE_REMEDY
 
-    if not is_crate(path):
-        with open_campaign(path, campaign_name) as opened:
-            yield opened
-        return
-    if campaign_name is not None:
-        raise typer.BadParameter("leave it out: a crate has one campaign", param_hint="--campaign")
-    with ExitStack() as stack:
-        with told_as_damage(Path(path)):
-            campaign = stack.enter_context(open_crate(path))
-        yield campaign
-
-
-def _verify_integrity(database: str, opened: "Campaign", layout: Format) -> None:
-    """Name all changed data; exit code 1 if there are any."""
-    damaged, others = opened.store.integrity()
-    cells = len(opened.store.statuses())
+    damage = opened.store.damage()
     if layout is not Format.TABLE:
-        rows: list[dict[str, Any]] = [
-            {"seed": key.seed, "content": key.content, "damage": text} for key, text in damaged.items()
-        ]
-        rows += [{"seed": None, "content": None, "damage": text} for text in others]
-        tell_rows(rows, layout, names=("seed", "content", "damage"))
-        raise typer.Exit(EXIT_ERROR if rows else 0)
-    for key, damage in damaged.items():
-        typer.echo(printable(f"{key}: {damage}"))
-    for sentence in others:
-        typer.echo(printable(sentence))
-    typer.echo(f"{pluralize(cells, 'cell')}: {len(damaged)} damaged, {len(others)} other damages.")
-    if damaged:
-        typer.echo("'calcidem run CONFIG --retry damaged' computes the damaged cells again.")
-    if others:
-        typer.echo(
-            f"'calcidem export {database} OUT.nc' saves undamaged cells; 'calcidem import' makes a database of them."
-        )
-    if damaged or others:
+        tell_rows([{"damage": text} for text in damage], layout, names=("damage",))
+    elif damage:
+        typer.echo(printable("\n".join((*damage, DAMAGE_REMEDY))))
+    else:
+        typer.echo("No damage was found.")
+    if damage:
         raise typer.Exit(EXIT_ERROR)
 
 
@@ -123,7 +89,6 @@ def _verification_row(verification: "Verification") -> dict[str, Any]:
         "most_different": name,
         "relative_difference": size,
         "differences": dict(verification.differences),
-        "lacking": list(verification.lacking),
     }
 
 

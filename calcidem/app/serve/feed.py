@@ -29,15 +29,6 @@ from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection, StoreMark
 
-_CELLS_AT_ONCE = 1000
-"""Number of cells compared with their checksums in one query, which takes a tenth of a second."""
-
-_STEPS_TOLD = 10
-"""Seconds between two messages about the number of compared cells."""
-
-_MOST_TOLD = 1000
-"""Largest number of changed cells sent one by one; for more the browser requests all."""
-
 Event = tuple[str, dict[str, Any]]
 """Name and content of a message to browsers."""
 
@@ -87,7 +78,7 @@ class CampaignFeed:
 
     @property
     def busy(self) -> bool:
-        """Whether some cells were not yet compared with their checksums."""
+        """Whether some cells were not yet read with all quantities."""
         return bool(self._unchecked)
 
     def refresh(self) -> list[Event]:
@@ -150,7 +141,6 @@ class CampaignFeed:
             self._open()
             analysis = self._analyse()
             found = analysis.cell(seed, content)
-            found.refuse_damage()
             return {
                 "cells": list(describe_cells(analysis, [found], self._graphs(analysis), {})),
                 "sections": describe_sections(analysis, [found]),
@@ -209,7 +199,7 @@ class CampaignFeed:
         if self._unchecked:
             before = self._checked
             self._check_some(store)
-            if not self._unchecked or int(_STEPS_TOLD * self._checked) > int(_STEPS_TOLD * before):
+            if not self._unchecked or int(10 * self._checked) > int(10 * before):
                 events.append(self._status_event())
         return events
 
@@ -230,14 +220,15 @@ class CampaignFeed:
         self._columns.put(rows)
         self._problem = ""
         seeds = self._columns.seeds.tolist()
-        stride = max(1, _CELLS_AT_ONCE // max(1, self._columns.contents.size))
+        # A query of 1,000 cells takes a tenth of a second.
+        stride = max(1, 1000 // max(1, self._columns.contents.size))
         self._unchecked = [tuple(seeds[at : at + stride]) for at in range(0, len(seeds), stride)]
         self._changed()
         if len(self._unchecked) == 1:
             self._check_some(store)
 
     def _check_some(self, store: Store) -> None:
-        """Read the next cells with all displayed quantities, compared with their checksums."""
+        """Read the next cells with all displayed quantities."""
         assert self._columns is not None  # noqa: S101 - it is there as soon as there are cells to check
         before = len(self._unchecked)
         seeds = self._unchecked.pop(0)
@@ -257,7 +248,8 @@ class CampaignFeed:
             return []
         if not places:
             return []
-        if len(places) > _MOST_TOLD or set(self._columns.shown()) - set(self._shown):
+        # Of more than 1,000 changed cells the browser requests all.
+        if len(places) > 1000 or set(self._columns.shown()) - set(self._shown):
             self._changed()
             return []
         self.sequence += 1

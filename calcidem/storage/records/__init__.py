@@ -4,6 +4,7 @@ They are frozen and hold SI units (contents in percent of the sand's mass). A mi
 outcome of a cell is its `CellStatus`.
 """
 
+from calcidem.ends import CellStatus
 from calcidem.storage.records.campaign import CampaignRecord, PackingRecord
 from calcidem.storage.records.cell import (
     ARRAY_RECORDS,
@@ -17,13 +18,12 @@ from calcidem.storage.records.cell import (
     AttemptRecord,
     CellKey,
     CellResult,
-    CellStatus,
     PackedResult,
     canonical_content,
     checked_seed,
 )
 from calcidem.storage.records.quantity import Quantity
-from calcidem.storage.records.run import RunRecord, WorkerRecord
+from calcidem.storage.records.run import RunRecord
 from calcidem.storage.records.sample import (
     C_CONTACT,
     P_CONTACT,
@@ -59,7 +59,6 @@ __all__ = [
     "Quantity",
     "RecordedSection",
     "RunRecord",
-    "WorkerRecord",
     "canonical_content",
     "checked_seed",
 ]

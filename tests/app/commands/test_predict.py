@@ -63,7 +63,7 @@ def test_what_cannot_be_predicted_is_refused(campaign: Campaign) -> None:
         campaign.predict(content=5.0, pattern=strange)
     stored = campaign.cell(seed=2, content=5.0).features
     with pytest.raises(QueryError, match="give fewer features"):  # eight samples cannot fit eight slopes
-        campaign.predict(content=5.0, features={f.name: float(getattr(stored, f.name)) for f in FEATURES})
+        campaign.predict(content=5.0, features={name: float(getattr(stored, name)) for name in FEATURES})
 
 
 def test_the_command_predicts_and_says_how_far_to_trust_it(
