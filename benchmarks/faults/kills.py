@@ -4,8 +4,7 @@
 
 The campaign is a small one whose disks are in a file, under the real mpirun with three ranks. A phase of its life is
 awaited as seen from outside (a process appears, a library is in its memory, a line in the output), then a random moment
-in it, and a process gets SIGKILL: a worker, rank 0, mpirun or the command, or the starter of a rank. A campaign that did
-not complete is continued by the next kill's run, until it does. A run that may restart has to complete. What the record
+in it, and a process gets SIGKILL: a worker, rank 0, mpirun or the command. A campaign that did not complete is continued by the next kill's run, until it does. A run that may restart has to complete. What the record
 holds already is not done again, so the same command continues. Exit code 1 if anything is not as it should be.
 """
 
@@ -33,31 +32,26 @@ from calcidem.storage.errors import StoreError
 SEEDS = 6
 """12 cells in 6 batches: a campaign that a run completes soon, so that kills strike its end as often as its start."""
 
-STARTUP = 20.0
-"""Seconds that a rank may take to load its libraries; only then can it see that its launcher is gone."""
+STARTUP = 15.0
+"""Seconds after the end of the command in which the last process has to end: a rank that loads its libraries sees only
+then that its launcher is gone."""
 
 PHASES: dict[str, tuple[str, float, int]] = {
     "command": ("", 0.7, 30),
-    "spawn": ("a starter", 0.05, 65),
-    "import": ("a rank", 1.5, 60),
-    "broadcast": ("libmpi", 0.5, 40),
     "packing": ("Packing: the disks in", 1.0, 25),
-    "compile": ("compiling the kernels", 5.0, 22),
-    "sweep": (" cells in ", 3.0, 30),
+    "import": ("a rank", 1.5, 60),
+    "joining": ("libmpi", 0.5, 40),
+    "sweep": (" cells in ", 3.0, 50),
     "export": ("complete after", 0.7, 28),
 }
 """What a run does when it is struck, in order: what shows from outside that this has begun, the latest moment after that,
-in s, and its share of the kills. The command has no ranks yet; these import, then find one another and broadcast under
-MPI. Where kernels come from the cache, a run that says "compiling" is said to load them."""
+in s, and its share of the kills. The command makes the packing; its ranks import and find one another under MPI."""
 
 FEWEST = 20
 """Kills of each phase that come first, before the shares are looked at."""
 
-NOT_BEGUN = {"command", "spawn", "import"}
-"""Phases in which nothing can have been stored."""
-
-NEEDS_A_NEW_CAMPAIGN = {"packing", "compile"}
-"""Phases that a campaign goes through only once: later its packing is stored, and its kernels are compiled."""
+NOT_BEGUN = {"command", "packing", "import"}
+"""Phases in which no cell can have been stored."""
 
 COLUMNS = ("phase", "victim", "restarts", "code", "seconds", "complaints")
 
@@ -106,16 +100,14 @@ class Killing:
 
     def kill_in(self, phase: str, numbers: random.Random) -> dict[str, Any] | None:
         """Kill a process of a campaign about this phase and judge what comes of it; None if it ended before that."""
-        anew = phase in NEEDS_A_NEW_CAMPAIGN or not self._begun
+        anew = phase == "packing" or not self._begun  # a later run has it stored
         trial = (
             self._new_trial(f"cache-{self._count}" if phase == "packing" else "cache") if anew else self._begun.pop(0)
         )
-        os.environ["NUMBA_CACHE_DIR"] = str((trial.folder if phase == "compile" else self._top) / "kernels")
         restarts = numbers.choice((0, 0, 1))
         process = trial.start("--start-timeout", str(self._patience / 2.0), restarts=restarts)
         self._wait_for(phase, trial, process, numbers)
         struck = phase_of(trial)
-        struck = "load" if struck == "compile" != phase else struck
         victim = kill_one(trial, process.pid, numbers)
         ended = trial.wait(process, self._patience * max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1)))
         complaints = self._judge(trial, ended, struck, victim, restarts)
@@ -128,7 +120,6 @@ class Killing:
 
     def complete(self) -> bool:
         """Continue what did not complete; tell whether all campaigns now have all cells, with the bits expected."""
-        os.environ["NUMBA_CACHE_DIR"] = str(self._top / "kernels")
         return all(self._finish(trial).code == 0 and trial.cells() == self._expected for trial in self._begun)
 
     def _new_trial(self, cache: str) -> KillTrial:
@@ -144,7 +135,7 @@ class Killing:
     def _judge(self, trial: KillTrial, ended: RunEnd, struck: str, victim: str, restarts: int) -> list[str]:
         """What is not as it has to be after a kill."""
         own_end = victim != "the command"
-        codes = {0} if restarts else {0, 1} if struck in NOT_BEGUN else {0, 1, 75} if struck == "broadcast" else {0, 75}
+        codes = {0} if restarts else {0, 1} if struck in NOT_BEGUN else {0, 1, 75} if struck == "joining" else {0, 75}
         found = {
             "hung": own_end and ended.code == -signal.SIGKILL,
             "said nothing": own_end and not ended.output.strip(),
@@ -181,12 +172,9 @@ def phase_of(trial: Trial) -> str:
 
 def is_there(sign: str, trial: Trial) -> bool:
     """Whether a sign of a phase is there."""
-    if sign not in {"a starter", "a rank", "libmpi"}:
+    if sign not in {"a rank", "libmpi"}:
         return sign in (trial.folder / "output").read_text()
-    ranks = [process for process in trial.processes() if rank_of(process)]
-    if sign == "a rank":
-        return any("starter.py" not in read(rank, "cmdline") for rank in ranks)
-    return any(sign == "a starter" or sign in read(rank, "maps") for rank in ranks)
+    return any(sign == "a rank" or sign in read(rank, "maps") for rank in trial.processes() if rank_of(rank))
 
 
 def read(process: int, name: str) -> str:
@@ -198,7 +186,7 @@ def read(process: int, name: str) -> str:
 
 
 def rank_of(process: int) -> str:
-    """Number of the rank that a process is or starts, empty if none."""
+    """Number of the rank that a process is, empty if none."""
     variables = read(process, "environ").split("\0")
     return next((part.partition("=")[2] for part in variables if part.startswith("OMPI_COMM_WORLD_RANK=")), "")
 
@@ -211,16 +199,11 @@ def kill_one(trial: Trial, command: int, numbers: random.Random) -> str:
         if "--version" in line:
             continue  # asked by the command before it starts anything
         kind = "rank 0" if rank == "0" else "a worker" if rank else "the command" if process == command else "mpirun"
-        if (
-            kind in {"the command", "mpirun"} or "starter.py" in line or "faulty_run.py" in line
-        ):  # or a helper of its own
-            kinds[kind + " (starter)" * ("starter.py" in line and bool(rank))].append(process)
+        if kind in {"the command", "mpirun"} or "faulty_run.py" in line:  # or a helper of its own
+            kinds[kind].append(process)
     if not kinds:
         return "nobody"
-    kind = numbers.choice(sorted({kind.removesuffix(" (starter)") for kind in kinds}))
-    starter = f"{kind} (starter)"
-    if kind not in kinds or (starter in kinds and numbers.random() < 0.25):  # now and then
-        kind = starter
+    kind = numbers.choice(sorted(kinds))
     try:
         os.kill(numbers.choice(kinds[kind]), signal.SIGKILL)
     except OSError:
@@ -232,9 +215,9 @@ def print_table(rows: list[dict[str, Any]]) -> None:
     """Print what the docs have."""
     print("| killed in | kills | of a worker | rank 0 | mpirun | the command | exit codes | longest, s | wrong |")
     print("|---|---:|---:|---:|---:|---:|---|---:|---:|")
-    for phase in [*PHASES, "load", "all"]:
+    for phase in [*PHASES, "all"]:
         own = [row for row in rows if phase in {row["phase"], "all"}]
-        victims = Counter(row["victim"].partition(" (")[0] for row in own)
+        victims = Counter(row["victim"] for row in own)
         codes = Counter(int(row["code"]) for row in own if row["victim"] != "the command")
         told = ", ".join(f"{count} x {code}" for code, count in sorted(codes.items()))
         counts = [victims[kind] for kind in ("a worker", "rank 0", "mpirun", "the command")]
