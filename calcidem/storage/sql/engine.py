@@ -218,7 +218,9 @@ def find_damage(path: Path, pragma: str = "quick_check") -> list[str]:
     """
     mode = "rw" if Path(f"{path}-journal").exists() else "ro"
     try:
-        with closing(sqlite3.connect(f"{path.as_uri()}?mode={mode}", timeout=_BUSY_TIMEOUT_SECONDS, uri=True)) as connection:
+        with closing(
+            sqlite3.connect(f"{path.as_uri()}?mode={mode}", timeout=_BUSY_TIMEOUT_SECONDS, uri=True)
+        ) as connection:
             lines = [str(line) for (line,) in connection.execute(f"PRAGMA {pragma}(20)")]
     except sqlite3.DatabaseError as error:
         if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_CORRUPT:
