@@ -24,9 +24,10 @@ from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Outcome, measure
+from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.rule import WaveRule
+from calcidem.ends import CellStatus
 
 pytestmark = pytest.mark.slow
 
@@ -201,8 +202,8 @@ def test_a_bound_above_five_percent_is_no_velocity(experiment: Experiment) -> No
     """In the linear regime a pulse that would make contacts slip gives a reason and no number."""
     strong = replace(with_wave(experiment, amplitude=2e-2), frequencies=HIGH)
     found = measure(strong, CONTENTS[-1], SEEDS)
-    assert all(cell.result.outcome == Outcome.NO_ARRIVAL and cell.vs is None for cell in found)
-    assert any("lower amplitude" in cell.result.reason for cell in found)
+    assert all(cell.status is CellStatus.NO_ARRIVAL and cell.vs is None for cell in found)
+    assert any("lower amplitude" in cell.reason for cell in found)
 
 
 def test_every_setting_turns_one_knob_and_has_a_name_of_its_own(experiment: Experiment) -> None:

@@ -302,7 +302,7 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
     refuse("wave.damping=0.5:0.1", match="two increasing positive numbers")
     refuse("wave.damping=0.1", match="two increasing positive numbers")
     refuse("pattern.p_share=0.1:many", match="two increasing positive numbers")
-    refuse("wave.transmitter_half_width=0.001:0.9", match="does not fit into the sample")
+    refuse("wave.transmitter_half_width=0.001:0.9", match="less than half of packing.height")
     refuse(STIFFNESS, MODULUS, match="parameters = 2: give at most 1")
     refuse(STIFFNESS, STIFFNESS, match="named twice")
     refuse(match="name at least one")

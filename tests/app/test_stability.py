@@ -16,10 +16,11 @@ from calcidem.app.studies.stability.scenes import (
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.wave.error_estimate import shift_by_change
-from calcidem.dem.wave.measurement import Outcome, interpret_record, measure
+from calcidem.dem.wave.measurement import interpret, measure
 from calcidem.dem.wave.propagation import send_waves
-from calcidem.dem.wave.reading import read_section
+from calcidem.dem.wave.reading import Reading, read_section
 from calcidem.dem.wave.scene import wave_scene
+from calcidem.ends import CellStatus
 
 pytestmark = pytest.mark.slow
 
@@ -170,11 +171,11 @@ def test_bonds_that_break_are_reported_after_one_retry() -> None:
     scene = Extreme(strength=0.01, regime="small", amplitude=1e-3, content=0.9)
     experiment, content = scene.experiment()
     found = measure(experiment, content, [1], lanes=1)[0]
-    assert found.result.outcome == Outcome.UNSTABLE
+    assert found.status is CellStatus.UNSTABLE
     assert found.vs is None
-    assert "bonds broke" in found.result.reason
-    assert "bonds broke" in found.record.retry
-    assert found.record.time_step == pytest.approx(0.5 * scene.step_fraction * found.record.stability_limit)
+    assert "bonds broke" in found.reason
+    assert "bonds broke" in found.section.retry
+    assert found.section.time_step == pytest.approx(0.5 * scene.step_fraction * found.section.stability_limit)
 
 
 def test_chatter_counts_what_half_of_the_step_changes() -> None:
@@ -182,28 +183,27 @@ def test_chatter_counts_what_half_of_the_step_changes() -> None:
     scene = Extreme(damping=0.66, content=0.3, contrast=100.0)
     strong, content = scene.experiment()
     found = measure(strong, content, [1], lanes=1)[0]
-    assert found.record.time_step == pytest.approx(0.5 * scene.step_fraction * found.record.stability_limit)
+    assert found.section.time_step == pytest.approx(0.5 * scene.step_fraction * found.section.stability_limit)
     cemented = [strong.ordering(1).at(content).bonded]
-    (coarse,) = send_waves(strong, cemented, found.frequency, stop_when=lambda _: False, lanes=1)
-    arrivals = [read_section(record.section, strong.pick).arrival for record in (coarse, found.record)]
-    assert arrivals[0] is not None
-    assert arrivals[1] is not None
-    assert found.result.error is not None
-    change = abs(arrivals[0].travel_time / arrivals[1].travel_time - 1.0)
-    assert found.result.error.bound >= found.result.error.parts.chatter > 3.2 * change > 0.0
-    assert found.result.error.expected > 0.7 * change
+    (coarse,) = send_waves(strong, cemented, found.section.frequency, stop_when=lambda _: False, lanes=1)
+    before, reading = read_section(coarse, strong.pick), found.reading
+    assert isinstance(before, Reading)
+    assert reading is not None
+    assert found.error_parts is not None
+    change = abs(before.travel_time / reading.travel_time - 1.0)
+    assert found.error_bound >= found.error_parts.chatter > 3.2 * change > 0.0
+    assert found.expected_error > 0.7 * change
     # Peaks at the same time may agree by luck: a signal that is 20 % stronger counts as a change.
-    section = found.record.section
+    section = found.section
     louder = replace(section, across=6 * section.across // 5, along=6 * section.along // 5)
-    stronger = replace(found.record, section=louder)
-    other = interpret_record(strong, found.record, stronger).error
+    other = interpret(strong, found, louder).error_parts
     assert other is not None
-    assert other.parts.chatter == pytest.approx(4.6 * 0.71 * 0.2 * shift_by_change(section, arrivals[1]), rel=1e-2)
-    ended = interpret_record(strong, found.record, replace(found.record, problem="a guard ended the full step"))
+    assert other.chatter == pytest.approx(4.6 * 0.71 * 0.2 * shift_by_change(section, reading), rel=1e-2)
+    ended = interpret(strong, found, replace(section, problem="a guard ended the full step"))
     assert ended.vs is None
     assert "make step_fraction or damping smaller" in ended.reason
     usual = measure(replace(strong, wave=replace(strong.wave, damping=0.35)), content, [1], lanes=1)[0]
-    assert usual.record.time_step == pytest.approx(scene.step_fraction * usual.record.stability_limit)
+    assert usual.section.time_step == pytest.approx(scene.step_fraction * usual.section.stability_limit)
 
 
 @pytest.mark.full

@@ -15,16 +15,16 @@ from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.parts import planned_batches, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
 from calcidem.app.campaign.stored_packing import stored_packing
-from calcidem.app.config.calibrated import calibration_note
 from calcidem.app.config.checks import (
     check_against_packing,
     cutoff_estimate,
     disks_in_box,
     limit_of_mean_disks,
 )
+from calcidem.app.config.reference import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.first_look import WAVELENGTHS, expected_speed
+from calcidem.dem.wave.experiment import WAVELENGTHS, expected_speed
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store

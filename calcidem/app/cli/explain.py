@@ -33,8 +33,8 @@ def explain_command(
     Times and differences are measured now, errors by 'calcidem accuracy'. By default three contents are shown.
     """
     from calcidem.app.cli.tables import make_console
-    from calcidem.app.config.calibrated import calibration_note
     from calcidem.app.config.reader import change_configuration, load_configuration
+    from calcidem.app.config.reference import calibration_note
     from calcidem.app.studies.accuracy.questions import MeasuredErrors
     from calcidem.app.studies.cells import Cells
     from calcidem.app.studies.explain import explain

@@ -13,7 +13,7 @@ from scipy import stats
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import Distribution
-from calcidem.analysis.figures.registry import published_velocities
+from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import misfits, root_mean_square_misfit
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study

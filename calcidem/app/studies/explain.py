@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from calcidem.app.studies.accuracy.questions import MeasuredErrors
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED, with_wave
 from calcidem.app.studies.cells import Cells, errors_of_vs
-from calcidem.dem.wave.domain import domain_of
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
+from calcidem.dem.wave.scene import domain_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,13 +8,13 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from datetime import datetime
-from enum import StrEnum
 from functools import partial
 from html import escape
 from typing import Annotated, Any, Self
 
 import numpy as np
 
+from calcidem.ends import CellStatus
 from calcidem.storage.records.arrays import pack_arrays
 from calcidem.storage.records.error_budget import DERIVED_QUANTITIES, NORMAL_95
 from calcidem.storage.records.quantity import Bound, Quantity, Record
@@ -32,24 +32,6 @@ _cement = partial(Quantity, origin="cement", bound=_NOT_NEGATIVE, is_exact=True)
 
 LARGEST_SEED = 2**63 - 1
 """Largest integer that SQLite, PostgreSQL and NetCDF's int64 hold."""
-
-
-class CellStatus(StrEnum):
-    """Status of a cell; the first two are never stored, since such a cell has no outcome."""
-
-    PENDING = "pending"
-    RUNNING = "running"
-    DONE = "done"
-    NO_ARRIVAL = "no_arrival"
-    UNSTABLE = "unstable"
-    FAILED = "failed"
-    TIMED_OUT = "timed_out"
-    QUARANTINED = "quarantined"
-
-    @property
-    def words(self) -> str:
-        """The status as messages name it."""
-        return self.value.replace("_", " ")
 
 
 STORED_STATUSES = tuple(s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING})

@@ -214,7 +214,7 @@ def test_what_the_record_of_a_wave_tells_is_kept(small: Path) -> None:
         experiment = campaign.experiment(0)
     (measured,) = measure(experiment, 0.66, [1])
     again = dataclasses.replace(
-        measured, record=dataclasses.replace(measured.record, retry="the energy grew", broken_bonds=7)
+        measured, section=dataclasses.replace(measured.section, retry="the energy grew", broken_bonds=7)
     )
     assert cell_result(measured, experiment, store_sections=False).retry is None
     kept = cell_result(again, experiment, store_sections=False)

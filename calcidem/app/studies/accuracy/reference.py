@@ -14,8 +14,8 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.reading import smooth
-from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
+from calcidem.dem.wave.section import Section
 
 HALVING = 1.0e-4  # largest relative change of Vs by halving the step
 COARSEST = 0.4  # first step over the limit
@@ -63,7 +63,7 @@ class CellError:
     @classmethod
     def compare(cls, setting: str, found: Measurement, exact: Measurement) -> Self:
         """Compare a cell with the reference of the same cell."""
-        readings = (exact.result.reading, found.result.reading)
+        readings = (exact.reading, found.reading)
         exact_arrival, arrival = (None if one is None else one.first_arrival for one in readings)
         return cls(
             setting=setting,
@@ -73,9 +73,9 @@ class CellError:
             reference_vs=exact.vs,
             vs_error=relative_deviation(found.vs, exact.vs),
             arrival_error=relative_deviation(exact_arrival, arrival),
-            signal_error=signal_distance(found.record, exact.record),
-            expected=found.result.error and found.result.error.expected,
-            bound=found.result.error and found.result.error.bound,
+            signal_error=signal_distance(found.section, exact.section),
+            expected=found.expected_error,
+            bound=found.error_bound,
         )
 
 
@@ -112,8 +112,8 @@ class Convergence:
         )
         even = replace(even, early_stop=False, installation="preserve")
         runs = [cells.measure(with_wave(even, step_fraction=step), [content]) for step in CONVERGENCE_STEPS]
-        records = [[run[seed, content].record for run in runs] for seed in cells.seeds]
-        changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in records], axis=0)
+        sections = [[run[seed, content].section for run in runs] for seed in cells.seeds]
+        changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in sections], axis=0)
         orders = np.log2(changes[:-1] / changes[1:])
         return cls(content, damped, regime, tuple(changes.tolist()), tuple(orders.tolist()))
 
@@ -143,12 +143,11 @@ def find_reference(
     return found, tuple(done[seed][1] for seed in cells.seeds), float(np.mean([one[2] for one in done.values()]))
 
 
-def _signal_changes(records: Sequence[WaveRecord], smoothing: float) -> Floats:
-    """Change from each record to the next, at the times of the first.
+def _signal_changes(sections: Sequence[Section], smoothing: float) -> Floats:
+    """Change from each section to the next, at the times of the first.
 
     Smoothing removes the quantisation of recorded velocities, which is as large as the smallest change.
     """
-    sections = [record.section for record in records]
     signals = [smooth(section.received, smoothing * section.period) for section in sections]
     times = [section.times[: len(signal)] for section, signal in zip(sections, signals, strict=True)]
     signals = at_common_times(times, signals, times[0])

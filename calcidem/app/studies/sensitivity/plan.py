@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from calcidem.analysis.sensitivity import Change, paired_changes
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
-from calcidem.app.config.errors import ConfigurationError, Problem, phrase
+from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.reader import parse_file, read_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.app.report.wording import ABSENT
@@ -162,7 +162,10 @@ def _parse_plan(path: str | os.PathLike[str]) -> _ListedPlan:
     try:
         return _ListedPlan.model_validate(parse_file(Path(path)))
     except ValidationError as error:
-        found = ((".".join(map(str, detail["loc"])), phrase(detail)) for detail in error.errors())
+        words = {"missing": "is missing; add it", "extra_forbidden": "is not known; leave it out"}
+        found = (
+            (".".join(map(str, detail["loc"])), words.get(detail["type"], detail["msg"])) for detail in error.errors()
+        )
         raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
 
 

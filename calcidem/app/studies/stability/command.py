@@ -21,7 +21,7 @@ from calcidem.app.studies.stability.limits import Limits, detections, endurance
 from calcidem.app.studies.stability.own_scenes import OWN_TOLERANCE, OwnScene
 from calcidem.app.studies.stability.scenes import BOXES, QUANTITIES, REGIMES, Extreme, Packed
 from calcidem.dem.engine.step_control import UnstableRunError
-from calcidem.dem.wave.measurement import Outcome, measure
+from calcidem.dem.wave.measurement import measure
 
 _TOLERANCE = 0.05  # relative error of Vs above which a velocity is wrong, unless the cell states a larger error
 _FINER = 4  # factor of the smaller step and denser samples in the deciding run
@@ -185,8 +185,8 @@ def _judge_wave_scene(scene: Extreme | Packed) -> _Judgement:
         (found,) = measure(experiment, content, [scene.seed], lanes=1)
     except ValueError as error:
         return _Judgement(scene, _StabilityVerdict.REFUSED, str(error))
-    if found.result.outcome != Outcome.DONE or found.vs is None:
-        return _Judgement(scene, _StabilityVerdict.DETECTED, found.result.reason)
+    if found.vs is None:
+        return _Judgement(scene, _StabilityVerdict.DETECTED, found.reason)
     finer = replace(
         experiment.wave,
         step_fraction=experiment.wave.step_fraction / _FINER,
@@ -199,14 +199,14 @@ def _judge_wave_scene(scene: Extreme | Packed) -> _Judgement:
     except ValueError as error:  # the packing creeps too much for the deciding regime
         return _Judgement(scene, _StabilityVerdict.REFUSED, f"without a reference: {error}")
     if exact.vs is None:
-        distance = signal_distance(found.record, exact.record)
-        reason, error_of_vs = f"{exact.result.reason} with a smaller step, signals {distance:.2g} apart", None
+        distance = signal_distance(found.section, exact.section)
+        reason, error_of_vs = f"{exact.reason} with a smaller step, signals {distance:.2g} apart", None
         right = distance < _ALIKE
     else:
-        reason, error_of_vs = found.record.retry, found.vs / exact.vs - 1.0
+        reason, error_of_vs = found.section.retry, found.vs / exact.vs - 1.0
         # The bound covers the neglect of a regime; 5 % cover the effect of a step on a reading.
         tolerance = 0.0 if experiment.wave.regime == "linear" and isinstance(scene, Packed) else _TOLERANCE
-        right = abs(error_of_vs) <= max(tolerance, found.result.error.bound if found.result.error else 0.0)
+        right = abs(error_of_vs) <= max(tolerance, found.error_bound or 0.0)
     verdict = _StabilityVerdict.STABLE if right else _StabilityVerdict.WRONG
     return _Judgement(scene, verdict, reason, found.vs, error_of_vs)
 
