@@ -285,7 +285,7 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
             statuses[key],
             count.attempts,
             count.losses,
-            reasons.get(key, "its attempt is missing" if statuses[key] in _TROUBLES else ""),
+            reasons.get(key) or ("its attempt is missing" if statuses[key] in _TROUBLES else ""),
             retries.get(key, ""),
         )
         for key, count in attempts.items()
