@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,11 +13,12 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from calcidem.analysis.measured import Target
+from calcidem.app.config.checks import check_against_packing, cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
+from calcidem.app.studies.campaigns import point_of_study, point_velocities
 from calcidem.app.studies.parameters import ParameterRange, check_ranges, with_values
 from calcidem.app.studies.posterior import draw_posterior, linear_model
-from calcidem.app.studies.trials import KeptTrials, check_cells, trial_workers
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 
@@ -253,47 +255,45 @@ def calibrate(
     configuration: Configuration,
     packing: Packing,
     plan: FitPlan,
-    cores: int = 1,
+    database: Path,
+    executor: Executor | None = None,
     tell: Callable[[str], None] = lambda _: None,
-    kept: Path | None = None,
 ) -> FittedParameters:
     """Fit parameters to means and standard deviations of Vs by weighted least squares of their logarithms.
 
-    Batches of seeds run on ``cores`` processes. Every trial is reported by ``tell`` and stored at once in the file
-    ``kept``, which supplies it when the fit is repeated. `ConfigurationError` if a parameter cannot be fitted, there
-    are more parameters than numbers to meet, or the file has no trials.
+    Every trial is a campaign in ``database``, computed by the workers of ``executor`` or in this process, and reported
+    by ``tell``; a repeated fit computes only what is missing. `ConfigurationError` if a parameter cannot be fitted, the
+    packing cannot hold the cells, or there are more parameters than numbers to meet.
 
     The method is Gauss-Newton on the logarithms of the parameters, within their ranges, with one-sided differences. A
     step without improvement is halved. A content with fewer than three readable seeds is left out. The result lists
     objections to it.
     """
-    trials = KeptTrials(kept, packing)
     start = list(plan.start(configuration, packing).values())
-    check_cells(configuration, packing, sorted({row.content for row in plan.targets} | set(plan.predict)), plan.seeds)
+    every = sorted({row.content for row in plan.targets} | set(plan.predict))
+    try:
+        planned = point_of_study(configuration, database, every, plan.seeds)
+    except ValueError as error:
+        raise ConfigurationError("cells", [Problem(str(error))]) from error
+    if problems := cross_check(planned):
+        raise ConfigurationError("cells", problems)
+    check_against_packing(planned, packing)
     contents = [target.content for target in plan.met]
-    with trial_workers(packing, contents, plan.seeds, cores) as measure_trials:
-        measure = trials.remembered(measure_trials, contents, plan.seeds)
 
-        def velocities(tried: Sequence[ParameterValues]) -> list[Floats]:
-            possible: dict[int, Configuration] = {}
-            for place, values in enumerate(tried):
-                with suppress(ValueError):  # refused values give no velocity
-                    possible[place] = with_values(configuration, values)
-            found = measure(list(possible.values()))
-            none = np.full((len(plan.seeds), len(contents)), np.nan)
-            return [next(found) if place in possible else none for place in range(len(tried))]
+    def velocities(values: ParameterValues, contents: Sequence[float] = contents) -> Floats:
+        try:
+            tried = with_values(configuration, values)
+        except ValueError:  # refused values give no velocity
+            return np.full((len(plan.seeds), len(contents)), np.nan)
+        return point_velocities(point_of_study(tried, database, contents, plan.seeds), executor)
 
-        fitted = _fit_to_targets(velocities, plan, start, tell)
+    fitted = _fit_to_targets(lambda tried: [velocities(values) for values in tried], plan, start, tell)
     if not plan.predict:
         return fitted
     known = {target.content: target for target in plan.targets}
-    with trial_workers(packing, plan.predict, plan.seeds, cores) as measure_trials:
-        (found,) = trials.remembered(measure_trials, plan.predict, plan.seeds)(
-            [with_values(configuration, fitted.values)]
-        )
     predictions = (
         _summary(content, known.get(content), vs, np.isfinite(vs), "predicted")
-        for content, vs in zip(plan.predict, found.T, strict=True)
+        for content, vs in zip(plan.predict, velocities(fitted.values, plan.predict).T, strict=True)
     )
     return replace(fitted, contents=(*fitted.contents, *predictions))
 
