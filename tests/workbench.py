@@ -60,7 +60,7 @@ LONG = (
     "calcidem.app.campaign.launch.Launch.run",
     "calcidem.app.campaign.packing.make_packing",
     "calcidem.app.campaign.packing.packing_from_csv",
-    "calcidem.app.campaign.run.CampaignRun._begin",
+    "calcidem.app.campaign.run.CampaignRun.compute",
     "calcidem.app.doctor.checkup.findings",
     "calcidem.app.studies.stability.command.random_scenes",
     "calcidem.app.studies.stability.command.stability",

@@ -25,8 +25,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 LIBRARIES = {
     "Python alone": "pass",
-    "a worker": "import calcidem.app.campaign.ranks",
-    "rank 0": "import calcidem.app.campaign.ranks, calcidem.app.cli.run_view, calcidem.app.config.reader",
+    "a worker": "import calcidem.app.campaign.run",
+    "rank 0": "import calcidem.app.campaign.run, calcidem.app.cli.run_view, calcidem.app.config.reader",
 }
 
 KERNELS = """

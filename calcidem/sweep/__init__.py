@@ -2,6 +2,6 @@
 
 with Session() as session:
     ...                                     # prepare, session.broadcast(...)
-    end = run_sweep(session.comm, batches, compute, sink, stop_request=session.stop_request)
+    end = run_sweep(executor, batches, compute, sink)
     session.end(end.exit_code, end)
 """

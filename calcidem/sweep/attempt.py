@@ -1,16 +1,17 @@
-"""One attempt at a batch, on a worker or in a serial run, within a time limit."""
+"""One attempt at a batch, in any process that computes, within a time limit."""
 
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from typing import Protocol, TypeVar
 
 from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place, ResultT
 
 ResultT_co = TypeVar("ResultT_co", covariant=True)
+
+IS_INTERRUPTED: ContextVar[Callable[[], bool]] = ContextVar("is_interrupted", default=lambda: False)
+"""Whether this process has to drop the batch that it computes; asked every 0.1 to 0.5 s."""
 
 
 class _TimeLimitReached(Exception):  # noqa: N818 - an expected end of a computation, not an error of the program
@@ -25,12 +26,11 @@ class Deadline:
     """Check that a computation calls every 0.1 to 0.5 s, between chunks of compiled work.
 
     Python signal handlers and timers cannot interrupt compiled code, so the computation has to call this check. The
-    limit is in seconds from now, None for none. ``interrupted`` returns whether the sweep has to end at once.
+    limit is in seconds from now, None for none.
     """
 
-    def __init__(self, time_limit: float | None, interrupted: Callable[[], bool]) -> None:
+    def __init__(self, time_limit: float | None) -> None:
         self._time_limit = time_limit
-        self._interrupted = interrupted
         self._start = time.monotonic()
 
     def __call__(self) -> None:
@@ -38,7 +38,7 @@ class Deadline:
 
         `_TimeLimitReached` if the batch has used up its time; `SweepInterrupted` if the sweep has to end at once.
         """
-        if self._interrupted():
+        if IS_INTERRUPTED.get()():
             raise SweepInterrupted
         elapsed = time.monotonic() - self._start
         if self._time_limit is not None and elapsed > self._time_limit:
@@ -60,7 +60,7 @@ class Compute(Protocol[CellT, ResultT_co]):
 
 
 def attempt(
-    batch: Batch[CellT], compute: Compute[CellT, ResultT], deadline: Deadline, place: Place
+    batch: Batch[CellT], compute: Compute[CellT, ResultT], time_limit: float | None, place: Place
 ) -> BatchOutcome[CellT, ResultT]:
     """Compute a batch; return its results or its failure as data.
 
@@ -68,42 +68,10 @@ def attempt(
     """
     start = time.monotonic()
     try:
-        results = tuple(compute(batch, deadline))
+        results = tuple(compute(batch, Deadline(time_limit)))
         return BatchOutcome(batch, place, time.monotonic() - start, results=results)
     except _TimeLimitReached as error:
         failure = Failure(FailureKind.TIMED_OUT, str(error))
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever it is, it costs only this batch
         failure = Failure.from_exception(FailureKind.FAILED, error)
     return BatchOutcome(batch, place, time.monotonic() - start, failure=failure)
-
-
-_hard_stops: list[float] = []
-"""Times at which this process is killed, s on the monotonic clock; one for each computing thread."""
-
-_arming = threading.Lock()
-
-
-@contextmanager
-def hard_stop(limit: float | None) -> Iterator[None]:
-    """Let the kernel kill this process if the block takes longer than `limit` seconds.
-
-    The default action of SIGALRM also works inside compiled code, where no Python handler runs. On Windows, which lacks
-    this signal, and in programs that handle it themselves, the limit has no effect.
-    """
-    if limit is None or not hasattr(signal, "setitimer") or signal.getsignal(signal.SIGALRM) is not signal.SIG_DFL:
-        yield
-        return
-    end = time.monotonic() + limit
-    _arm(_hard_stops.append, end)
-    try:
-        yield
-    finally:
-        _arm(_hard_stops.remove, end)
-
-
-def _arm(change: Callable[[float], None], end: float) -> None:
-    """Change the list of hard stops, and set the timer to the first of them."""
-    with _arming:
-        change(end)
-        left = max(min(_hard_stops) - time.monotonic(), 1e-3) if _hard_stops else 0.0
-        signal.setitimer(signal.ITIMER_REAL, left)

@@ -30,7 +30,7 @@ class Batch(Generic[CellT]):
     group: Hashable = None
     """Common property of the cells (in a campaign the content); the time per cost is measured for each group."""
     losses: int = 0
-    """Number of workers that were lost while computing these cells, in this run and in earlier ones."""
+    """Number of earlier runs that died while these cells were computed."""
 
     def __post_init__(self) -> None:
         if not self.cells:
@@ -38,11 +38,12 @@ class Batch(Generic[CellT]):
         if not self.cost > 0.0:
             raise ValueError(f"cost is {self.cost}: give an estimate larger than zero")
         if self.losses < 0:
-            raise ValueError(f"losses is {self.losses}: give the number of lost workers, zero or more")
+            raise ValueError(f"losses is {self.losses}: give the number of runs that died, zero or more")
 
-    def with_another_loss(self) -> Self:
-        """Return the batch with one more lost worker."""
-        return replace(self, losses=self.losses + 1)
+    @property
+    def is_alone(self) -> bool:
+        """Whether no other batch may be computed meanwhile, so that another death has only one possible cause."""
+        return self.losses > 1
 
     def split(self, first_identifier: int) -> tuple[Self, ...]:
         """Return one batch for each cell, numbered from `first_identifier`; cost and losses are kept.
@@ -65,8 +66,8 @@ def plan_batches(
 
     All cells of a batch have the same content. The batches form rounds, one for every `lanes` seeds: whole seeds are
     complete early, so a stopped campaign is usable. Within a round the expensive contents come first, so that no long
-    batch remains at the end. Cells that have lost a worker come last and alone, so that they affect no other cell.
-    `ValueError` if `lanes` is smaller than one.
+    batch remains at the end. Cells that were computed when a run died come last, and after a second death each for
+    itself, so that they affect few others. `ValueError` if `lanes` is smaller than one.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ def plan_batches(
     cost_of_content
         Expected effort of one batch of the given content, in any unit.
     losses
-        Number of workers lost in earlier runs while computing each cell; zero for cells not named.
+        Number of earlier runs that died while each cell was computed; zero for cells not named.
 
     Returns
     -------
@@ -88,25 +89,16 @@ def plan_batches(
         raise ValueError(f"lanes is {lanes}: give the number of cells computed side by side, at least 1")
     losses = losses or {}
     cells = sorted(set(pending))
-    suspects = [cell for cell in cells if losses.get(cell, 0) > 0]
-    groups: dict[float, list[Cell]] = defaultdict(list)
+    groups: dict[tuple[float, int], list[Cell]] = defaultdict(list)
     for cell in cells:
-        if losses.get(cell, 0) == 0:
-            groups[cell[1]].append(cell)  # by seed, as the cells are
+        groups[cell[1], losses.get(cell, 0)].append(cell)  # by seed, as the cells are
     round_of_seed = {seed: rank // lanes for rank, seed in enumerate(sorted({seed for seed, _ in cells}))}
-    cost = {content: cost_of_content(content) for content in {content for _, content in cells}}
-
-    chunks = [tuple(group[start : start + lanes]) for group in groups.values() for start in range(0, len(group), lanes)]
+    batches = []
+    for (content, lost), group in groups.items():
+        cost, width = cost_of_content(content), 1 if lost > 1 else lanes
+        batches += [
+            Batch(0, tuple(group[start : start + width]), cost, content, lost) for start in range(0, len(group), width)
+        ]
     # The first seed of a batch determines its round, since this seed has waited longest.
-    chunks.sort(key=lambda chunk: (round_of_seed[chunk[0][0]], -cost[chunk[0][1]], chunk[0]))
-    chunks.extend((cell,) for cell in sorted(suspects, key=lambda cell: (losses[cell], cell)))
-    return tuple(
-        Batch(
-            identifier=identifier,
-            cells=chunk,
-            cost=cost[chunk[0][1]],
-            group=chunk[0][1],
-            losses=losses.get(chunk[0], 0),
-        )
-        for identifier, chunk in enumerate(chunks)
-    )
+    batches.sort(key=lambda batch: (batch.losses, round_of_seed[batch.cells[0][0]], -batch.cost, batch.cells[0]))
+    return tuple(replace(batch, identifier=number) for number, batch in enumerate(batches))

@@ -1,4 +1,4 @@
-"""Facts about the launch of the program, for error messages, `doctor` and the provenance of a run."""
+"""Facts about the launch of the program, for error messages and the provenance of a run."""
 
 import os
 import sys
@@ -17,13 +17,8 @@ LAUNCHER_VARIABLES = {
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Must be 1 before numpy is imported: each rank has one core, for which threads would compete."""
 
-TERMINAL_VARIABLE = "CALCIDEM_TERMINAL"
-"""Number of columns of the terminal that shows the output of the ranks; not set without one."""
-
-NO_DEVICE_SEARCH = {"OMPI_MCA_btl": "^ofi"}
-"""Settings of Open MPI by default: its search for devices for one-sided messages, which calcidem does not use, takes a
-second.
-"""
+COMMAND_VARIABLE = "CALCIDEM_COMMAND"
+"""Set for ranks that `calcidem run --ranks` starts: the command itself shows their progress and the results."""
 
 
 def launcher(variables: Mapping[str, str] = os.environ) -> str | None:
@@ -31,9 +26,44 @@ def launcher(variables: Mapping[str, str] = os.environ) -> str | None:
     return next((name for variable, name in LAUNCHER_VARIABLES.items() if variable in variables), None)
 
 
-def fault_tolerance_enabled(variables: Mapping[str, str] = os.environ) -> bool:
-    """Return whether MPI continues after the loss of a rank: Open MPI 5 under `mpirun --with-ft ulfm`."""
-    return variables.get("OMPI_MCA_mpi_ft_enable", "0").lower() in {"1", "true", "yes"}
+def own_rank(variables: Mapping[str, str] = os.environ) -> int | None:
+    """Return the number of this MPI rank, from 0, as its launcher tells; None without one."""
+    names = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
+    return next((int(variables[name]) for name in names if variables.get(name, "").isdigit()), None)
+
+
+def whole_number(name: str, largest: int, variables: Mapping[str, str] = os.environ) -> int | None:
+    """Return the whole number from 1 to `largest` in an environment variable, None if it is not set or empty.
+
+    `LaunchError` for any other value.
+    """
+    text = variables.get(name, "").strip()
+    if not text:
+        return None
+    if not (text.isascii() and text.isdigit() and len(text) <= len(str(largest)) and 1 <= int(text) <= largest):
+        raise LaunchError(f"{name}={text}: set it to a whole number from 1 to {largest}, or unset it")
+    return int(text)
+
+
+def requested_tasks(variables: Mapping[str, str] = os.environ) -> int | None:
+    """Return the number of tasks of this Slurm job, None outside of Slurm; `LaunchError` as `whole_number`."""
+    return whole_number("SLURM_NTASKS", 100_000, variables)
+
+
+def refuse_singletons(variables: Mapping[str, str] = os.environ) -> None:
+    """Refuse to run alone as one of several tasks.
+
+    `srun python` starts N independent programs, each of which would compute the whole campaign. `LaunchError` if this
+    process is a task of a step of several, or of a job of several without a step, and no MPI launcher started it. The
+    shell that `salloc` opens is a step of one task.
+    """
+    name = "SLURM_STEP_NUM_TASKS" if variables.get("SLURM_STEP_NUM_TASKS") else "SLURM_NTASKS"
+    tasks = whole_number(name, 100_000, variables) or 1
+    if tasks > 1 and launcher(variables) is None:
+        raise LaunchError(
+            f"{name} is {tasks}, but this process is the only MPI rank: `srun python` starts independent programs; use "
+            "--ranks 0 or mpirun inside the job, `srun --mpi=pmix`, or ask for one task"
+        )
 
 
 def available_cores() -> int:
@@ -44,7 +74,7 @@ def available_cores() -> int:
 
 
 def refuse_ranks_off_linux(system: str | None = None) -> None:
-    """Refuse several ranks on systems without support against ranks that die, stop or outlive their launcher.
+    """Refuse several ranks on systems without support against ranks that outlive their launcher.
 
     `LaunchError` unless it is Linux.
     """

@@ -12,12 +12,6 @@ from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.progress import Progress
 
-_INTERVAL = 0.1
-"""Seconds between the starts of two groups; a transaction costs as much as the rows of two or three batches."""
-
-_MOST_WAITING = 512
-"""Number of waiting outcomes, some 200 kB each, above which no more batches are handed out."""
-
 
 class Sink(Protocol):
     """Receiver of the outcomes of a sweep, given by its caller; its storing methods run on a separate thread.
@@ -30,10 +24,10 @@ class Sink(Protocol):
     def store(self, outcomes: Sequence[BatchOutcome[Any, Any]], /) -> None:
         """Store one or several final outcomes."""
 
-    def store_loss(self, batch: Batch[Any], reason: str, /) -> None:
-        """Store the loss of a worker during a batch; `batch.losses` already includes it.
+    def mark(self, batches: Sequence[Batch[Any]], /) -> None:
+        """Store that these batches are being computed.
 
-        After a restart the caller passes these numbers as `losses` when it plans the same cells again.
+        A mark without an outcome tells the next run that this one died meanwhile; it counts for `Batch.losses`.
         """
 
     def keep_alive(self) -> None:
@@ -41,7 +35,7 @@ class Sink(Protocol):
 
 
 class GroupCommit(Generic[CellT]):
-    """Stores final outcomes on a separate thread, in the order given, and shows them once they are stored.
+    """Stores marks and final outcomes on a separate thread, in the order given, and shows outcomes once stored.
 
     Outcomes that arrive while a group is stored form the next group. As a context manager it stores the remaining
     outcomes on exit, unless the sink has failed. The display receives only stored outcomes.
@@ -50,23 +44,23 @@ class GroupCommit(Generic[CellT]):
     def __init__(self, sink: Sink, progress: Progress) -> None:
         self._sink, self._progress = sink, progress
         self._thread = ThreadPoolExecutor(1, "store")
+        self._marks: list[Batch[CellT]] = []
         self._waiting: list[BatchOutcome[CellT, Any]] = []
         self._groups: deque[tuple[Future[None], list[BatchOutcome[CellT, Any]]]] = deque()
         self._next_begin = 0.0
 
     @property
     def is_full(self) -> bool:
-        """Whether so many outcomes wait that no more batches should be handed out."""
-        return len(self._waiting) > _MOST_WAITING
+        """Whether so many outcomes wait, some 200 kB each, that no more batches should be handed out."""
+        return len(self._waiting) > 512
 
     def add(self, *outcomes: BatchOutcome[CellT, Any]) -> None:
         """Queue outcomes for the next group."""
         self._waiting.extend(outcomes)
 
-    def add_loss(self, batch: Batch[CellT], reason: str) -> None:
-        """Queue the loss of a worker, behind all outcomes so far."""
-        self._begin()
-        self._groups.append((self._thread.submit(self._sink.store_loss, batch, reason), []))
+    def mark(self, *batches: Batch[CellT]) -> None:
+        """Queue marks of batches that are being computed for the next group."""
+        self._marks.extend(batches)
 
     def advance(self) -> None:
         """Show stored outcomes, and begin the next group if it is due; does not wait.
@@ -82,17 +76,20 @@ class GroupCommit(Generic[CellT]):
             self._begin()
 
     def flush(self) -> None:
-        """Return once all outcomes are stored and shown; raises the exceptions of `advance`."""
+        """Return once all is stored and shown; raises the exceptions of `advance`."""
         self._begin()
         while self._groups:
             self._acknowledge()
 
     def _begin(self) -> None:
-        """Let the thread store the waiting outcomes after the previous group."""
-        if self._waiting:
-            self._next_begin = time.monotonic() + _INTERVAL
+        """Let the thread store marks and waiting outcomes after the previous group."""
+        if self._waiting or self._marks:
+            self._next_begin = (
+                time.monotonic() + 0.1
+            )  # s; a transaction costs as much as the rows of two or three batches
             group, self._waiting = self._waiting, []
-            self._groups.append((self._thread.submit(self._sink.store, group), group))
+            marks, self._marks = self._marks, []
+            self._groups.append((self._thread.submit(_store_all, self._sink, marks, group), group))
 
     def _acknowledge(self) -> None:
         """Wait for the oldest group; show its outcomes."""
@@ -116,3 +113,11 @@ class GroupCommit(Generic[CellT]):
         """Store the waiting outcomes; a pending error is raised first."""
         with self._thread, suppress(*(() if error is None else (Exception,))):
             self.flush()
+
+
+def _store_all(sink: Sink, marks: Sequence[Batch[Any]], outcomes: Sequence[BatchOutcome[Any, Any]]) -> None:
+    """Store marks before outcomes, which complete them."""
+    if marks:
+        sink.mark(marks)
+    if outcomes:
+        sink.store(outcomes)

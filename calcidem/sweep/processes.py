@@ -1,39 +1,63 @@
-"""Operating-system support against processes that die, stop or outlive their launcher (Linux)."""
+"""Support of the operating system for processes (Linux)."""
 
 import contextlib
 import ctypes
 import os
-import platform
 import select
 import signal
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Self
+import sys
+import threading
+import time
+from typing import Any
+
+# Loaded here, since the next function also runs between fork and exec.
+_LIBC: Any = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
 
 
-@dataclass(frozen=True, slots=True)
-class ProcessIdentity:
-    """Identity of a process for other processes on the same machine."""
+def die_with_parent(parent: int | None = None) -> None:
+    """Let the kernel kill this process as soon as its parent ends.
 
-    process: int
-    """Its number."""
-    machine: str
-    """Equal for two processes if and only if process numbers have the same meaning for both: same boot of the same
-    kernel, same namespace (containers).
+    A caller that knows the process number of its parent gives it, since the parent may have ended before this call.
+
+    Otherwise a rank whose mpirun was killed would run for ever. It is a descendant of mpirun or, on other nodes, of its
+    daemon, which ends when it loses mpirun. Call this before MPI is initialised: if the launcher has ended by then, the
+    initialisation fails and the rank ends. `OSError` if the kernel refuses.
     """
-    host: str
-    """Name of the machine."""
-
-    @classmethod
-    def of_this_process(cls) -> Self:
-        """Return the identity of the calling process."""
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-        namespace = Path("/proc/self/ns/pid").readlink()
-        return cls(process=os.getpid(), machine=f"{boot} {namespace}", host=platform.node())
+    parent = parent or os.getppid()
+    if _LIBC.prctl(1, signal.SIGKILL, 0, 0, 0) != 0:  # PR_SET_PDEATHSIG
+        number = ctypes.get_errno()
+        raise OSError(number, f"prctl(PR_SET_PDEATHSIG): {os.strerror(number)}")
+    if os.getppid() != parent:  # it ended before the request, so its death will not be signalled
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
-_MEMORY_KEPT, _LARGEST_BLOCK_KEPT = 1 << 27, 1 << 25  # bytes; some versions of glibc refuse more than the second
+def exists(process: int) -> bool:
+    """Whether a process of this machine with this number exists."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def end_after(process: int, grace: float, exit_code: int) -> None:
+    """End this process some seconds after the end of another one of this machine, unless it ends by itself.
+
+    A thread waits for this. `srun` does not end a job when one of its tasks is killed, as mpirun does.
+    """
+    try:
+        descriptor = os.pidfd_open(process)
+    except OSError:
+        return  # before Linux 5.3, or it has just ended and MPI is being informed
+
+    def wait_and_end() -> None:
+        select.select([descriptor], [], [])
+        time.sleep(grace)
+        os._exit(exit_code)
+
+    threading.Thread(target=wait_and_end, name="watch-master", daemon=True).start()
 
 
 def keep_freed_memory() -> None:
@@ -43,51 +67,5 @@ def keep_freed_memory() -> None:
     arrays of some hundred kilobytes this takes half of NumPy's time.
     """
     with contextlib.suppress(OSError, AttributeError):
-        library = ctypes.CDLL(None)
-        library.mallopt(_M_TRIM_THRESHOLD, _MEMORY_KEPT)
-        library.mallopt(_M_MMAP_THRESHOLD, _LARGEST_BLOCK_KEPT)
-
-
-class ProcessWatch:
-    """Processes on this machine, each identified by a key of the caller.
-
-    File descriptors refer to them, so reused process numbers cannot be confused, and one call checks all of them.
-    Processes on other machines or on a kernel before Linux 5.3 cannot be watched: they are never reported as ended, and
-    `kill` returns False.
-    """
-
-    def __init__(self) -> None:
-        self._descriptor_of: dict[int, int] = {}
-        self._key_of: dict[int, int] = {}
-        self._poll = select.poll()
-        self._machine = ProcessIdentity.of_this_process().machine
-
-    def add(self, key: int, identity: ProcessIdentity) -> None:
-        """Begin to watch a process, if this machine can watch it."""
-        if identity.machine != self._machine:
-            return
-        with contextlib.suppress(OSError):
-            descriptor = os.pidfd_open(identity.process)
-            self._poll.register(descriptor, select.POLLIN)
-            self._descriptor_of[key] = descriptor
-            self._key_of[descriptor] = key
-
-    def find_ended(self) -> set[int]:
-        """Return the keys of all watched processes that have ended."""
-        return {self._key_of[descriptor] for descriptor, _ in self._poll.poll(0)}
-
-    def kill(self, key: int) -> bool:
-        """Kill a process, even a stopped one or one in compiled code; return whether it is watched."""
-        if key not in self._descriptor_of:
-            return False
-        with contextlib.suppress(ProcessLookupError):
-            signal.pidfd_send_signal(self._descriptor_of[key], signal.SIGKILL)
-        return True
-
-    def remove(self, key: int) -> None:
-        """Stop watching a process."""
-        descriptor = self._descriptor_of.pop(key, None)
-        if descriptor is not None:
-            self._poll.unregister(descriptor)
-            del self._key_of[descriptor]
-            os.close(descriptor)
+        _LIBC.mallopt(-1, 1 << 27)  # M_TRIM_THRESHOLD, bytes
+        _LIBC.mallopt(-3, 1 << 25)  # M_MMAP_THRESHOLD; some versions of glibc refuse more

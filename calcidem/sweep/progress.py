@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.sweep_end import SweepEnd
 
 
@@ -14,17 +14,11 @@ class Progress:
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Receive the batches of the sweep and the number of workers, before the first is handed out."""
 
-    def on_further(self, batches: Sequence[Batch[Any]]) -> None:
-        """Receive batches that were added to the sweep."""
-
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Receive a stored outcome."""
 
-    def on_loss(self, place: Place, reason: str) -> None:
-        """Receive the loss of a worker."""
-
-    def on_heartbeat(self, workers: int, running: int) -> None:
-        """Called twice a second during the sweep, with the numbers of living and of computing workers."""
+    def on_heartbeat(self) -> None:
+        """Called twice a second during the sweep."""
 
     def on_end(self, end: SweepEnd) -> None:
         """Receive the end of the sweep."""

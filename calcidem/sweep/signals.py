@@ -10,23 +10,10 @@ from typing import Any, Self
 
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
-
-def _known(*names: str) -> tuple[signal.Signals, ...]:
-    """Those of these signals that this system has; Windows lacks most."""
-    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
-
-
-_DRAIN_SIGNALS = ("SIGUSR1",)
-"""Finish the running batches, store them, then stop."""
-
-# mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them 0.25 s later and
-# returns 1; so a launcher script that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
-_RELAYED_AS = "SIGUSR2"
-_HURRY_SIGNALS = ("SIGTERM", "SIGINT", _RELAYED_AS)
+# mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them a quarter of a second later.
+# So a launcher that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
+_HURRY_SIGNALS = ("SIGTERM", "SIGINT", "SIGUSR2")
 """Store finished batches and stop now; the running ones are dropped."""
-
-_REPEAT_IGNORED = 1.0
-"""Seconds within which a repeated signal counts as the same request; a batch system and mpirun may both forward it."""
 
 
 class StopLevel(IntEnum):
@@ -34,22 +21,32 @@ class StopLevel(IntEnum):
 
     NONE = 0
     DRAIN = 1
+    """Finish the running batches, store them, then stop."""
     HURRY = 2
+    """Store finished batches and stop now."""
+    LOST = 3
+    """The same, since a rank has died and its launcher ends the others."""
 
 
 class SignalHandlers:
     """Context manager that handles signals and restores the former handlers; for the main thread only.
 
-    Signals are given by their names; those that this system lacks are left out.
+    Signals are given by their names. Those that this system lacks are left out, and those that are ignored stay so, as
+    `nohup` and a shell's `&` require.
     """
 
     def __init__(self, handlers: Mapping[str, Callable[[int, FrameType | None], None]]) -> None:
         self._handlers: Mapping[signal.Signals, Any] = {
-            number: handler for name, handler in handlers.items() for number in _known(name)
+            getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)
         }
 
     def __enter__(self) -> Self:
         """Install the handlers."""
+        self._handlers = {
+            number: handler
+            for number, handler in self._handlers.items()
+            if signal.getsignal(number) is not signal.SIG_IGN
+        }
         self._swap()
         return self
 
@@ -64,19 +61,31 @@ class SignalHandlers:
 class StopRequest(SignalHandlers):
     """Context manager that turns signals into a level of urgency to be polled.
 
-    A second urgent signal, at least `_REPEAT_IGNORED` after the first, ends the process at once. Before that,
-    ``end_at_once`` is called.
+    A second urgent signal ends the process at once, unless it comes within a second of the first: a batch system and
+    mpirun may both forward the same request.
+
+    Parameters
+    ----------
+    finishes
+        Whether SIGUSR1 is a request; the ranks that compute ignore it and finish their batches.
+    has_lost
+        Asked at a SIGTERM: whether it came since another rank has died.
 
     Attributes
     ----------
+    has_lost
+        As the parameter.
     level
-        Urgency of a requested end.    reason
+        Urgency of a requested end.
+    reason
         Name of the signal that requested it, empty if none.
     """
 
-    def __init__(self, end_at_once: Callable[[], object] | None = None) -> None:
-        super().__init__(dict.fromkeys(_DRAIN_SIGNALS, self._drain) | dict.fromkeys(_HURRY_SIGNALS, self._hurry))
-        self._end_at_once = end_at_once
+    def __init__(self, *, finishes: bool = True, has_lost: Callable[[], bool] = lambda: False) -> None:
+        super().__init__(
+            {"SIGUSR1": self._drain if finishes else lambda *_: None} | dict.fromkeys(_HURRY_SIGNALS, self._hurry)
+        )
+        self.has_lost = has_lost
         self._hurry_since: float | None = None
         self.level = StopLevel.NONE
         self.reason = ""
@@ -84,31 +93,23 @@ class StopRequest(SignalHandlers):
     @property
     def explanation(self) -> str:
         """Reason in words for the user; SIGUSR2 stands for another signal of the user."""
-        relayed = self.reason == _RELAYED_AS
-        return f"SIGTERM or Ctrl-C, passed on as {self.reason}" if relayed else self.reason
+        if self.level is StopLevel.LOST:
+            return "a rank died, and its launcher ended the others"
+        return "SIGTERM or Ctrl-C, passed on as SIGUSR2" if self.reason == "SIGUSR2" else self.reason
 
     def hurry(self) -> bool:
         """Whether the running batches have to be dropped."""
-        return self.level is StopLevel.HURRY
+        return self.level >= StopLevel.HURRY
 
     def _drain(self, number: int, _frame: FrameType | None) -> None:
         if self.level is StopLevel.NONE:
-            self.level = StopLevel.DRAIN
-            self.reason = signal.Signals(number).name
+            self.level, self.reason = StopLevel.DRAIN, signal.Signals(number).name
 
     def _hurry(self, number: int, _frame: FrameType | None) -> None:
-        now = time.monotonic()
+        now, name = time.monotonic(), signal.Signals(number).name
         if self._hurry_since is None:
             self._hurry_since = now
-            self.level = StopLevel.HURRY
-            self.reason = signal.Signals(number).name
-        elif now - self._hurry_since > _REPEAT_IGNORED:
-            if self._end_at_once is not None:
-                self._end_at_once()
+            is_loss = name == "SIGTERM" and self.has_lost()
+            self.level, self.reason = StopLevel.LOST if is_loss else StopLevel.HURRY, name
+        elif now - self._hurry_since > 1.0:
             os._exit(EXIT_RESUMABLE)
-
-
-def leave_signals_to_master() -> None:
-    """Ignore all signals that request a stop: mpirun sends them to every rank, but rank 0 alone decides."""
-    for number in _known(*_DRAIN_SIGNALS, *_HURRY_SIGNALS):
-        signal.signal(number, signal.SIG_IGN)

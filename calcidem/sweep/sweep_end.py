@@ -23,12 +23,8 @@ class LaunchError(SweepError):
     """The program was started in a manner that does not allow the requested run."""
 
 
-class MasterLostError(SweepError):
-    """Rank 0 has died; a worker cannot continue without it."""
-
-
 class WorkersLostError(SweepError):
-    """The workers were lost before all cells were computed; computed cells are stored."""
+    """A worker died or hung before all cells were computed; computed cells are stored."""
 
 
 class SweepState(StrEnum):
@@ -38,26 +34,24 @@ class SweepState(StrEnum):
     """Every batch has a final outcome."""
     STOPPED = "stopped"
     """A signal requested it."""
-    OUT_OF_WORKERS = "out of workers"
-    """All workers are lost, or one is and the MPI library cannot continue without it."""
+    CUT_OFF = "cut off"
+    """A worker died or hangs."""
     ERROR = "error"
     """An error of the master, most likely while storing."""
 
 
 @dataclass(frozen=True, slots=True)
 class SweepEnd:
-    """End of a sweep, the same on all ranks."""
+    """End of a sweep."""
 
     state: SweepState
     """Reason for the end."""
     detail: str = ""
     """One sentence for the user; may be empty."""
     tally: Tally = field(default_factory=Tally)
-    """Numbers of cells and lost workers."""
+    """Numbers of cells."""
     seconds: float = 0.0
     """Wall time of the sweep in s."""
-    unresponsive_ranks: frozenset[int] = frozenset()
-    """Ranks that did not answer the request to stop and may still be running; known on rank 0 only."""
 
     @property
     def exit_code(self) -> int:

@@ -1,106 +1,283 @@
-"""Interface of a sweep to the processes that compute batches.
+"""The workers of a sweep: those of any `concurrent.futures.Executor`, or this process.
 
-These are MPI ranks (`mpi_workers`), the processes of an executor (`executor_workers`), or this process.
+An executor does not report the number or names of its workers. So each outcome names its worker, and more batches are
+submitted than there are known workers. A new worker computes one of these and counts from its first outcome.
+
+The computation, with the packing, is pickled once and sent with the first batches. A process keeps it by its hash. A
+process that lacks it reports this, and the batch is submitted again with the computation.
 """
 
+import os
+import pickle
+import platform
+import threading
+import time
 from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol
+from hashlib import sha256
+from queue import SimpleQueue
+from typing import Any, Generic, TypeAlias
 
-from calcidem.sweep.attempt import Compute, Deadline, SweepInterrupted, attempt
+from calcidem.sweep.attempt import Compute, SweepInterrupted, attempt
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.outcome import BatchOutcome, Place
-from calcidem.sweep.sweep_end import SweepEnd
+from calcidem.sweep.environment import available_cores, own_rank
+from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.sweep_end import SweepError
+
+_Identity: TypeAlias = tuple[str, int, int, int | None]
+"""Host, process, thread and MPI rank (None without MPI)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Loss(Generic[CellT]):
-    """Loss of one or several workers."""
+class ThisProcess(Executor):
+    """Executor that computes in the calling thread: `submit` returns a finished future."""
 
-    place: Place
-    """Rank and host of the last worker."""
-    batch: Batch[CellT] | None
-    """Batch that it was computing, or None."""
-    reason: str
-    """Evidence for the loss."""
-    seconds: float
-    """Time spent on the batch, s."""
-    workers: int = 1
-    """Number of workers lost while computing the batch, one after the other."""
+    num_workers = 1
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> "Future[Any]":  # noqa: ANN401 - as in the base class
+        """Call the function at once."""
+        future: Future[Any] = Future()
+        future.set_running_or_notify_cancel()
+        try:
+            future.set_result(function(*args, **kwargs))
+        except SweepInterrupted as interrupt:
+            future.set_exception(interrupt)
+        return future
 
 
-class Workers(Protocol[CellT]):
-    """Computes batches; used by one thread."""
+@dataclass(slots=True)
+class _Flight(Generic[CellT]):
+    """A batch in flight."""
+
+    batch: Batch[CellT]
+    patience: float
+    """Seconds after its begin at which the worker counts as hanging."""
+    is_first: bool
+    """Whether no worker had answered when it was submitted, so that its worker may have to load its libraries."""
+    begun: float | None = None
+    """Time of its begin as far as the executor tells, s on the monotonic clock."""
+
+
+class Workers(Generic[CellT]):
+    """Workers of an executor, which stays open.
+
+    A process that dies ends its executor (`ProcessPoolExecutor`), or the whole job (MPI). Then `exhausted` says why,
+    and the sweep ends; the same command continues. Dask alone goes on: it tries a batch on four workers before it
+    raises `KilledWorker`. The computation must be picklable unless `ThisProcess` is the executor.
+
+    Parameters
+    ----------
+    time_limit
+        Seconds for a batch. Its own check ends it there; a worker that does not answer for twice as long hangs.
+    silence_floor
+        Without a time limit a worker hangs after 20 times the slowest batch so far, scaled by cost, but not before
+        these seconds. The first one has as long in addition to load its libraries and to compile, the others 10 times
+        as long as the first took.
+
+    Attributes
+    ----------
+    exhausted
+        Reason why no more batches can be computed; else empty.
+    """
+
+    def __init__(
+        self, executor: Executor, compute: Compute[CellT, Any], time_limit: float | None, silence_floor: float
+    ) -> None:
+        self._executor, self._time_limit, self._silence_floor = executor, time_limit, silence_floor
+        if isinstance(executor, ThisProcess):
+            self._key, self._computation = "this process", b""
+            _computations.clear()
+            _computations[self._key] = compute
+        else:
+            self._computation = pickle.dumps(compute, pickle.HIGHEST_PROTOCOL)
+            self._key = sha256(self._computation).hexdigest()
+        self._in_flight: dict[Future[bytes], _Flight[CellT]] = {}
+        self._done: SimpleQueue[Future[bytes]] = SimpleQueue()
+        self._held: Batch[CellT] | None = None
+        self._rank_of: dict[_Identity, int] = {}
+        self._last_answer: dict[_Identity, float] = {}
+        self._last_event = time.monotonic()  # a submission or an answer
+        self._loading = silence_floor  # seconds that a worker may need in addition for its first batch
+        self._slowest = 0.0  # seconds for a unit of cost
+        self._longest = 0.0  # seconds of a batch
+        self.exhausted = ""
+
+    @property
+    def are_here(self) -> bool:
+        """Whether this process computes, during `submit`."""
+        return isinstance(self._executor, ThisProcess)
 
     @property
     def count(self) -> int:
-        """Number of workers, not counting lost ones."""
+        """Number of workers: as the executor tells, else those with an outcome in the last minute or so."""
+        told = getattr(self._executor, "num_workers", None) or getattr(self._executor, "_max_workers", None)
+        if told:
+            return int(told)
+        oldest = time.monotonic() - max(60.0, 10.0 * self._longest)
+        return sum(answer > oldest for answer in self._last_answer.values())
 
     @property
     def running(self) -> int:
-        """Number of submitted batches without an outcome that are not lost."""
+        """Number of batches submitted or held back."""
+        return len(self._in_flight) + (self._held is not None)
 
     @property
     def wants_batch(self) -> bool:
-        """Whether another batch may be submitted."""
-
-    @property
-    def exhausted(self) -> str:
-        """Reason why no more batches can be computed; else empty."""
-
-    def submit(self, batch: Batch[CellT], /) -> None:
-        """Submit a batch."""
-
-    def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
-        """Return new outcomes and lost workers since the last call.
-
-        A batch occurs in one of both, at most once.
-        """
-
-    def stop(self, end: SweepEnd, grace: float, /) -> frozenset[int]:
-        """Drop running batches within `grace` seconds; return the ranks that may still be running."""
-
-
-class SerialWorkers(Generic[CellT]):
-    """Calling process as the only worker: each poll computes the submitted batch.
-
-    The hard limit of a batch does not apply, since it would kill the only process. ``interrupted`` is called every 0.1
-    to 0.5 s during a batch and returns whether to drop it.
-    """
-
-    count = 1
-    exhausted = ""
-
-    def __init__(self, compute: Compute[CellT, Any], time_limit: float | None, interrupted: Callable[[], bool]) -> None:
-        self._compute, self._time_limit, self._interrupted = compute, time_limit, interrupted
-        self._batch: Batch[CellT] | None = None
-
-    @property
-    def running(self) -> int:
-        """One between submission and outcome of a batch, else zero."""
-        return int(self._batch is not None)
-
-    @property
-    def wants_batch(self) -> bool:
-        """Whether no batch is submitted."""
-        return self._batch is None
+        """Whether fewer batches are submitted than two for each worker and some for workers that may join."""
+        if self.exhausted or self._held is not None:
+            return False
+        if self.are_here:
+            return not self._in_flight
+        if any(flight.batch.is_alone for flight in self._in_flight.values()):
+            return False
+        return len(self._in_flight) < 2 * (self.count or available_cores()) + 2
 
     def submit(self, batch: Batch[CellT]) -> None:
-        """Keep a batch for the next poll."""
-        self._batch = batch
+        """Submit a batch; one that has to be alone waits until no other is in flight."""
+        if batch.is_alone and self._in_flight:
+            self._held = batch
+        else:
+            self._submit(batch, with_computation=not self._rank_of)
 
-    def poll(self) -> tuple[list[BatchOutcome[CellT, Any]], list[Loss[CellT]]]:
-        """Compute the batch, unless it is interrupted."""
-        if self._batch is None or self._interrupted():
-            return [], []
+    def begun(self) -> list[Batch[CellT]]:
+        """Batches whose computation has begun since the last call, as far as the executor tells."""
+        now, found = time.monotonic(), []
+        for future, flight in self._in_flight.items():
+            if flight.begun is None and (future.running() or future.done()):
+                flight.begun = now
+                found.append(flight.batch)
+        return found
+
+    def poll(self) -> list[BatchOutcome[CellT, Any]]:
+        """Receive outcomes; `SweepError` if a worker cannot load the computation."""
+        outcomes: list[BatchOutcome[CellT, Any]] = []
+        while not self._done.empty():
+            future = self._done.get_nowait()
+            flight = self._in_flight.pop(future, None)
+            if flight is None:
+                continue
+            try:
+                outcome = self._answer(future.result(), flight)
+            except SweepInterrupted:
+                continue  # dropped, since the sweep ends now
+            except Exception as error:  # noqa: BLE001 - each executor has its own
+                outcome = self._failure(error, flight)
+                if outcome is None:
+                    continue
+            if outcome is None:
+                self._submit(flight.batch, with_computation=True)
+            else:
+                outcomes.append(outcome)
+        self._find_hanging()
+        if self._held is not None and not self._in_flight:
+            batch, self._held = self._held, None
+            self._submit(batch, with_computation=False)
+        return outcomes
+
+    def cancel(self) -> None:
+        """Cancel batches not yet begun."""
+        self._held = None
+        for future in list(self._in_flight):
+            if future.cancel():
+                del self._in_flight[future]
+
+    def _submit(self, batch: Batch[CellT], *, with_computation: bool) -> None:
+        if self._time_limit is not None:
+            patience = 2.0 * self._time_limit + 5.0  # a check may be late by seconds on a loaded machine
+        elif self._slowest:
+            patience = max(self._silence_floor, 20.0 * self._slowest * batch.cost)
+        else:
+            patience = 10.0 * self._silence_floor
+        computation = self._computation if with_computation else None
         try:
-            deadline = Deadline(self._time_limit, self._interrupted)
-            outcome = attempt(self._batch, self._compute, deadline, Place.here(rank=0))
-        except SweepInterrupted:
-            return [], []
-        self._batch = None
-        return [outcome], []
+            future = self._executor.submit(_compute_batch, self._key, computation, batch, self._time_limit)
+        except Exception as error:  # noqa: BLE001 - each executor has its own
+            self._end(f"the executor takes no more batches ({type(error).__name__}: {error})")
+        else:
+            self._in_flight[future] = _Flight(batch, patience, is_first=not self._last_answer)
+            self._last_event = time.monotonic()
+            future.add_done_callback(self._done.put)
 
-    def stop(self, _end: SweepEnd, _grace: float) -> frozenset[int]:
-        """Do nothing: between polls nothing runs."""
-        return frozenset()
+    def _answer(self, answer: bytes, flight: _Flight[CellT]) -> BatchOutcome[CellT, Any] | None:
+        """Outcome returned by a worker; None if the worker lacks the computation."""
+        worker: _Identity
+        worker, packed = pickle.loads(answer)  # noqa: S301 - written by a worker of the same program
+        now = time.monotonic()
+        if not self._last_answer and flight.begun is not None:
+            self._loading = min(self._silence_floor, 10.0 * (now - flight.begun))
+        self._last_answer[worker] = self._last_event = now
+        rank = worker[3] if worker[3] is not None else len(self._rank_of) + (worker[1] != os.getpid())
+        place = Place(self._rank_of.setdefault(worker, rank), worker[0])
+        if packed is None:
+            return None
+        seconds, results, failure = packed
+        if results is not None:
+            try:
+                results = pickle.loads(results)  # noqa: S301 - as above
+            except Exception as error:  # noqa: BLE001 - unpickling runs code of the result's class
+                results, failure = None, Failure.from_exception(FailureKind.FAILED, error)
+            else:
+                self._slowest = max(self._slowest, seconds / flight.batch.cost)
+                self._longest = max(self._longest, seconds)
+        return BatchOutcome(flight.batch, place, seconds, results, failure)
+
+    def _failure(self, error: Exception, flight: _Flight[CellT]) -> BatchOutcome[CellT, Any] | None:
+        """Outcome of a batch that took down workers of Dask; None if the executor has ended.
+
+        `SweepError` if the worker could not load the computation.
+        """
+        reason = f"{type(error).__name__}: {error}"
+        if type(error).__name__ == "KilledWorker":  # an exception of Dask, which is not imported for this
+            failure = Failure(FailureKind.QUARANTINED, f"took down its workers and is not tried again: {reason}")
+            return BatchOutcome(flight.batch, Place(0, "unknown host"), 0.0, failure=failure)
+        if isinstance(error, BrokenExecutor | CancelledError | OSError):
+            self._end(f"a worker was lost ({reason})")
+            return None
+        raise SweepError(
+            f"A worker of the executor could not compute a batch ({reason}): install the same calcidem for all "
+            "workers, and look at what they wrote"
+        ) from error
+
+    def _find_hanging(self) -> None:
+        """End the sweep if a batch has had no outcome for too long, or if there are no workers."""
+        now = time.monotonic()
+        longest = max((flight.patience for flight in self._in_flight.values()), default=0.0)
+        for flight in self._in_flight.values():
+            allowed = flight.patience + (self._loading if flight.is_first else 0.0)
+            if flight.begun is not None and now - flight.begun > allowed:
+                cells = ", ".join(map(str, flight.batch.cells[:3]))
+                self._end(f"a worker has not answered within {allowed:.3g} s (cells {cells} ...)")
+        if self._in_flight and now - self._last_event > longest + 10.0 * self._silence_floor:
+            self._end(f"no worker has answered within {now - self._last_event:.3g} s")
+
+    def _end(self, reason: str) -> None:
+        self.exhausted = self.exhausted or reason
+
+
+_computations: dict[str, Compute[Any, Any]] = {}
+"""The computation of the latest sweep in this process, by its hash."""
+
+_loading = threading.Lock()
+
+
+def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_limit: float | None) -> bytes:
+    """Compute a batch in a worker.
+
+    Return the worker's identity and, if it has the computation, seconds, results and failure.
+    """
+    worker: _Identity = (platform.node(), os.getpid(), threading.get_ident(), own_rank())
+    with _loading:
+        if key not in _computations:
+            if computation is None:
+                return pickle.dumps((worker, None))
+            _computations.clear()
+            _computations[key] = pickle.loads(computation)  # noqa: S301 - written by the master of the same program
+        compute = _computations[key]
+    outcome = attempt(batch, compute, time_limit, Place(0, worker[0]))  # the master sets the rank
+    results, failure = None, outcome.failure
+    if failure is None:
+        try:
+            results = pickle.dumps(outcome.results, pickle.HIGHEST_PROTOCOL)
+        except Exception as error:  # noqa: BLE001 - pickling runs code of the result's class
+            failure = Failure.from_exception(FailureKind.FAILED, error)
+    return pickle.dumps((worker, (outcome.seconds, results, failure)))

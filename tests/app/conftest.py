@@ -166,8 +166,8 @@ class Workshop(MarkedProcesses):
                 return 0  # it is being made
 
     def rank(self, number: int) -> int:
-        """Process of a rank, not that of the starter that watches it."""
-        (found,) = self.processes("CALCIDEM_COMMAND_DESCRIPTOR=3", f"OMPI_COMM_WORLD_RANK={number}")
+        """Process of a rank."""
+        (found,) = self.processes(f"OMPI_COMM_WORLD_RANK={number}")
         return found
 
 

@@ -1,33 +1,27 @@
-"""How far a run is: told to a log, a terminal, a function, and through the channel of the ranks."""
+"""How far a run is: told to a log, a terminal, and a function, from what its database says."""
 
 import io
-import json
 import os
 import pty
 import re
 import select
 import shutil
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
-from places import CHECKOUT
+from places import CHECKOUT, TUTORIAL
 from rich.console import Console
 
 import calcidem
-from calcidem.app.campaign.display import LiveDisplay, _CallbackDisplay, _LineDisplay
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
+from calcidem.app.campaign.status import CampaignStatus
 from calcidem.dem.sample.packing import PackingStage
-from calcidem.launch import channel
-from calcidem.launch.starter import DESCRIPTOR_VARIABLE
-from calcidem.storage.records import CellStatus
 from calcidem.sweep.batch import Batch
 from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
 from calcidem.sweep.sweep_end import SweepEnd, SweepState
@@ -36,130 +30,87 @@ if TYPE_CHECKING:
     from conftest import Workshop
 
 PLACE = Place(rank=2, host="node7")
-BATCHES = [
-    Batch(number, ((1, content), (2, content)), cost=1.0 + number, group=content)
-    for number, content in enumerate((0.0, 2.55, 9.0))
-]
+BATCHES = [Batch(number, ((1, content), (2, content))) for number, content in enumerate((0.0, 2.55, 9.0))]
 
 
-@dataclass(frozen=True)
-class Result:
-    """As much of a cell's outcome as the progress needs."""
-
-    status: CellStatus
-
-
-def tell_a_story(display: ProgressDisplay) -> None:
-    """Let a display live through a packing and a sweep with a cell without velocity, a failure and a lost worker."""
+def tell_a_story(display: ProgressDisplay, database: Path) -> None:
+    """Let a display live through a packing, and a sweep with a failure and a stop."""
     reporter = ProgressReporter(display)
     reporter.on_packing(PackingStage(2, 5, 4000, 0.5, 1e-6, 0.1))
+    time.sleep(0.5)  # for the thread that draws
     reporter.begin(RunStage.COMPILING)
-    time.sleep(0.25)  # longer than the pause between two pictures
+    time.sleep(0.25)  # longer than the pause between two snapshots
     reporter.on_compiling("samples with cement (1 of 2)", "wall_forces", 23)
-    if isinstance(display, LiveDisplay):
-        display.refresh()
+    time.sleep(0.5)
+    reporter.read = lambda: CampaignStatus.read(database)
     reporter.on_start(BATCHES, workers=2)
-    results = (Result(CellStatus.DONE), Result(CellStatus.NO_ARRIVAL))
-    reporter.on_outcome(BatchOutcome(BATCHES[0], PLACE, 10.0, results=results))
     failure = Failure(FailureKind.FAILED, "ZeroDivisionError: on order")
     reporter.on_outcome(BatchOutcome(BATCHES[1], PLACE, 1.0, failure=failure))
-    reporter.on_loss(PLACE, "its process ended")
-    time.sleep(0.25)  # longer than the pause between two pictures
-    reporter.on_heartbeat(workers=1, running=1)
-    if isinstance(display, LiveDisplay):
-        display.refresh()
+    time.sleep(0.5)
+    reporter.on_heartbeat()
     reporter.on_end(SweepEnd(SweepState.STOPPED, "SIGUSR1: running batches were finished"))
 
 
 def test_lines_tell_what_matters() -> None:
-    """In a log there are lines for the start, a failure, a loss, the time left and the end, without colours."""
+    """In a log there are lines for each stage, the start, a failure, the cells and the end, without colours."""
     stream = io.StringIO()
-    tell_a_story(_LineDisplay(Console(file=stream, width=60), shortest=0.0))
+    tell_a_story(ProgressDisplay(Console(file=stream, width=60)), TUTORIAL)
     text = stream.getvalue()
-    assert "compiling the kernels" in text
-    assert "the kernel for samples with cement (1 of 2), 23 functions finished, now wall_forces" in text
-    assert "6 cells in 3 batches on 2 workers" in text
-    assert "failed: seed 1, 2.55 %, seed 2, 2.55 % on rank 2 (node7): ZeroDivisionError: on order" in text
-    assert "lost rank 2 (node7): its process ended" in text
-    counted = "4 of 6 cells (67 %), 1 done, 2 failed, 1 no arrival, 1 of 1 worker busy, 30 s left"
-    assert counted in text
+    total = sum(CampaignStatus.read(TUTORIAL).counts.values())
+    for line in (
+        "packing: radius step 2 of 5, unbalanced-force ratio 5.0e-01",
+        "compiling",
+        "6 cells in 3 batches on 2 workers",
+        "failed: seed 1, 2.55 %, seed 2, 2.55 % on rank 2 (node7): ZeroDivisionError: on order",
+        f"computing: {total} of {total} cells",
+        "stopped after 0 s, 0 cells settled, SIGUSR1: running batches were finished",
+    ):
+        assert re.search(rf"^\d\d:\d\d:\d\d {re.escape(line)}", text, re.MULTILINE), line
     assert "?" not in text  # what is not known is left out
-    assert "stopped after 0 s, 0 cells settled, SIGUSR1: running batches were finished" in text
     assert "\x1b" not in text
 
 
 def test_a_log_is_not_filled() -> None:
     """Between two lines of a stage there is a pause."""
     stream = io.StringIO()
-    display = _LineDisplay(Console(file=stream, width=60))
+    display = ProgressDisplay(Console(file=stream, width=60))
     for _ in range(100):
-        display.show(RunProgress(RunStage.COMPUTING))
-    assert stream.getvalue() == ""
+        display.show(RunProgress(RunStage.COMPUTING, "1 of 2 cells"))
+    assert stream.getvalue().count("1 of 2 cells") == 1
 
 
-def test_the_picture_shows_counts_and_time_left() -> None:
-    """On a terminal the picture has the cells done, of each content and of each outcome, workers and time left."""
+@pytest.mark.parametrize("columns", [60, 80, 120])
+def test_a_terminal_shows_a_bar(columns: int) -> None:
+    """On a terminal one line has the stage, a bar and the cells, at any width; sentences stand above it."""
     stream = io.StringIO()
-    with LiveDisplay(Console(file=stream, force_terminal=True, width=120), by_itself=False) as display:
-        tell_a_story(display)
-    for words in (
-        "samples with cement (1 of 2)",
-        "now wall_forces",
-        "4 of 6 cells (67 %)",
-        "30 s left",
-        "1 no arrival",
-        "0 %: 2/2",
-        "9 %: 0/2",
-        "1 of 1 worker busy",
-    ):
-        assert words in re.sub(r"\x1b\[[0-9;]*m", "", stream.getvalue()), words
+    console = Console(file=stream, force_terminal=True, width=columns)
+    with ProgressDisplay(console) as display:
+        tell_a_story(display, TUTORIAL)
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", stream.getvalue())
+    for words in ("Packing", "Compiling", "Computing", "cells", "6 cells in 3 batches on 2 workers"):
+        assert words in plain, words
 
 
 def test_a_function_is_told_the_whole_each_time() -> None:
-    """Each picture says all; nobody has to add up differences."""
+    """Each snapshot says all; nobody has to add up differences."""
     told: list[RunProgress] = []
-    tell_a_story(_CallbackDisplay(told.append))
-    assert [found.stage for found in told][:2] == [RunStage.PACKING, RunStage.COMPILING]
-    packing, last = told[0], told[-1]
-    assert (packing.expansion_step, packing.expansion_steps, packing.time_steps) == (2, 5, 4000)
-    assert (last.finished, last.total) == (4, 6)
-    assert last.outcomes == {"done": 1, "failed": 2, "no_arrival": 1}
-    assert last.contents == ((0.0, 2, 2), (2.55, 2, 2), (9.0, 0, 2))
+    tell_a_story(ProgressDisplay(callback=told.append), TUTORIAL)
+    stages = list(dict.fromkeys(found.stage for found in told))
+    assert stages == [RunStage.PACKING, RunStage.COMPILING, RunStage.COMPUTING]
+    assert told[0].fraction == pytest.approx(0.1)
+    status = CampaignStatus.read(TUTORIAL)
+    assert told[-1].total == sum(status.counts.values())
+    assert told[-1].finished == told[-1].total - status.pending
+    assert told[-1].contents == tuple((one.content, len(one.statuses), len(one.statuses)) for one in status.contents)
 
 
-def test_a_picture_survives_the_channel() -> None:
-    """What is sent is what arrives; where a line would be too long it goes without the contents."""
-    sent = RunProgress(
-        RunStage.COMPUTING, finished=3, total=6, outcomes={"done": 3}, contents=((0.0, 1, 2), (5.0, 2, 4))
-    )
-    assert RunProgress.from_json(sent.to_json()) == sent
-    large = replace(sent, contents=tuple((0.01 * number, 100, 200) for number in range(1000)))
-    assert RunProgress.from_json(large.to_json()) == replace(sent, contents=())
-
-
-def test_nothing_waits_for_a_command_that_does_not_listen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only a few pictures are under way; what comes in between is left out, and words that matter find room."""
-    rank, command = socket.socketpair()
-    monkeypatch.setenv(DESCRIPTOR_VARIABLE, str(os.dup(rank.fileno())))
-    fresh = spec_from_file_location("fresh_channel", channel.__file__)
-    assert fresh is not None
-    assert fresh.loader is not None
-    of_rank = module_from_spec(fresh)
-    fresh.loader.exec_module(of_rank)
-    with rank, command:
-        for number in range(10_000):
-            of_rank.tell_progress(json.dumps({"number": number, "filling": "x" * 3000}))
-        of_rank.tell_command("exit 0 ")
-        command.settimeout(10.0)
-        heard = b""
-        while not heard.endswith(b"exit 0 \n"):
-            heard += command.recv(1 << 16)
-        before = heard.count(b"progress")
-        assert 0 < before < 10
-        command.sendall(b"heard\nlost 3 was killed\n")
-        of_rank.tell_progress("{}")
-        assert command.recv(1 << 16) == b"progress {}\n"
-        assert of_rank.lost_according_to_command() == {3: "was killed"}
+def test_time_left_is_that_of_the_workers_there_are() -> None:
+    """The same work takes half the time on twice the workers; what is not known is None."""
+    status: Any = type("Status", (), {"counts": {}, "pending": 0, "contents": (), "seconds_left": 60.0, "workers": 2})
+    assert RunProgress.of_cells(status).seconds_left == 60.0
+    assert RunProgress.of_cells(status, workers=4).seconds_left == 30.0
+    status.seconds_left = np.nan
+    assert RunProgress.of_cells(status).seconds_left is None
 
 
 @pytest.mark.slow
@@ -255,4 +206,3 @@ def test_a_terminal_is_never_without_news(workshop: "Workshop", ranks: int, own_
     assert len(set(counts)) > 1
     for words in ("12 cells in 6 batches", "Database: ", "Wrote ", "  coordination number ", "complete after "):
         assert any(line.startswith(words) for line in lines), words
-    assert re.search(r"0\.66 %: \d/6", plain)

@@ -58,7 +58,7 @@ def test_a_command_imports_what_it_needs(question: str, small_database: Path, ex
     assert modules & {*_LIBRARIES, *_PARTS} <= _NEEDED.get(question, set())
     assert len(modules) <= most, len(modules)
     if question in {"query", "status", "show", "export"}:
-        assert not any(name.startswith(("calcidem.dem", "calcidem.launch")) for name in modules)
+        assert not any(name.startswith("calcidem.dem") for name in modules)
 
 
 def test_a_report_needs_no_kernel() -> None:

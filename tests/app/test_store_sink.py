@@ -1,19 +1,16 @@
 """The sink of a run: what other processes do to the database costs time, and no result."""
 
 from collections.abc import Iterable
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
-from calcidem.app.campaign import store_sink
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import StoreSink
-from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.storage.errors import StoreLockedError
-from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, CellStatus
+from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, CellStatus, PackedResult
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.batch import Batch
@@ -26,49 +23,74 @@ class OftenLockedStore(Store):
 
     locked = 0
 
-    def record_lost(self, keys: Iterable[CellKey], reason: str) -> dict[CellKey, AttemptCount]:
+    def record_running(self, keys: Iterable[CellKey]) -> dict[CellKey, AttemptCount]:
         """Fail as long as it is locked."""
         if self.locked:
             self.locked -= 1
             raise StoreLockedError("database is locked.", "Try again.")
-        return super().record_lost(keys, reason)
+        return super().record_running(keys)
 
 
 @pytest.mark.slow
 def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is dropped while another process has locked the database, and it is said why nothing happens."""
-    monkeypatch.setattr(store_sink, "_LOCK_PAUSE", 0.0)
+    monkeypatch.setattr("calcidem.app.campaign.store_sink.time.sleep", lambda _: None)
     told: list[tuple[str, bool]] = []
     with OftenLockedStore(tmp_path / "one.db") as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1,), datetime.now(UTC)))
         sink = StoreSink(store, [CellKey(1, 5.0)], lambda text: told.append((text, sink.busy.locked())))
         store.locked = 3
-        sink.store_loss(Batch(0, ((1, 5.0),), 1.0), "killed")
-        assert store.attempt_counts()[CellKey(1, 5.0)] == AttemptCount(1, 1)
+        sink.mark([Batch(0, ((1, 5.0),), 1.0)])
+        assert store.attempt_counts([CellKey(1, 5.0)])[CellKey(1, 5.0)] == AttemptCount(1, 0)
         assert len(told) == 3
         assert "Waiting for another process that has locked the database" in told[0][0]
         assert all(is_busy for _, is_busy in told)
-        monkeypatch.setattr(store_sink, "_MOST_PATIENCE", 0.0)
+        sink.patience = 0.0
         store.locked = 100
         with pytest.raises(StoreLockedError) as refused:
-            sink.store_loss(Batch(0, ((1, 5.0),), 1.0), "killed")
+            sink.mark([Batch(1, ((2, 5.0),), 1.0)])
     assert _exit_code_of(refused.value) == EXIT_RESUMABLE
 
 
-def test_workers_of_an_executor_are_noted_once_they_answer(tmp_path: Path) -> None:
-    """What a run has as its workers grows by each that answers, with its rank; one that is known changes nothing."""
-    own = describe_worker(0)
-    numbers = {"frequency": 15e3, "time_step": 8e-8, "stability_limit": 1e-7, "steps": 9}
-    result = CellResult(CellKey(1, 5.0), CellStatus.DONE, vs=900.0, **numbers).packed()
-    told: list[str] = []
+PLAN = CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1, 2), datetime.now(UTC))
+KEYS = [CellKey(1, 5.0), CellKey(2, 5.0)]
+BATCH = Batch(0, ((1, 5.0), (2, 5.0)))
+NUMBERS = {"frequency": 15e3, "time_step": 8e-8, "stability_limit": 1e-7, "steps": 9}
+
+
+def outcome_of(*keys: CellKey) -> BatchOutcome[tuple[int, float], PackedResult]:
+    """Outcome of cells that are done."""
+    results = tuple(CellResult(key, CellStatus.DONE, vs=900.0, **NUMBERS).packed() for key in keys)
+    return BatchOutcome(Batch(0, tuple((key.seed, key.content) for key in keys)), Place(1, "here"), 1.0, results)
+
+
+def test_a_cell_that_was_computed_when_a_run_died_has_lost_an_attempt(tmp_path: Path) -> None:
+    """The next run counts it; a cell with an outcome, marked twice on the way, has one attempt and no loss."""
     with Store(tmp_path / "one.db") as store:
-        store.begin_campaign(CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1,), datetime.now(UTC)))
-        store.begin_run(replace(describe_run(1), workers=(own,)))
-        sink = StoreSink(store, [CellKey(1, 5.0)], told.append, (own,))
-        for rank, worker in ((0, own), (2, own), (3, replace(own, hosts=("far",), architecture="riscv64")), (2, own)):
-            packed = (replace(result, worker=worker),)
-            sink.store([BatchOutcome(Batch(0, ((1, 5.0),)), Place(rank, worker.hosts[0]), 1.0, packed)])
-        found = store.runs()[-1][1].workers
-        assert store.integrity()[1] == []
-    assert [(worker.ranks, worker.hosts) for worker in found] == [((0, 2), own.hosts), ((3,), ("far",))]
-    assert [("Warning" in text, "riscv64" in text) for text in told] == [(True, True)]
+        store.begin_campaign(PLAN)
+        store.begin_run(describe_run(3))
+        sink = StoreSink(store, KEYS)
+        sink.mark([BATCH])
+        sink.mark([Batch(1, BATCH.cells[:1])])  # computed again alone, after an exception of the batch
+        sink.store([outcome_of(KEYS[0])])
+        assert set(store.attempt_counts(KEYS).values()) == {AttemptCount(1, 0)}
+    with Store(tmp_path / "one.db") as store:
+        store.use_campaign("one")
+        store.begin_run(describe_run(3))
+        assert StoreSink(store, KEYS).losses == {(1, 5.0): 0, (2, 5.0): 1}
+        assert [(attempt.key, attempt.outcome) for attempt in store.history()] == [(KEYS[0], "done"), (KEYS[1], "lost")]
+
+
+@pytest.mark.parametrize("cut_off", [False, True])
+def test_a_run_that_was_stopped_blames_no_cell(tmp_path: Path, cut_off: bool) -> None:
+    """At an end by a signal, cells without an outcome had no attempt; a run cut off by a death keeps their marks."""
+    with Store(tmp_path / "one.db") as store:
+        store.begin_campaign(PLAN)
+        store.begin_run(describe_run(3))
+        sink = StoreSink(store, KEYS)
+        sink.mark([BATCH])
+        sink.store([outcome_of(KEYS[0])])
+        store.end_run("stopped", datetime.now(UTC), cut_off=cut_off)
+        store.begin_run(describe_run(3))
+        counts = store.attempt_counts(KEYS)
+        assert counts == {KEYS[0]: AttemptCount(1, 0), KEYS[1]: AttemptCount(1, 1) if cut_off else AttemptCount(0, 0)}

@@ -105,7 +105,7 @@ class KeepingSink:
         """Keep."""
         self.cells += [cell for outcome in outcomes for cell in outcome.batch.cells]
 
-    def store_loss(self, batch: Batch[Cell], reason: str) -> None:
+    def mark(self, batches: Sequence[Batch[Cell]]) -> None:
         """Do nothing."""
 
     def keep_alive(self) -> None:

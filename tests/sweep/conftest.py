@@ -7,11 +7,8 @@ import signal
 import sqlite3
 import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +16,6 @@ import pytest
 from marked_processes import MarkedProcesses
 from places import CHECKOUT
 
-from calcidem.app.campaign.launch import _NO_LISTENER, _starter_command
-from calcidem.launch.rank_watch import RankWatch
-from calcidem.launch.starter import COMMAND_VARIABLE
 from calcidem.sweep.batch import Batch
 from calcidem.sweep.outcome import BatchOutcome
 
@@ -38,7 +32,7 @@ class MemorySink:
     """Keeps everything that a sweep gives away."""
 
     outcomes: list[BatchOutcome[Any, Any]] = field(default_factory=list)
-    losses: list[tuple[Batch[Any], str]] = field(default_factory=list)
+    marked: list[Batch[Any]] = field(default_factory=list)
 
     def store(self, outcomes: Sequence[BatchOutcome[Any, Any]]) -> None:
         """Keep outcomes."""
@@ -47,9 +41,9 @@ class MemorySink:
     def keep_alive(self) -> None:
         """Do nothing."""
 
-    def store_loss(self, batch: Batch[Any], reason: str) -> None:
-        """Keep a loss."""
-        self.losses.append((batch, reason))
+    def mark(self, batches: Sequence[Batch[Any]]) -> None:
+        """Keep marks."""
+        self.marked.extend(batches)
 
     def results(self) -> dict[Any, Any]:
         """Return the result of each cell that has one."""
@@ -65,65 +59,29 @@ class Launch:
     """One start of a program under mpirun."""
 
     process: subprocess.Popen[str]
-    watch: RankWatch
-    again: Callable[[], subprocess.Popen[str]] | None
     output: str = ""
     errors: str = ""
-
-    def __post_init__(self) -> None:
-        """Listen to the ranks as the command does, without ending anything."""
-        self._listener = threading.Thread(target=self._listen, daemon=True)
-        self._listener.start()
-
-    def _listen(self) -> None:
-        with self.watch:
-            while self.watch.listen(0.1) or self.process.poll() is None:
-                pass
 
     @property
     def exit_code(self) -> int:
         """The exit code of mpirun."""
         return self.process.returncode
 
-    @property
-    def noted_exit_code(self) -> int | None:
-        """The exit code that rank 0 noted, or None if it didn't come to that."""
-        self._listener.join()
-        return self.watch.exit_code
-
     def wait(self) -> "Launch":
-        """Wait for the end and collect what the program wrote; an mpirun that fails by itself is started once more."""
+        """Wait for the end and collect what the program wrote."""
         try:
             self.output, self.errors = self.process.communicate(timeout=PATIENCE)
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.output, self.errors = self.process.communicate()
             pytest.fail(f"still running after {PATIENCE} s:\n{self.output}\n{self.errors}")
-        if self.exit_code == _NO_LISTENER and self.again is not None:
-            self.process, self.again = self.again(), None
-            return self.wait()
         return self
 
     def wait_for_line(self, text: str) -> None:
         """Read the output up to a line that contains `text`."""
         assert self.process.stdout is not None
-        for line in self.process.stdout:
-            if text in line:
-                return
-        if self.process.wait(PATIENCE) == _NO_LISTENER and self.again is not None:
-            self.process, self.again = self.again(), None
-            self.wait_for_line(text)
-        else:
+        if not any(text in line for line in self.process.stdout):
             pytest.fail(f"{text!r} was never written")
-
-    def wait_for_ranks(self) -> None:
-        """Wait until all ranks have found one another."""
-        end = time.monotonic() + PATIENCE
-        while not self.watch.begun:
-            if self.process.poll() == _NO_LISTENER and self.again is not None:
-                self.process, self.again = self.again(), None
-            assert time.monotonic() < end, "the ranks did not find one another"
-            time.sleep(0.02)
 
     def signal(self, number: signal.Signals) -> None:
         """Send a signal to mpirun."""
@@ -147,37 +105,32 @@ class Campaign(MarkedProcesses):
         self.database = folder / "sweep.db"
         self._mpirun = mpirun
 
-    def start(self, *options: str, ranks: int = 3, ulfm: bool = True, program: str = "sweep_program.py") -> Launch:
+    def start(self, *options: str, ranks: int = 3) -> Launch:
         """Start the program under mpirun and return at once."""
         launcher = [
             str(self._mpirun),
             "--allow-run-as-root",
             *("--mca", "btl", "^ofi"),  # without the search for fabrics it starts in 0.2 s instead of 1.2 s
             *("--map-by", ":OVERSUBSCRIBE", "--bind-to", "none", "-n", str(ranks)),
-            *(["--with-ft", "ulfm"] if ulfm else []),
         ]
-        arguments = [str(self.database), *options] if program == "sweep_program.py" else list(options)
-        watch = RankWatch(ranks, PATIENCE, PATIENCE)
-        start = partial(
-            subprocess.Popen,
-            [*launcher, *_starter_command(), sys.executable, str(PROGRAMS / program), *arguments],
+        process = subprocess.Popen(
+            [*launcher, sys.executable, str(PROGRAMS / "sweep_program.py"), str(self.database), *options],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
             errors="replace",
             env=os.environ
             | {
-                COMMAND_VARIABLE: watch.address,
                 "CAMPAIGN_MARK": str(self.folder),  # marks all processes of this campaign, see `processes`
                 # First what the caller has put there: a copy of the package with an error (benchmarks/mutation).
                 "PYTHONPATH": os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), str(CHECKOUT)])),
             },
         )
-        return Launch(start(), watch, start)
+        return Launch(process)
 
-    def run(self, *options: str, ranks: int = 3, ulfm: bool = True) -> Launch:
+    def run(self, *options: str, ranks: int = 3) -> Launch:
         """Start the program and wait for its end."""
-        return self.start(*options, ranks=ranks, ulfm=ulfm).wait()
+        return self.start(*options, ranks=ranks).wait()
 
     def rows(self, query: str) -> list[tuple[Any, ...]]:
         """Return the answer of the database."""

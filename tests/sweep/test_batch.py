@@ -47,12 +47,17 @@ def test_expensive_contents_come_first_within_a_wave() -> None:
     assert all(earlier.cost > later.cost for earlier, later in pairwise(plan))
 
 
-def test_cells_with_losses_come_last_and_alone() -> None:
-    """A cell that took workers down is planned as a batch of its own at the end, with its count."""
+def test_cells_with_losses_come_last_and_from_the_second_on_alone() -> None:
+    """Cells that were computed when a run died come at the end, side by side after one death, alone after two."""
     cells = [(seed, 5.0) for seed in range(8)]
-    plan = plan_batches(cells, 4, cost, losses={(0, 5.0): 2, (3, 5.0): 1})
-    assert [(batch.cells, batch.losses) for batch in plan[-2:]] == [(((3, 5.0),), 1), (((0, 5.0),), 2)]
-    assert all(batch.losses == 0 for batch in plan[:-2])
+    plan = plan_batches(cells, 4, cost, losses={(0, 5.0): 2, (1, 5.0): 2, (3, 5.0): 1, (4, 5.0): 1})
+    last = [(batch.cells, batch.losses, batch.is_alone) for batch in plan[-3:]]
+    assert last == [
+        (((3, 5.0), (4, 5.0)), 1, False),
+        (((0, 5.0),), 2, True),
+        (((1, 5.0),), 2, True),
+    ]
+    assert all(batch.losses == 0 for batch in plan[:-3])
 
 
 def test_a_plan_needs_at_least_one_lane() -> None:

@@ -4,8 +4,9 @@ import os
 import signal
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -16,12 +17,12 @@ from typing import TYPE_CHECKING, Any, Self
 import pytest
 
 from calcidem.sweep.batch import Batch, plan_batches
-from calcidem.sweep.executor_workers import ExecutorWorkers
-from calcidem.sweep.options import SweepOptions
-from calcidem.sweep.outcome import FailureKind, Place
+from calcidem.sweep.outcome import FailureKind
+from calcidem.sweep.progress import Progress
 from calcidem.sweep.run import _Master, run_sweep
+from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE
 from calcidem.sweep.sweep_end import SweepError, SweepState
-from calcidem.sweep.workers import Loss
+from calcidem.sweep.workers import Workers
 
 if TYPE_CHECKING:
     from conftest import MemorySink
@@ -70,8 +71,9 @@ def _unpickle(kind: str, folder: Path) -> Fault:
 def planned(done: "MemorySink | None" = None) -> tuple[Batch[tuple[int, float]], ...]:
     """Batches of what is left to do, as a campaign plans them after a restart."""
     settled: set[Any] = {cell for outcome in done.outcomes for cell in outcome.batch.cells} if done else set()
-    losses = {cell: batch.losses for batch, _ in done.losses for cell in batch.cells} if done else {}
-    return plan_batches(set(CELLS) - settled, 2, lambda content: 1.0 + content, losses)
+    losses = Counter(cell for batch in done.marked for cell in batch.cells) if done else Counter()
+    pending = {cell for cell in set(CELLS) - settled if losses[cell] < LOSSES_BEFORE_QUARANTINE}
+    return plan_batches(pending, 2, lambda content: 1.0 + content, losses)
 
 
 def processes() -> ProcessPoolExecutor:
@@ -97,7 +99,7 @@ def test_processes_unpickle_the_computation_once(sink: "MemorySink", tmp_path: P
 def test_a_failure_on_an_executor_is_that_of_a_serial_run(sink: "MemorySink", tmp_path: Path, kind: str) -> None:
     """An exception or a result that cannot be pickled costs its cell, a time limit its batch."""
     with ThreadPoolExecutor(2) as pool:
-        end = run_sweep(pool, planned(), Fault(kind, tmp_path), sink, options=SweepOptions(time_limit=0.2))
+        end = run_sweep(pool, planned(), Fault(kind, tmp_path), sink, time_limit=0.2)
     assert end.exit_code == 0
     failed = [outcome for outcome in sink.outcomes if outcome.failure is not None]
     cells = {cell for outcome in failed for cell in outcome.batch.cells}
@@ -108,21 +110,16 @@ def test_a_failure_on_an_executor_is_that_of_a_serial_run(sink: "MemorySink", tm
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("kind", ["kill", "stuck"])
-def test_a_cell_that_kills_processes_is_quarantined_by_the_same_call(
-    sink: "MemorySink", tmp_path: Path, kind: str
-) -> None:
+def test_a_cell_that_kills_processes_is_left_out_by_the_fourth_call(sink: "MemorySink", tmp_path: Path) -> None:
     """Each lost process ends its pool and the sweep as resumable; the fourth call at the latest has all the rest."""
     for _ in range(4):
         with processes() as pool:
-            end = run_sweep(pool, planned(sink), Fault(kind, tmp_path), sink, options=SweepOptions(time_limit=0.3))
+            end = run_sweep(pool, planned(sink), Fault("kill", tmp_path), sink)
         if end.state is SweepState.COMPLETE:
             break
-        assert (end.state, end.exit_code) == (SweepState.OUT_OF_WORKERS, 75)
-        assert "a process of the executor was lost" in end.detail
+        assert (end.state, end.exit_code) == (SweepState.CUT_OFF, 75)
+        assert "a worker was lost" in end.detail
     assert end.state is SweepState.COMPLETE
-    failures = {cell: o.failure.kind for o in sink.outcomes if o.failure is not None for cell in o.batch.cells}
-    assert failures == {BAD_CELL: FailureKind.QUARANTINED}
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}
 
 
@@ -131,7 +128,6 @@ def test_workers_that_cannot_load_the_computation_end_the_sweep(sink: "MemorySin
     with ThreadPoolExecutor(1) as pool, pytest.raises(SweepError, match="install the same calcidem"):
         run_sweep(pool, planned(), Fault("missing", tmp_path), sink)
     assert not sink.outcomes
-    assert not sink.losses
 
 
 @dataclass
@@ -175,90 +171,84 @@ def hang() -> None:
 
 
 def test_a_cell_that_kills_the_workers_of_dask_is_quarantined_alone(sink: "MemorySink", tmp_path: Path) -> None:
-    """Four workers for its batch, four for the cell: all are counted, and its company is computed."""
+    """Dask goes on without the workers that a batch took down; its company is computed."""
     end = run_sweep(Scripted(KilledWorker), planned(), Fault("", tmp_path), sink)
     assert end.state is SweepState.COMPLETE
-    assert end.tally.lost_workers == len(sink.losses) == 8
     assert end.tally.quarantined == 1
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}
 
 
-def test_an_executor_that_is_gone_blames_no_cell(sink: "MemorySink", tmp_path: Path) -> None:
-    """When its scheduler is unreachable the sweep ends as resumable, not as complete."""
-    end = run_sweep(Scripted(ConnectionError), planned(), Fault("", tmp_path), sink)
-    assert (end.state, end.exit_code) == (SweepState.OUT_OF_WORKERS, 75)
-    assert not sink.losses
-
-
-def test_a_worker_that_does_not_answer_is_given_up(sink: "MemorySink", tmp_path: Path) -> None:
-    """The sweep does not wait for ever: one silent worker of one ends it, with the loss on its batch's account."""
-    options = SweepOptions(silence_floor=0.1, silence_factor=1.0)
-    end = run_sweep(Scripted(hang), planned(), Fault("", tmp_path), sink, options=options)
-    assert end.state is SweepState.OUT_OF_WORKERS or end.tally.quarantined == 1
-    assert all(BAD_CELL in batch.cells for batch, _ in sink.losses)
-    waited = [float(reason.removeprefix("no answer within ").removesuffix(" s")) for _, reason in sink.losses]
-    assert all(0.1 < seconds < 60.0 for seconds in waited)
-
-
-def test_workers_that_do_not_answer_are_counted(tmp_path: Path) -> None:
-    """The other of two workers goes on without the silent one; when both are silent the executor is given up."""
-    options = SweepOptions(silence_floor=0.05, silence_factor=1.0)
-    workers: ExecutorWorkers[tuple[int, float]] = ExecutorWorkers(Scripted(hang), Fault("", tmp_path), options)
-    now = time.monotonic()
-    workers._rank_of = {("here", 1, 1): 1, ("here", 2, 1): 2, ("here", 3, 1): 3}
-    workers._last_answer = {("here", 1, 1): now, ("here", 2, 1): now, ("here", 3, 1): now - 61.0}
-    assert workers.count == 2  # the third has not answered for a minute
-    for silent in (1, 2):
-        workers.submit(Batch(silent, (BAD_CELL,)))
-        losses: list[Loss[tuple[int, float]]] = []
-        while not losses:
-            _, losses = workers.poll()
-        assert bool(workers.exhausted) == (silent == 2)
-
-
-@pytest.mark.parametrize("answered", [0, 3])
-def test_only_what_a_lost_process_may_have_had_counts_as_lost(
-    answered: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("error", [ConnectionError, CancelledError, lambda: BrokenProcessPool("gone")])
+def test_an_executor_that_is_gone_ends_the_sweep(
+    error: Callable[[], Exception], sink: "MemorySink", tmp_path: Path
 ) -> None:
-    """A batch for each worker and one more; of workers unknown, one for each core and two more. The others are left."""
-    monkeypatch.setattr("calcidem.sweep.executor_workers.available_cores", lambda: 5)
-    executor = Scripted(lambda: BrokenProcessPool("gone"))
-    workers: ExecutorWorkers[tuple[int, float]] = ExecutorWorkers(executor, Fault("", tmp_path), SweepOptions())
-    for number in range(answered):
-        workers._rank_of["here", number, 1] = number + 1
-        workers._last_answer["here", number, 1] = time.monotonic()
-    for number in range(20):
-        workers.submit(Batch(number, (BAD_CELL,)))
-    _, losses = workers.poll()
-    assert len(losses) == (4 if answered else 7)
-    assert workers.running == 20 - len(losses)
+    """When its processes or its scheduler are gone the sweep ends as resumable, not as complete."""
+    end = run_sweep(Scripted(error), planned(), Fault("", tmp_path), sink)
+    assert (end.state, end.exit_code) == (SweepState.CUT_OFF, 75)
+    assert BAD_CELL not in sink.results()
+
+
+def test_a_worker_that_does_not_answer_ends_the_sweep(sink: "MemorySink", tmp_path: Path) -> None:
+    """The sweep does not wait for ever, and names the cells."""
+    end = run_sweep(Scripted(hang), planned(), Fault("", tmp_path), sink, silence_floor=0.1)
+    assert (end.state, end.exit_code) == (SweepState.CUT_OFF, 75)
+    assert str(BAD_CELL) in end.detail
+    assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell not in {BAD_CELL, (2, 5.0)}}
+
+
+def test_an_executor_without_workers_ends_the_sweep(sink: "MemorySink", tmp_path: Path) -> None:
+    """Batches that nobody begins are not waited for for ever."""
+
+    class Nobody(Executor):
+        def submit(self, *_arguments: Any, **_keywords: Any) -> "Future[Any]":  # noqa: ANN401 - as it is
+            return Future()
+
+    end = run_sweep(Nobody(), planned(), Fault("", tmp_path), sink, silence_floor=0.05)
+    assert end.state is SweepState.CUT_OFF
+    assert "no worker has answered" in end.detail
+    assert sink.marked == []
+
+
+def test_workers_are_counted_by_their_answers(tmp_path: Path) -> None:
+    """An executor that does not tell their number has those that answered in the last minute."""
+    workers: Workers[tuple[int, float]] = Workers(Scripted(hang), Fault("", tmp_path), None, 300.0)
+    now = time.monotonic()
+    workers._last_answer = {("here", 1, 1, None): now, ("here", 2, 1, None): now, ("here", 3, 1, None): now - 61.0}
+    assert workers.count == 2
+    with ProcessPoolExecutor(5) as pool:
+        assert Workers(pool, Fault("", tmp_path), None, 300.0).count == 5
+
+
+def test_what_may_be_deadly_is_computed_alone(sink: "MemorySink", tmp_path: Path) -> None:
+    """While a cell with two losses is computed, nothing else is in flight that could be blamed for a third."""
+    together: list[int] = []
+
+    class Watched(ThreadPoolExecutor):
+        def submit(self, function: Any, /, *arguments: Any, **keywords: Any) -> "Future[Any]":  # noqa: ANN401 - as it is
+            if arguments[2].losses > 1:
+                together.append(sum(not future.done() for future in futures))
+            futures.append(super().submit(function, *arguments, **keywords))
+            return futures[-1]
+
+    futures: list[Future[Any]] = []
+    losses = {(3, 5.0): 2, (4, 5.0): 2, (5, 0.0): 1}
+    with Watched(2) as pool:
+        end = run_sweep(pool, plan_batches(CELLS, 2, lambda _: 1.0, losses), Fault("", tmp_path), sink)
+    assert end.state is SweepState.COMPLETE
+    assert together == [0, 0]
+    assert sink.results() == EXPECTED
 
 
 def test_the_heart_beats_twice_a_second() -> None:
     """However often the scheduler looks, whoever watches the run hears of it at this interval."""
     beats: list[float] = []
     sink: Any = SimpleNamespace(keep_alive=lambda: beats.append(time.monotonic()))
-    progress: Any = SimpleNamespace(on_heartbeat=lambda **_: None)
     nothing: Any = None  # is asked
-    master = _Master(nothing, sink, progress, nothing, SweepOptions(), nothing)
+    master = _Master(nothing, sink, Progress(), nothing, nothing)
     begun = time.monotonic()
     while len(beats) < 3:
-        master._beat(workers=1, running=1)
+        master._beat()
     assert beats[-1] - begun >= 1.0
-
-
-@pytest.mark.parametrize(("batch", "hurried"), [(None, False), (Batch(1, ((3, 5.0),)), True)])
-def test_no_cell_is_to_blame_for_an_idle_worker_or_one_that_is_stopped(
-    batch: Batch[tuple[int, float]] | None, hurried: bool
-) -> None:
-    """Their loss is shown, and nothing is stored."""
-    shown: list[str] = []
-    progress: Any = SimpleNamespace(on_loss=lambda _, reason: shown.append(reason))
-    request: Any = SimpleNamespace(hurry=lambda: hurried)
-    nothing: Any = None  # is asked
-    master = _Master(nothing, nothing, progress, request, SweepOptions(), nothing)
-    master._account_for([Loss(Place(1, "here"), batch, "killed", 1.0)], nothing)
-    assert shown == ["killed"]
 
 
 def test_the_computation_travels_with_the_first_batches_only(sink: "MemorySink", tmp_path: Path) -> None:
@@ -282,7 +272,6 @@ def test_a_cell_that_kills_workers_of_a_real_cluster_is_quarantined(sink: "Memor
     ):
         end = run_sweep(client.get_executor(), planned(), Fault("kill", tmp_path), sink)
     assert end.state is SweepState.COMPLETE
-    assert end.tally.lost_workers >= 3  # a batch that waits on a killed worker counts a loss, too
     failures = {cell: o.failure.kind for o in sink.outcomes if o.failure is not None for cell in o.batch.cells}
     assert failures == {BAD_CELL: FailureKind.QUARANTINED}
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}

@@ -33,9 +33,9 @@ class SlowSink:
     def keep_alive(self) -> None:
         """Do nothing."""
 
-    def store_loss(self, batch: Batch[Any], reason: str, /) -> None:  # noqa: ARG002 - as the sweep has it
-        """Keep the loss of a batch as its negative number."""
-        self.stored.append([-batch.identifier])
+    def mark(self, batches: Sequence[Batch[Any]], /) -> None:
+        """Keep the marks of batches as their negative numbers."""
+        self.stored.append([-batch.identifier for batch in batches])
 
 
 class Shown(Progress):
@@ -75,7 +75,7 @@ def commits(sink: SlowSink, progress: Shown) -> GroupCommit[int]:
 def test_what_comes_while_a_group_is_stored_is_the_next_group_and_nothing_is_shown_before_it_is_stored(
     sink: SlowSink, progress: Shown, commits: GroupCommit[int]
 ) -> None:
-    """One outcome begins a group; the three that come meanwhile share the next one; a loss comes after them."""
+    """One outcome begins a group; the three that come meanwhile share the next one, after the marks."""
     with commits:
         commits.add(outcome(1))
         commits.advance()
@@ -85,9 +85,9 @@ def test_what_comes_while_a_group_is_stored_is_the_next_group_and_nothing_is_sho
             commits.advance()
         assert (sink.stored, progress.shown) == ([], [])
         sink.may_store.set()
-        commits.add_loss(outcome(9).batch, "its process ended")
+        commits.mark(outcome(9).batch, outcome(8).batch)
         commits.flush()
-        assert (sink.stored, progress.shown) == ([[1], [2, 3, 4], [-9]], [1, 2, 3, 4])
+        assert (sink.stored, progress.shown) == ([[1], [-9, -8], [2, 3, 4]], [1, 2, 3, 4])
         commits.add(outcome(5))
     assert (sink.stored[-1], progress.shown[-1]) == ([5], 5)
 

@@ -1,5 +1,3 @@
-from typing import Any
-
 import pytest
 
 from calcidem.sweep.batch import Batch
@@ -20,11 +18,6 @@ def drain(schedule: Schedule[str]) -> list[tuple[str, ...]]:
     while (batch := schedule.take()) is not None:
         cells.append(batch.cells)
     return cells
-
-
-def lose(schedule: Schedule[str], batch: Batch[str]) -> BatchOutcome[str, Any] | None:
-    """Take back a batch whose worker was killed."""
-    return schedule.lose(batch.with_another_loss(), "its process ended", PLACE, 1.0)
 
 
 def test_batches_come_in_the_order_given() -> None:
@@ -79,42 +72,17 @@ def test_a_batch_that_timed_out_is_settled_as_a_whole() -> None:
     assert (schedule.tally.settled, schedule.tally.timed_out, len(schedule)) == (2, 2, 0)
 
 
-def test_a_batch_that_lost_its_worker_comes_after_all_others() -> None:
-    """What may be deadly waits until nothing else can be harmed."""
-    schedule = Schedule((Batch(0, ("a", "b")), Batch(1, ("c", "d"))))
-    first = schedule.take()
-    assert first is not None
-    assert lose(schedule, first) is None
-    assert drain(schedule) == [("c", "d"), ("a", "b")]
-
-
-def test_the_deadly_cell_alone_is_quarantined() -> None:
-    """A cell that kills each worker costs three of them, and its company of innocents is computed."""
+def test_the_cell_that_takes_down_workers_is_quarantined_alone() -> None:
+    """The executor's verdict on a batch is only that one of its cells is deadly; its company is computed."""
     schedule = Schedule((Batch(0, ("good", "deadly", "fine")),))
-    done, quarantined, losses = [], [], 0
+    done, settled = [], []
     while (batch := schedule.take()) is not None:
         if "deadly" in batch.cells:
-            losses += 1
-            outcome = lose(schedule, batch)
-            if outcome is not None:
-                quarantined.append(outcome)
+            settled.append(schedule.settle(failed(batch, FailureKind.QUARANTINED)))
         else:
             results = BatchOutcome(batch, PLACE, 1.0, results=(1,) * len(batch.cells))
             assert schedule.settle(results) is results
             done.extend(batch.cells)
-    assert losses == 3
     assert sorted(done) == ["fine", "good"]
-    assert [outcome.batch.cells for outcome in quarantined] == [("deadly",)]
-    failure = quarantined[0].failure
-    assert failure is not None
-    assert failure.kind is FailureKind.QUARANTINED
-    assert "took down 3 workers" in failure.message
-    assert schedule.tally.quarantined == 1
-
-
-def test_losses_of_earlier_runs_count() -> None:
-    """A cell with two losses in earlier runs is quarantined at the next one."""
-    schedule = Schedule((Batch(0, ("a",), losses=2),))
-    batch = schedule.take()
-    assert batch is not None
-    assert lose(schedule, batch) is not None
+    assert [outcome and outcome.batch.cells for outcome in settled] == [None, ("deadly",)]
+    assert (schedule.tally.settled, schedule.tally.quarantined) == (3, 1)

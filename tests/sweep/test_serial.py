@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calcidem.sweep.batch import Batch, plan_batches
-from calcidem.sweep.options import SweepOptions
 from calcidem.sweep.outcome import FailureKind
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.sweep_end import SweepState
@@ -90,8 +89,7 @@ def test_a_wrong_number_of_results_is_a_failure(sink: "MemorySink") -> None:
 
 def test_the_time_limit_is_a_failure_of_the_batch(sink: "MemorySink") -> None:
     """A batch that asks after its time is up becomes timed out."""
-    options = SweepOptions(time_limit=0.05)
-    end = run_sweep(None, [Batch(0, (1, 2))], wait, sink, options=options)
+    end = run_sweep(None, [Batch(0, (1, 2))], wait, sink, time_limit=0.05)
     assert end.tally.timed_out == 2
     failure = sink.outcomes[0].failure
     assert failure is not None
@@ -142,16 +140,29 @@ def test_an_error_of_the_sink_is_passed_on() -> None:
         def keep_alive(self) -> None:
             """Do nothing."""
 
-        def store_loss(self, _batch: object, _reason: str) -> None: ...
+        def mark(self, _batches: object) -> None: ...
 
     with pytest.raises(OSError, match="No space left"):
         run_sweep(None, BATCHES, square, FullDisk())
 
 
-def test_rank_0_needs_a_sink() -> None:
-    """Without a sink the sweep refuses to compute for nothing."""
-    with pytest.raises(ValueError, match="sink is None"):
-        run_sweep(None, BATCHES, square, None)
+def test_a_batch_is_marked_before_it_is_computed(sink: "MemorySink") -> None:
+    """If the process dies meanwhile, the next run knows which cells it was computing."""
+    marked: list[list[int]] = []
+
+    def compute(batch: Batch[int], _check: Callable[[], None]) -> tuple[int, ...]:
+        marked.append([known.identifier for known in sink.marked])
+        return batch.cells
+
+    run_sweep(None, BATCHES, compute, sink)
+    assert marked == [[0], [0, 1], [0, 1, 2]]
+
+
+@pytest.mark.parametrize("limit", [{"time_limit": 0.0}, {"time_limit": float("nan")}, {"silence_floor": -1.0}])
+def test_a_limit_that_is_none_is_refused(sink: "MemorySink", limit: dict[str, float]) -> None:
+    """A limit that is not positive is refused with its name."""
+    with pytest.raises(ValueError, match=next(iter(limit))):
+        run_sweep(None, BATCHES, square, sink, **limit)
 
 
 def test_a_serial_sweep_loads_no_mpi_library() -> None:
@@ -159,19 +170,21 @@ def test_a_serial_sweep_loads_no_mpi_library() -> None:
     program = """
 import sys
 from calcidem.sweep.batch import Batch
+from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.session import Session
 
 class Sink:
     def store(self, outcomes): pass
-    def store_loss(self, batch, reason): pass
+    def mark(self, batches): pass
     def keep_alive(self): pass
 
-with Session() as session:
-    end = run_sweep(session.comm, [Batch(0, (1,))], lambda batch, check: batch.cells, Sink())
-    assert session.broadcast(5) == 5
-    assert "mpi4py" not in sys.modules
-    session.end(end.exit_code, end)
+def lead(executor, stop):
+    assert executor is None
+    return run_sweep(None, [Batch(0, (1,))], lambda batch, check: batch.cells, Sink(), stop_request=stop).exit_code
+
+code = run_on_ranks(lead)
+assert "mpi4py" not in sys.modules
+sys.exit(code)
 """
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
@@ -185,7 +198,7 @@ from calcidem.sweep.run import run_sweep
 
 class Sink:
     def store(self, outcomes): pass
-    def store_loss(self, batch, reason): pass
+    def mark(self, batches): pass
     def keep_alive(self): pass
 
 for seconds in (0.1, 1.4):

@@ -1,76 +1,54 @@
-"""Starts calcidem again as the ranks of an MPI launcher, and forwards signals and exit code."""
+"""Starts calcidem again as the ranks of an MPI launcher.
+
+It forwards signals, shows the progress, and starts again after a death. All that the command knows of its ranks stands
+in the database, or in what the launcher wrote.
+"""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from types import FrameType
+from typing import IO
 
-from calcidem.app.campaign.screen import CommandScreen
-from calcidem.launch import starter
-from calcidem.launch.addresses import listening_addresses
-from calcidem.launch.leftovers import remove_leftovers
-from calcidem.launch.rank_watch import RankWatch
+from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
+from calcidem.app.campaign.run import RunView, prepared_store, read_own_status
+from calcidem.app.config.schema import Configuration
+from calcidem.storage.errors import StoreError
 from calcidem.storage.passwords import PASSWORDS_VARIABLE
+from calcidem.storage.records import RunRecord
+from calcidem.storage.sql.store import Store, read_campaign
+from calcidem.storage.store import STALE_AFTER
+from calcidem.sweep.attempt import SweepInterrupted
 from calcidem.sweep.environment import (
-    TERMINAL_VARIABLE,
+    COMMAND_VARIABLE,
     THREAD_VARIABLES,
     available_cores,
     launcher,
     refuse_ranks_off_linux,
+    requested_tasks,
 )
+from calcidem.sweep.processes import die_with_parent
 from calcidem.sweep.signals import SignalHandlers
-from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE, LaunchError
+from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepState
 
 _MPIRUN_VARIABLE = "MPIRUN"
 """Variable that names the launcher, instead of the one next to Python or in the search path."""
 
-FIRST_WITH_ULFM = 5
-"""First version of Open MPI that continues after the loss of a rank."""
-
-_NO_LISTENER = 213
-"""Exit code of Open MPI if its own listener did not start, about once in some hundred starts, before any rank."""
-
-_RESTART_PAUSE = 1.0
-"""Seconds before a restart, in which the last processes of the previous start end."""
-
-_POLL_INTERVAL = 0.2
-"""Seconds between two checks of launcher and signals."""
-
-_TIME_TO_END = 5.0
-"""Seconds for the launcher to end its ranks, before it is killed."""
-
-_TIME_FOR_LAST_WORDS = 10.0
-"""Seconds within which the ends of the ranks are reported, unless their host is lost."""
-
-_PATIENCE_OF_USERS = 1.0
-"""Seconds for the ranks to end after a second SIGTERM or Ctrl-C."""
-
-_FORWARDED_VARIABLES = (
-    *(*THREAD_VARIABLES, "NUMBA_CACHE_DIR", "CALCIDEM_CACHE", "PYTHONPATH", "TMPDIR"),
-    PASSWORDS_VARIABLE,
-)
-"""Variables to forward to ranks on other hosts, which ssh does not do. Command lines show names, never values."""
-
-_LIBPQ = "PG"
-"""Start of the names of variables of PostgreSQL's library: PGPASSWORD, PGPASSFILE, PGSERVICE."""
-
 # On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. It forwards SIGUSR2; rank 0 treats it as the
 # same request, and has time to end.
-_FORWARDED = {
-    "SIGUSR1": "SIGUSR1",
-    "SIGUSR2": "SIGUSR2",
-    "SIGTERM": "SIGUSR2",
-    "SIGINT": "SIGUSR2",
-    "SIGHUP": "SIGUSR2",
-}
+_FORWARDED = {"SIGUSR1": "SIGUSR1"} | dict.fromkeys(("SIGUSR2", "SIGTERM", "SIGINT", "SIGHUP"), "SIGUSR2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,23 +62,17 @@ class Launch:
     Slurm job.
     """
     restarts: int = 0
-    """Largest number of restarts of a run that was cut off because ranks or a host died and the others could not
-    continue. There is no restart after a signal, with a locked or missing database, or if ranks fail twice in the same
-    manner while they start.
+    """Largest number of further starts after a rank or its host has died. There is none after a signal, for a refused
+    input, or if the ranks do not begin twice in succession.
     """
     start_timeout: float = 120.0
-    """Seconds within which all ranks must have joined."""
-    silence_timeout: float = 60.0
-    """Seconds without a message after which a rank's host is given up."""
+    """Seconds within which rank 0 must have begun its run in the database."""
 
-    def __post_init__(self) -> None:
-        if self.ranks == 0:
-            object.__setattr__(self, "ranks", int(os.environ.get("SLURM_NTASKS") or available_cores()) + 1)
-
-    def run(self) -> int:
+    def run(self, load: Callable[[], Configuration], view: RunView) -> int:
         """Run calcidem under an MPI launcher and return its exit code.
 
-        `LaunchError` if there is no launcher, or this process was started by one, or this is not Linux.
+        The packing is made here, before any rank starts. `LaunchError` if there is no launcher, or this process was
+        started by one, or this is not Linux.
         """
         refuse_ranks_off_linux()
         if launcher() is not None:
@@ -108,140 +80,193 @@ class Launch:
                 f"--ranks {self.ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}"
             )
         mpirun = find_mpirun()
-        remove_leftovers()
-        failure, begun = "", False
-        hosts: dict[str, int] = {}
-        with _Relay() as relay, CommandScreen() as screen:
-            for restart in range(self.restarts + 1):
-                end = self._once(mpirun, relay, screen, hosts)
-                begun |= not end.failure_at_start
-                same_failure = bool(failure) and end.failure_at_start == failure
-                if not end.worth_a_restart or same_failure or restart == self.restarts:
-                    break
-                failure, hosts = end.failure_at_start, end.hosts
-                if relay.wait_for_signal(_RESTART_PAUSE):
-                    break
-                screen.say(f"Restart {restart + 1} of {self.restarts}.")
-        return EXIT_RESUMABLE if begun and end.failure_at_start else end.code
+        ranks = self.ranks or (requested_tasks() or available_cores()) + 1
+        with _Relay() as relay, view.display() as display:
+            reporter = ProgressReporter(display)
+            try:
+                configuration = load()
+                with prepared_store(configuration, view.say, relay.end_at_once, reporter.on_packing) as (_, packing):
+                    view.begin(configuration, packing)
+                code = self._start_until_complete(mpirun, ranks, configuration, relay, display)
+                display.show(RunProgress(RunStage.WRITING, "tables and files"))
+                with read_campaign(configuration.database, configuration.campaign.name) as store:
+                    view.finish(store, configuration, code, in_haste=relay.in_haste)
+            except SweepInterrupted:
+                view.say("Ended by a signal before the ranks began; the same command starts again.")
+                return EXIT_RESUMABLE
+            except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
+                return view.refuse(error)
+        return code
 
-    def _once(
-        self, mpirun: str, relay: "_Relay", screen: CommandScreen, hosts: dict[str, int], *, again: bool = True
-    ) -> "_LaunchEnd":
-        """Start the launcher, ``again`` if it fails by itself, and wait for its end.
+    def _start_until_complete(
+        self, mpirun: str, ranks: int, configuration: Configuration, relay: "_Relay", display: ProgressDisplay
+    ) -> int:
+        """Start the launcher, and again after deaths; return the exit code."""
+        fruitless = False
+        for restart in range(self.restarts + 1):
+            start = _Start(mpirun, ranks, self.arguments, configuration, display)
+            why = start.attend(relay, self.start_timeout)
+            found = start.own_run()
+            state = "" if found is None or found.exit_state is None else found.exit_state.partition(":")[0]
+            if state in {SweepState.COMPLETE, SweepState.STOPPED}:
+                return EXIT_COMPLETE if state == SweepState.COMPLETE else EXIT_RESUMABLE
+            if state == SweepState.ERROR or (found is None and start.was_refused):
+                return start.code if 0 < start.code <= EXIT_RESUMABLE else EXIT_ERROR
+            if found is not None:
+                why = f"The run was cut off ({why}): everything stored is safe, and the same command continues."
+            elif relay.asked:
+                raise SweepInterrupted
+            else:
+                why = f"The run did not begin ({why}); nothing was computed."
+            display.note(why)
+            if relay.asked or restart == self.restarts or (found is None and fruitless):
+                return EXIT_ERROR if found is None and restart == 0 else EXIT_RESUMABLE
+            fruitless = found is None
+            time.sleep(1.0)  # s, in which the last processes of this start end
+            display.note(f"Start {restart + 2} of at most {self.restarts + 1}.")
+        return EXIT_RESUMABLE
 
-        ``hosts`` are the remaining hosts with their numbers of ranks if some were lost; else empty.
-        """
-        name = Path(mpirun).name
-        ranks = sum(hosts.values()) or self.ranks
-        addresses = listening_addresses(mpirun)
-        with RankWatch(ranks, self.start_timeout, self.silence_timeout, addresses) as watch:
-            process = self._start(mpirun, watch.address, ranks, hosts, screen.outputs)
-            screen.begin(process, ranks)
-            why = _attend(process, watch, relay, screen)
-            launcher_killed = not why and process.returncode < 0
-            killed_at_start = launcher_killed or watch.killed_at_start
-            watch.listen_to_the_end(_TIME_FOR_LAST_WORDS)
-            screen.end()
-            left = {} if launcher_killed else watch.ranks_left()
-            enough = sum(left.values()) != 1
-            if watch.exit_code is not None:
-                # If ranks die, mpirun itself ends rank 0 with a SIGTERM. Other signals come from the user. A locked or
-                # missing database is the same a second later.
-                curable = watch.exit_code == EXIT_RESUMABLE and watch.exit_reason in {"", signal.SIGTERM.name}
-                return _LaunchEnd(watch.exit_code, worth_a_restart=curable and enough, hosts=left)
-            if process.returncode == _NO_LISTENER and again and not watch.anybody_began:
-                screen.say(f"{name} failed before any rank began; it is being started once more.")
-                return self._once(mpirun, relay, screen, hosts, again=False)
-            if launcher_killed:
-                why = f"{name} was killed by {signal.Signals(-process.returncode).name}"
-            why = why or watch.describe_first_death() or f"{name} returned {process.returncode}, see above"
-            if watch.begun:
-                screen.say(f"The run was cut off ({why}): everything stored is safe, and the same command continues.")
-                return _LaunchEnd(EXIT_RESUMABLE, not relay.asked and enough, hosts=left)
-            if relay.asked:
-                screen.say("Ended by a signal before the ranks began; the same command starts again.")
-                return _LaunchEnd(EXIT_RESUMABLE)
-            screen.say(f"The run did not begin ({why}); nothing was computed.")
-            return _LaunchEnd(EXIT_ERROR, worth_a_restart=killed_at_start, failure_at_start=why)
 
-    def _start(
-        self, mpirun: str, address: str, ranks: int, hosts: dict[str, int], outputs: tuple[int | None, int | None]
-    ) -> "subprocess.Popen[bytes]":
-        """Start the launcher, in a group of its own: Ctrl-C reaches this process alone, which passes it on."""
-        environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {starter.COMMAND_VARIABLE: address}
-        if sys.stdout.isatty():
-            environment[TERMINAL_VARIABLE] = str(shutil.get_terminal_size().columns)
-        forwarded = [name for name in environment if name in _FORWARDED_VARIABLES or name.startswith(_LIBPQ)]
-        return subprocess.Popen(  # noqa: S603 - our own program
-            [
-                *(mpirun, *launcher_options(mpirun, ranks, forwarded)),
-                *(["--host", ",".join(f"{host}:{slots}" for host, slots in hosts.items())] if hosts else []),
-                *_starter_command(),
-                *(sys.executable, "-m", "calcidem", *self.arguments),
-            ],
+class _Start:
+    """One start of the launcher, in a group of its own: Ctrl-C reaches this process alone, which passes it on."""
+
+    def __init__(
+        self, mpirun: str, ranks: int, arguments: Sequence[str], configuration: Configuration, display: ProgressDisplay
+    ) -> None:
+        self._configuration, self._display = configuration, display
+        self._name = Path(mpirun).name
+        self._before = self._latest_run()[0]
+        self._tail: deque[str] = deque(maxlen=5)
+        environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {COMMAND_VARIABLE: "1"}
+        # ssh forwards no environment to other hosts. Command lines show names, never values. PG: PostgreSQL's library.
+        names = {*THREAD_VARIABLES, COMMAND_VARIABLE, PASSWORDS_VARIABLE}
+        names |= {"NUMBA_CACHE_DIR", "CALCIDEM_CACHE", "PYTHONPATH", "TMPDIR"}
+        forwarded = sorted(name for name in environment if name in names or name.startswith("PG"))
+        self._process = subprocess.Popen(  # noqa: S603 - our own program
+            [*(mpirun, *launcher_options(mpirun, ranks, forwarded)), *(sys.executable, "-m", "calcidem", *arguments)],
             env=environment,
             stdin=subprocess.DEVNULL,
-            stdout=outputs[0],
-            stderr=outputs[1],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
             process_group=0,
-            preexec_fn=partial(starter.die_with_parent, os.getpid()),  # noqa: PLW1509 - no threads; mpirun ends with us
+            preexec_fn=partial(die_with_parent, os.getpid()),  # noqa: PLW1509 - no threads yet; mpirun ends with us
         )
+        self._readers = [
+            threading.Thread(target=self._pass_on, args=(pipe, stream), daemon=True)
+            for pipe, stream in ((self._process.stdout, sys.stdout), (self._process.stderr, sys.stderr))
+        ]
+        for reader in self._readers:
+            reader.start()
 
+    @property
+    def code(self) -> int:
+        """Exit code of the launcher; negative for a signal."""
+        return self._process.returncode
 
-@dataclass(frozen=True, slots=True)
-class _LaunchEnd:
-    """End of a launch."""
+    @property
+    def was_refused(self) -> bool:
+        """Whether rank 0 refused its input."""
+        return self.code == 2
 
-    code: int
-    """Exit code."""
-    worth_a_restart: bool = False
-    """Whether another start may do better."""
-    failure_at_start: str = ""
-    """Reason why the ranks did not begin; empty if they did."""
-    hosts: dict[str, int] = field(default_factory=dict)
-    """Remaining hosts with their numbers of ranks, if others are lost; else empty."""
+    def own_run(self) -> RunRecord | None:
+        """Run that this start began; None without one."""
+        number, run = self._latest_run()
+        return run if number != self._before else None
 
+    def attend(self, relay: "_Relay", start_timeout: float) -> str:
+        """Wait for the end of the launcher, or end it; return why."""
+        begin = next_look = time.monotonic()
+        self._display.show(RunProgress(RunStage.STARTING, f"{self._name} starts the ranks"))
+        reporter = ProgressReporter(self._display)
+        run, ended, why = None, None, ""
+        while self._process.poll() is None:
+            time.sleep(0.1)
+            now = time.monotonic()
+            if now >= next_look:
+                run = self.own_run()
+                next_look = now + (0.3 if run is None else 1.0)
+            if run is None:
+                why = self._why_not_begun(relay, now - begin, start_timeout)
+            else:
+                reporter.read = partial(read_own_status, self._configuration)
+                reporter.show_cells()
+                for number in relay.take():
+                    self._process.send_signal(number)
+                ended = ended or (now if run.exit_state is not None else None)
+                why = self._why_not_ended(relay, now - begin, None if ended is None else now - ended)
+            if why:
+                self._end(at_once=relay.is_impatient)
+        for reader in self._readers:
+            reader.join(2.0)  # a process that has left its group may keep a pipe open
+        return why or self._explanation()
 
-def _attend(process: "subprocess.Popen[bytes]", watch: RankWatch, relay: "_Relay", screen: CommandScreen) -> str:
-    """Wait for the end of the launcher, or end it; return why, empty if it ended by itself."""
-    while process.poll() is None:
-        watch.listen(_POLL_INTERVAL)
-        screen.update(watch.progress)
-        for number in relay.take():
-            if watch.begun:
-                process.send_signal(number)
-        if silent := watch.describe_silent_master():
-            screen.say(silent)
-        why = watch.reason_to_end()
-        if why is None and relay.asked and not watch.begun:
-            why = "a signal asked for it"
-        if why is None and relay.impatient:
-            why = "a second signal asked for it"
-            watch.kill_ranks()  # mpirun would give them a second more, and wait for those that are stopped
-        if why is not None:
-            _end(process)
-            return why
-    return ""
+    def _why_not_begun(self, relay: "_Relay", seconds: float, start_timeout: float) -> str:
+        """Why a launch is ended whose rank 0 has not begun some seconds after the start; empty to wait."""
+        if relay.asked:
+            return "a signal asked for it"
+        return f"rank 0 did not begin within {start_timeout:g} s" if seconds > start_timeout else ""
 
+    def _why_not_ended(self, relay: "_Relay", seconds: float, since_end: float | None) -> str:
+        """Why a launch is ended some seconds after its start and after the end of its run; empty to wait."""
+        if relay.is_impatient:
+            return "a second signal asked for it"
+        if since_end is not None and since_end > 15.0:  # s
+            return "the ranks did not end"
+        # Launchers do not notice the loss of a network.
+        if seconds > STALE_AFTER.total_seconds() and self._is_silent():
+            return "rank 0 has been silent for minutes"
+        return ""
 
-def _end(process: "subprocess.Popen[bytes]") -> None:
-    """End the launcher, in order if it can; its ranks end with it."""
-    process.terminate()
-    try:
-        process.wait(_TIME_TO_END)
-    except subprocess.TimeoutExpired:
-        tasks = Path(f"/proc/{process.pid}/task").glob("*/children")
-        children = [int(child) for task in tasks for child in task.read_text(encoding="ascii").split()]
-        process.kill()
-        process.wait()
-        for child in children:  # its connections to hosts that don't answer
-            with suppress(ProcessLookupError):
-                os.kill(child, signal.SIGKILL)
+    def _open(self) -> Store:
+        return read_campaign(self._configuration.database, self._configuration.campaign.name)
 
+    def _latest_run(self) -> tuple[int, RunRecord | None]:
+        with suppress(StoreError), self._open() as store:
+            if runs := store.runs():
+                return runs[-1]
+        return 0, None
 
-def _starter_command() -> list[str]:
-    """Beginning of the command line of a rank that reports to this command; the starter needs no site packages."""
-    return [sys.executable, "-I", "-S", str(Path(starter.__file__).absolute())]
+    def _is_silent(self) -> bool:
+        """Whether the heartbeat of rank 0 is too old."""
+        with suppress(StoreError), self._open() as store:
+            holder = store.lease_holder()
+            return holder is None or datetime.now(UTC) - holder.heartbeat > STALE_AFTER
+        return False
+
+    def _explanation(self) -> str:
+        """Why the launcher ended, in its own last words if it has any."""
+        run = self.own_run()
+        if run is not None and run.exit_state is not None:
+            return run.exit_state.partition(": ")[2] or run.exit_state
+        if self.code < 0:
+            return f"{self._name} was killed by {signal.Signals(-self.code).name}"
+        words = " ".join(" ".join(self._tail).split())
+        told = re.search(r"process rank \d+ [^()]* exited on signal \d+ \([^)]*\)", words)
+        return told.group() if told else f"{self._name} returned {self.code}, see above"
+
+    def _pass_on(self, pipe: IO[bytes], stream: IO[str]) -> None:
+        """Write the lines of the ranks, above the display if there is one."""
+        for line in pipe:
+            text = line.decode(errors="replace").rstrip("\r\n")
+            if text.strip("- "):
+                self._tail.append(text)
+            if stream.isatty():
+                self._display.write(text)
+            else:
+                with suppress(OSError):
+                    stream.write(f"{text}\n")
+                    stream.flush()
+
+    def _end(self, *, at_once: bool) -> None:
+        """End the launcher, in order if there is time; its ranks end with it."""
+        if not at_once:
+            self._process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(5.0)
+                return
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)  # its connections to hosts that do not answer, too
+        self._process.wait()
 
 
 def find_mpirun() -> str:
@@ -259,7 +284,7 @@ def find_mpirun() -> str:
 
 
 def launcher_options(mpirun: str, ranks: int, forwarded: Sequence[str] = ()) -> list[str]:
-    """Options of the launcher: number of ranks, free choice of cores, survival of lost ranks.
+    """Options of the launcher: number of ranks, free choice of cores.
 
     ``forwarded`` names environment variables to forward to ranks on other hosts.
     """
@@ -269,10 +294,7 @@ def launcher_options(mpirun: str, ranks: int, forwarded: Sequence[str] = ()) -> 
         return options
     if os.geteuid() == 0:
         options.insert(0, "--allow-run-as-root")
-    version = answer.stdout.split("Open MPI)")[-1].strip().partition(".")[0]
-    if version.isdigit() and int(version) >= FIRST_WITH_ULFM:
-        options += ["--with-ft", "ulfm"]
-    names = [word for name in (*forwarded, starter.COMMAND_VARIABLE) for word in ("-x", name)]
+    names = [word for name in forwarded for word in ("-x", name)]
     return [*options, "--map-by", ":OVERSUBSCRIBE", "--bind-to", "none", *names]
 
 
@@ -281,8 +303,8 @@ class _Relay(SignalHandlers):
 
     Attributes
     ----------
-    asked
-        Whether any was received.
+    asked, in_haste
+        Whether any was received, and one that requests an end at once.
     """
 
     def __init__(self) -> None:
@@ -293,21 +315,24 @@ class _Relay(SignalHandlers):
         self.asked = False
 
     @property
-    def impatient(self) -> bool:
-        """Whether a second urgent signal was received some time ago."""
-        return self._second_urgent is not None and time.monotonic() - self._second_urgent > _PATIENCE_OF_USERS
+    def in_haste(self) -> bool:
+        """Whether an end at once was requested."""
+        return self._first_urgent is not None
+
+    @property
+    def is_impatient(self) -> bool:
+        """Whether a second urgent signal was received a second ago."""
+        return self._second_urgent is not None and time.monotonic() - self._second_urgent > 1.0
 
     def take(self) -> list[signal.Signals]:
         """Signals to forward, each once."""
         noted, self._noted = self._noted, []
         return noted
 
-    def wait_for_signal(self, seconds: float) -> bool:
-        """Wait some seconds for a signal; return whether there was one, now or earlier."""
-        end = time.monotonic() + seconds
-        while not self.asked and time.monotonic() < end:
-            time.sleep(0.05)
-        return self.asked
+    def end_at_once(self) -> None:
+        """Raise `SweepInterrupted` if any was received."""
+        if self.asked:
+            raise SweepInterrupted
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
         self.asked = True
@@ -316,4 +341,4 @@ class _Relay(SignalHandlers):
         if passed_on is signal.SIGUSR2:
             if self._first_urgent is not None:
                 self._second_urgent = self._second_urgent or time.monotonic()
-            self._first_urgent = time.monotonic()
+            self._first_urgent = self._first_urgent or time.monotonic()

@@ -48,7 +48,6 @@ def provide_packing(
             damaged = store
             tell(f"Packing: {error.problem}")
         else:
-            tell("Packing: taken from the database.")
             return packing
     kept = kept_packing(configuration.packing_hash, tell)
     packing = kept or new_packing(configuration, tell, check, watch)

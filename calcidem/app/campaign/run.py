@@ -1,49 +1,48 @@
-"""One campaign from its configuration to its database, in one process or on many ranks."""
+"""One campaign from its configuration to its database, in one process or by the workers of an executor."""
 
 import os
 import socket
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import suppress
-from dataclasses import replace
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from functools import partial
 from itertools import starmap
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
-from calcidem.app.campaign.display import choose_display
+import numpy as np
+
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import Tell, provide_packing
 from calcidem.app.campaign.parts import batches_of, planned_batches
-from calcidem.app.campaign.progress import ProgressReporter, RunProgress, RunStage
+from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage, choose_display
 from calcidem.app.campaign.provenance import describe_run
+from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.app.campaign.stored_packing import packing_record, readable_packing
 from calcidem.app.campaign.task import CellComputation, kernel_compilations
-from calcidem.app.campaign.workers import describe_unlike, describe_worker, group_workers
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.sample.packing import PackingStage
+from calcidem.dem.sample.packing import Packing, PackingStage
 from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError, StoreUnavailableError
-from calcidem.storage.records import CellKey, CellStatus, PackedResult, WorkerRecord
+from calcidem.storage.records import CellKey, CellResult, CellStatus, PackedResult
 from calcidem.storage.sql.engine import Address
-from calcidem.storage.sql.store import Store
+from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
+from calcidem.sweep.attempt import SweepInterrupted
 from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.options import SweepOptions
+from calcidem.sweep.environment import refuse_singletons
 from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.processes import keep_freed_memory
-from calcidem.sweep.progress import Progress
 from calcidem.sweep.run import run_sweep
+from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE
 from calcidem.sweep.signals import StopRequest
-from calcidem.sweep.sweep_end import SweepEnd, SweepState, WorkersLostError
+from calcidem.sweep.sweep_end import EXIT_RESUMABLE, LaunchError, SweepEnd, SweepState, WorkersLostError
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign  # for statistics, which the ranks do not need
     from calcidem.app.campaign.until import SeedDemand
-
-_LEASE_POLL = 1.0
-"""Seconds between two checks of a lease that another machine holds."""
 
 
 def run(
@@ -108,13 +107,9 @@ def run(
     keep_freed_memory()
     with choose_display(progress) as display:
         reporter = ProgressReporter(display)
-        with CampaignRun(configuration, [describe_worker(rank=0)], display.note, watch=reporter.on_packing) as work:
-            if work.batches:
-                reporter.begin(RunStage.COMPILING)
-                if executor is None:
-                    for compile_kernel in kernel_compilations(configuration, work.packing, reporter.on_compiling):
-                        compile_kernel()
-            end = work.compute(executor, reporter, StopRequest())  # not set by signals: an interrupt goes to the caller
+        with CampaignRun(configuration, display.note, watch=reporter.on_packing) as work:
+            # Not set by signals: an interrupt goes to the caller.
+            end = work.compute(executor, reporter, StopRequest())
             if end.state is not SweepState.COMPLETE:
                 raise WorkersLostError(f"{end.detail} (everything stored is safe)")
             for line in work.demand.lines() if work.demand else ():
@@ -122,24 +117,122 @@ def run(
     return open_campaign(configuration.database, configuration.campaign.name)
 
 
-def sweep_options(configuration: Configuration) -> SweepOptions:
-    """Limits of the sweep from the configuration."""
-    return SweepOptions(time_limit=configuration.run.time_limit)
+class RunView(Protocol):
+    """Messages and progress of a run."""
+
+    def say(self, text: str) -> None:
+        """Write a sentence."""
+
+    def display(self) -> ProgressDisplay:
+        """Receiver of the progress."""
+
+    def begin(self, configuration: Configuration, packing: Packing) -> None:
+        """Describe the coming computation."""
+
+    def finish(self, store: Store, configuration: Configuration, code: int, *, in_haste: bool) -> None:
+        """Report the results and write files; at an urgent end only what takes no time."""
+
+    def refuse(self, error: Exception) -> int:
+        """Report an error that the user can remedy and return its exit code; raise any other."""
+
+
+def run_command_line(
+    load: Callable[[], Configuration], view: RunView, executor: Executor | None, stop_request: StopRequest
+) -> int:
+    """Compute a campaign, or its missing cells, for the command line; return the exit code."""
+    keep_freed_memory()
+    with view.display() as display:
+        reporter = ProgressReporter(display)
+        work = None
+        try:
+            if executor is None:
+                refuse_singletons()
+            work = CampaignRun(load(), view.say, stop_at_once(stop_request), reporter.on_packing)
+            with work:
+                view.begin(work.configuration, work.packing)
+                end = work.compute(executor, reporter, stop_request)
+                reporter.begin(RunStage.WRITING, "tables and files")
+                view.finish(work.store, work.configuration, end.exit_code, in_haste=stop_request.hurry())
+                return end.exit_code
+        except SweepInterrupted:
+            view.say(f"{stop_request.explanation}: ended before the cells; run it again to continue.")
+            return EXIT_RESUMABLE
+        except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
+            code = view.refuse(error)
+            # After a restart a server has all stored data.
+            is_lost = isinstance(error, StoreUnavailableError) and work is not None and work.end is not None
+            return EXIT_RESUMABLE if is_lost else code
+
+
+def stop_at_once(stop_request: StopRequest) -> Callable[[], None]:
+    """Check that raises `SweepInterrupted` if a signal requests an end at once."""
+
+    def check() -> None:
+        if stop_request.hurry():
+            raise SweepInterrupted
+
+    return check
+
+
+@contextmanager
+def dask_executor(address: str) -> Iterator[Executor]:
+    """Connect to a scheduler; at the end cancel batches not yet begun.
+
+    `LaunchError` if no scheduler answers at the address, or Dask is not installed.
+    """
+    try:
+        from distributed import Client  # noqa: PLC0415 - an extra of the package
+    except ImportError as error:
+        raise LaunchError(f"--dask {address}: Dask is missing ({error}); pip install 'calcidem[dask]'") from error
+    try:
+        client = Client(address, timeout=10.0, set_as_default=False)
+    except (OSError, ValueError) as error:  # a time-out is an OSError
+        raise LaunchError(
+            f"--dask {address}: no scheduler answers there ({error}); give the address that `dask scheduler` writes, "
+            "like tcp://host:8786"
+        ) from error
+    try:
+        yield client.get_executor(pure=False)
+    finally:
+        with suppress(Exception):  # any error is harmless: the outcomes are stored and the client is no longer needed
+            client.close(timeout=3.0)  # s; it cancels running batches, and a dead scheduler does not answer
+
+
+@contextmanager
+def prepared_store(
+    configuration: Configuration, tell: Tell, check: Callable[[], None], watch: Callable[[PackingStage], None]
+) -> Iterator[tuple[Store, Packing]]:
+    """Store of a campaign with its packing and its planned cells, of which this process is the only writer.
+
+    An existing database is checked before the packing is made, so that one of another campaign is refused at once. A
+    new one is created after the packing, so that a configuration that the packing cannot fulfil creates none.
+    """
+    _refuse_before_writing(configuration)
+    configuration.output.mkdir(parents=True, exist_ok=True)  # before hours of computation
+    store = _become_master(configuration, tell, check) if _exists(configuration.database) else None
+    try:
+        packing = provide_packing(configuration, store, tell, check, watch)
+        for warning in check_against_packing(configuration, packing):
+            tell(f"Warning: {warning}.")
+        store = store or _become_master(configuration, tell, check)
+        store.save_packing(packing_record(packing, index=0, packing_hash=configuration.packing_hash))
+        store.extend(configuration.campaign.seed_numbers, configuration.campaign.contents)
+        yield store, packing
+    finally:
+        if store is not None:
+            with suppress(StoreError):  # the last write has reported a lost database
+                store.close()
 
 
 class CampaignRun:
-    """State of rank 0 while a campaign is computed: database, packing and remaining batches.
+    """A campaign that is being computed: its store, packing and remaining batches.
 
-    As a context manager it closes the database and records the end of the run. An existing database is checked before
-    the packing is made, so that one of another campaign is refused at once. A new one is created after the packing, so
-    that a configuration that the packing cannot fulfil creates none.
+    As a context manager it closes the database and records the end of the run.
 
     Parameters
     ----------
     configuration
         Configuration to compute.
-    workers
-        Description of each rank.
     tell
         Receives sentences for the user.
     check
@@ -151,10 +244,6 @@ class CampaignRun:
     ----------
     packing, store
         Packing and store of the campaign.
-    batches
-        Remaining batches, in order.
-    sink
-        Receiver of the outcomes.
     demand
         Numbers of seeds that each content needs; None without `until` in the configuration.
     end
@@ -164,7 +253,6 @@ class CampaignRun:
     def __init__(
         self,
         configuration: Configuration,
-        workers: Sequence[WorkerRecord],
         tell: Tell,
         check: Callable[[], None] = lambda: None,
         watch: Callable[[PackingStage], None] = lambda _: None,
@@ -172,44 +260,46 @@ class CampaignRun:
         self.configuration = configuration
         self.end: SweepEnd | None = None
         self.demand: SeedDemand | None = None
-        _refuse_before_writing(configuration)
-        configuration.output.mkdir(parents=True, exist_ok=True)  # before hours of computation
-        store = self._master(tell, check) if _exists(configuration.database) else None
+        self._tell = tell
+        self._closing = prepared_store(configuration, tell, check, watch)
+        self.store, self.packing = self._closing.__enter__()
+
+    def compute(self, executor: Executor | None, reporter: ProgressReporter, stop_request: StopRequest) -> SweepEnd:
+        """Have the missing cells computed and store the outcomes; None computes in this process.
+
+        `StoreError` if the database is no longer there: then nothing is complete.
+        """
+        workers = getattr(executor, "num_workers", None)
+        self.store.begin_run(describe_run(1 if workers is None else workers + 1))
         try:
-            self.packing = provide_packing(configuration, store, tell, check, watch)
-            for warning in check_against_packing(configuration, self.packing):
-                tell(f"Warning: {warning}.")
-            store = store or self._master(tell, check)
-            self.store: Store = store
-            self._begin(workers, tell)
-        except BaseException:
-            if store is not None:
-                store.close()
+            batches = self._plan_batches()
+            reporter.read = partial(read_own_status, self.configuration)
+            if batches and executor is None:
+                reporter.begin(RunStage.COMPILING)
+                for compile_kernel in kernel_compilations(self.configuration, self.packing, reporter.on_compiling):
+                    compile_kernel()
+            self.end = run_sweep(
+                executor,
+                batches,
+                CellComputation(self.configuration, self.packing),
+                self._sink,
+                time_limit=self.configuration.run.time_limit,
+                progress=reporter,
+                stop_request=stop_request,
+                more=self._more,
+            )
+            self.store.renew_lease()
+        except KeyboardInterrupt:
+            self.end = SweepEnd(SweepState.STOPPED, "interrupted")
             raise
-
-    def _master(self, tell: Tell, check: Callable[[], None]) -> Store:
-        """Open the database and become the only writer of this campaign."""
-        configuration = self.configuration
-        path = Address.parse(configuration.database).path
-        if path is not None:
-            path.parent.mkdir(parents=True, exist_ok=True)
-
-        store = Store(configuration.database)
-        try:
-            store.begin_campaign(configuration.record())
-            for sentence in _acquire_lease(store, tell, check):
-                tell(sentence)
-        except BaseException:
-            store.close()
+        except BaseException as error:
+            self.end = SweepEnd(SweepState.ERROR, f"{type(error).__name__}: {error}")
             raise
-        return store
+        return self.end
 
-    def _begin(self, workers: Sequence[WorkerRecord], tell: Tell) -> None:
-        """Plan the cells and the batches."""
+    def _plan_batches(self) -> tuple[Batch[Cell], ...]:
+        """Plan the cells; return the batches of those without an outcome, in the order of computation."""
         plan = self.configuration.campaign
-        record = packing_record(self.packing, index=0, packing_hash=self.configuration.packing_hash)
-        self.store.save_packing(record)
-        self.store.extend(plan.seed_numbers, plan.contents)
         if plan.until is None:
             own = {cell for batch in planned_batches(self.configuration) for cell in batch.cells}
         else:
@@ -219,43 +309,23 @@ class CampaignRun:
             own = set(self.demand.cells)
             self.store.plan(starmap(CellKey, own))
         self.store.use_campaign(plan.name)  # with the whole plan
-        pending = self.store.pending(contents=plan.contents)
-        kinds = group_workers(workers)
-        self.sink = StoreSink(self.store, pending, tell, kinds)
-        self._losses = self.sink.losses
-        self.batches = batches_of(
-            self.configuration,
-            ((key.seed, key.content) for key in pending if (key.seed, key.content) in own),
-            self._losses,
-        )
-        self.store.begin_run(replace(describe_run(len(workers)), workers=kinds))
-        if unlike := describe_unlike(kinds):
-            tell(unlike)
-
-    def compute(self, where: Any, reporter: Progress, stop_request: StopRequest) -> SweepEnd:  # noqa: ANN401 - with MPI's type, which only the scheduler knows
-        """Have the batches computed and store the outcomes; ``where`` is that of `calcidem.sweep.run.run_sweep`.
-
-        `StoreError` if the database is no longer there: then nothing is complete.
-        """
-        self.end = run_sweep(
-            where,
-            self.batches,
-            CellComputation(self.configuration, self.packing),
-            self.sink,
-            options=sweep_options(self.configuration),
-            progress=reporter,
-            stop_request=stop_request,
-            more=self._more,
-        )
-        self.store.renew_lease()
-        return self.end
+        pending = [key for key in self.store.pending(contents=plan.contents) if (key.seed, key.content) in own]
+        self._sink = StoreSink(self.store, pending, self._tell)
+        self._losses = self._sink.losses
+        deadly = [cell for cell, count in self._losses.items() if count >= LOSSES_BEFORE_QUARANTINE]
+        reason = f"{LOSSES_BEFORE_QUARANTINE} runs died while it was computed, so it is not tried again"
+        self.store.record_results(CellResult(CellKey(*cell), CellStatus.QUARANTINED, reason) for cell in deadly)
+        for seed, content in deadly:
+            self._tell(f"quarantined: seed {seed}, {content:g} %: {reason}")
+        cells = {(key.seed, key.content) for key in pending} - set(deadly)
+        return batches_of(self.configuration, cells, self._losses)
 
     def _more(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> tuple[Batch[Cell], ...]:
         """Further batches that the outcomes require, if the configuration has `until`."""
         if self.demand is None:
             return ()
         cells = self.demand.take_in(outcomes)
-        self.sink.plan(starmap(CellKey, cells))
+        self._sink.plan(starmap(CellKey, cells))
         return batches_of(self.configuration, cells, self._losses)
 
     def __enter__(self) -> Self:
@@ -263,10 +333,44 @@ class CampaignRun:
 
     def __exit__(self, *exception: object) -> None:
         """Record the end and close the database."""
-        with suppress(StoreError), self.store:  # the last write has reported a lost database
+        try:
             if self.end is not None:
                 detail = f": {self.end.detail}" if self.end.detail else ""
-                self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC))
+                with suppress(StoreError):  # the last write has reported a lost database
+                    cut_off = self.end.state is SweepState.CUT_OFF
+                    self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC), cut_off=cut_off)
+        finally:
+            self._closing.__exit__(None, None, None)
+
+
+def read_own_status(configuration: Configuration) -> CampaignStatus:
+    """Read the progress of the cells that a configuration plans; `StoreError` if the database is unreadable."""
+    plan = configuration.campaign
+    seeds = plan.seed_numbers if plan.until is None else None
+    with read_campaign(configuration.database, plan.name) as store:
+        columns = store.table(STATUS_QUANTITIES, Selection(seeds, plan.contents))
+        if configuration.run.part is not None:
+            own = {cell for batch in planned_batches(configuration) for cell in batch.cells}
+            cells = zip(columns["seed"].tolist(), columns["content"].tolist(), strict=True)
+            chosen = np.array([cell in own for cell in cells], dtype=bool)
+            columns = {name: values[chosen] for name, values in columns.items()}
+        return CampaignStatus.of(store, columns, ())
+
+
+def _become_master(configuration: Configuration, tell: Tell, check: Callable[[], None]) -> Store:
+    """Open the database and become the only writer of this campaign."""
+    path = Address.parse(configuration.database).path
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    store = Store(configuration.database)
+    try:
+        store.begin_campaign(configuration.record())
+        for sentence in _acquire_lease(store, tell, check):
+            tell(sentence)
+    except BaseException:
+        store.close()
+        raise
+    return store
 
 
 def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> tuple[str, ...]:
@@ -290,7 +394,7 @@ def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> tuple
             )
         first = holder
         check()
-        time.sleep(_LEASE_POLL)
+        time.sleep(1.0)
 
 
 def _refuse_before_writing(configuration: Configuration) -> None:

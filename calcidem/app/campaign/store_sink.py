@@ -9,22 +9,11 @@ from threading import Lock
 from typing import TypeVar
 
 from calcidem.app.campaign.packing import Tell
-from calcidem.app.campaign.workers import describe_unlike, group_workers
 from calcidem.storage.errors import StoreLockedError
-from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult, WorkerRecord
+from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.outcome import BatchOutcome
-
-_RENEWAL_INTERVAL = 30.0
-"""Seconds between two renewals of the lease; half of the interval that the store requires."""
-
-_LOCK_PAUSE = 1.0
-"""Seconds until the next attempt to lock; SQLite itself has waited half a minute before."""
-
-_MOST_PATIENCE = 600.0
-"""Longest wait for a lock of another process, s."""
-
 
 T = TypeVar("T")
 
@@ -40,90 +29,74 @@ class StoreSink:
         Cells that will be computed.
     tell
         Takes sentences for the user.
-    workers
-        Descriptions of the workers; those of an executor are unknown before their first results.
     """
 
-    def __init__(
-        self,
-        store: Store,
-        keys: Sequence[CellKey],
-        tell: Tell = lambda _: None,
-        workers: Sequence[WorkerRecord] = (),
-    ) -> None:
-        self._store, self._tell, self._workers = store, tell, tuple(workers)
+    def __init__(self, store: Store, keys: Sequence[CellKey], tell: Tell = lambda _: None) -> None:
+        self._store, self._tell = store, tell
         self.busy = Lock()
         """Lock held while a thread uses the store."""
-        self._next_renewal = time.monotonic() + _RENEWAL_INTERVAL
+        self.patience = 600.0
+        """Longest wait for a lock of another process, s."""
+        self._next_renewal = 0.0
         self._counts = store.attempt_counts(keys) if keys else {}
+        self._running: set[CellKey] = set()
         self._unplanned: deque[CellKey] = deque()
 
     @property
     def losses(self) -> dict[Cell, int]:
-        """Number of workers lost so far while computing each cell."""
+        """Number of earlier runs that died while each cell was computed."""
         return {(key.seed, key.content): count.losses for key, count in self._counts.items()}
 
     def plan(self, keys: Iterable[CellKey]) -> None:
         """Plan cells in the transaction of the next stored outcomes; does not wait."""
         self._unplanned.extend(keys)
 
+    def mark(self, batches: Sequence[Batch[Cell]], /) -> None:
+        """Begin an attempt for each cell of these batches; a batch that is computed again is marked already."""
+        self._plan_further()
+        keys = [key for batch in batches for cell in batch.cells if (key := CellKey(*cell)) not in self._running]
+        self._counts |= self._with_patience(lambda: self._store.record_running(keys))
+        self._running.update(keys)
+
     def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
-        """Write new kinds of workers, and then the outcomes in one transaction."""
-        self._note_workers(outcomes)
-        new = [self._unplanned.popleft() for _ in range(len(self._unplanned))]
-        if new:
-            self._with_patience(lambda: self._store.plan(new))
+        """Write the outcomes in one transaction."""
+        self._plan_further()
         results = [result for outcome in outcomes for result in self._results(outcome)]
         self._with_patience(lambda: self._store.record_results(results))
         for result in results:
             losses = self._counts.get(result.key, AttemptCount()).losses
             self._counts[result.key] = AttemptCount(result.attempt, losses)
-
-    def _note_workers(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> None:
-        """Add new kinds of workers to the run, and warn if bits could depend on them."""
-        known = {rank for worker in self._workers for rank in worker.ranks}
-        new = {
-            outcome.place.rank: replace(outcome.results[0].worker, ranks=(outcome.place.rank,))
-            for outcome in outcomes
-            if outcome.place.rank not in known and outcome.results and outcome.results[0].worker
-        }
-        if not new:
-            return
-        before, self._workers = describe_unlike(self._workers), group_workers((*self._workers, *new.values()))
-        self._with_patience(lambda: self._store.note_workers(self._workers))
-        if (unlike := describe_unlike(self._workers)) and not before:
-            self._tell(unlike)
+            self._running.discard(result.key)
 
     def keep_alive(self) -> None:
         """Renew the lease if due, for other machines; storing outcomes also renews it."""
         if time.monotonic() > self._next_renewal and self.busy.acquire(blocking=False):
             try:
-                self._next_renewal = time.monotonic() + _RENEWAL_INTERVAL
+                self._next_renewal = time.monotonic() + 30.0  # s, half of the interval that the store requires
                 with suppress(StoreLockedError):  # a process with the lock cannot take the lease meanwhile
                     self._store.renew_lease()
             finally:
                 self.busy.release()
 
-    def store_loss(self, batch: Batch[Cell], reason: str, /) -> None:
-        """Count a lost attempt for each cell."""
-        keys = [CellKey(*cell) for cell in batch.cells]
-        self._counts |= self._with_patience(lambda: self._store.record_lost(keys, reason))
+    def _plan_further(self) -> None:
+        if new := [self._unplanned.popleft() for _ in range(len(self._unplanned))]:
+            self._with_patience(lambda: self._store.plan(new))
 
     def _with_patience(self, write: Callable[[], T]) -> T:
         """Write, and wait while another process has locked the database, so that no computed cell is lost.
 
-        `StoreLockedError` if the lock remains for more than ten minutes.
+        `StoreLockedError` if the lock remains for longer than `patience`.
         """
-        deadline = time.monotonic() + _MOST_PATIENCE
+        deadline = time.monotonic() + self.patience
         with self.busy:
             while True:
                 try:
                     return write()
-                except StoreLockedError as error:
+                except StoreLockedError as error:  # after half a minute in which SQLite itself has waited
                     if time.monotonic() > deadline:
                         raise
                     self._tell(f"Waiting for another process that has locked the database ({error.problem})")
-                    time.sleep(_LOCK_PAUSE)
+                    time.sleep(1.0)
 
     def _results(self, outcome: BatchOutcome[Cell, PackedResult]) -> list[PackedResult]:
         found = list(outcome.results or ())
@@ -134,11 +107,10 @@ class StoreSink:
             found = [CellResult(key, status, reason, seconds=seconds).packed() for key in keys]
         origin = {"rank": outcome.place.rank, "host": outcome.place.host}
         return [
-            replace(
-                result,
-                columns=result.columns
-                | origin
-                | {"attempt": self._counts.get(result.key, AttemptCount()).attempts + 1},
-            )
+            replace(result, columns=result.columns | origin | {"attempt": self._attempt_of(result.key)})
             for result in found
         ]
+
+    def _attempt_of(self, key: CellKey) -> int:
+        """Number of the attempt that gave an outcome: of the one that was marked, or the next."""
+        return self._counts.get(key, AttemptCount()).attempts + (key not in self._running)

@@ -17,7 +17,7 @@ from typer.core import TyperGroup
 
 from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable
 from calcidem.storage.passwords import keep_passwords_back
-from calcidem.sweep.environment import TERMINAL_VARIABLE, THREAD_VARIABLES, launcher
+from calcidem.sweep.environment import THREAD_VARIABLES, launcher
 from calcidem.version import __version__
 
 _OBJECTS_BEFORE_COLLECTING = 10_000
@@ -187,11 +187,11 @@ def _format_warning(
 
 
 def _be_plain_under_mpi() -> None:
-    """Let a rank write no colours and no cursor movements unless the command that started it has a terminal.
+    """Let a rank write no colours and no cursor movements.
 
     mpirun gives its ranks a pseudo-terminal, even if their output goes to a file or a pipe.
     """
-    if launcher() is not None and TERMINAL_VARIABLE not in os.environ:
+    if launcher() is not None:
         os.environ["TERM"] = "dumb"
 
 

@@ -14,12 +14,11 @@ from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable, tell
 from calcidem.sweep.progress import first_of, pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
-    from calcidem.app.cli.run_view import TerminalView
     from calcidem.app.config.schema import Configuration
 
 _parse_timeout = number_parser(1.0, 1e6, "is not a number of seconds from 1 to 1,000,000")
 
-_Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED", "DAMAGED"])
+_Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED"])
 
 
 def run_command(
@@ -44,18 +43,12 @@ def run_command(
     ] = None,
     restarts: Annotated[
         int | None,
-        typer.Option(min=0, metavar="K", help="With --ranks: restart up to K times (3) if ranks die."),
+        typer.Option(min=0, metavar="K", help="With --ranks: start again up to K times (3) if a rank dies."),
     ] = None,
     start_timeout: Annotated[
         float,
-        typer.Option(parser=_parse_timeout, metavar="SECONDS", help="With --ranks: time for all ranks to connect."),
+        typer.Option(parser=_parse_timeout, metavar="SECONDS", help="With --ranks: time for the ranks to begin."),
     ] = 120.0,
-    silence_timeout: Annotated[
-        float,
-        typer.Option(
-            parser=_parse_timeout, metavar="SECONDS", help="With --ranks: silence after which a host is given up."
-        ),
-    ] = 60.0,
     with_report: Annotated[bool, typer.Option("--report", help="Also write the report.")] = False,
     retry: Annotated[
         list[_Retried] | None,
@@ -72,8 +65,8 @@ def run_command(
 ) -> None:
     """Compute a campaign, or its missing cells: after a stop, the same command continues.
 
-    Cells with the status failed, timed_out, quarantined (three workers were lost while computing them) or damaged are
-    computed again only with --retry.
+    Cells with the status failed, timed_out or quarantined (three runs died while computing them) are computed again
+    only with --retry.
     """
     overrides = {"database": database, "output": None if output is None else str(output), "part": part}
     if part is not None and with_report:
@@ -90,25 +83,35 @@ def run_command(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )
     with _live_page(configuration, overrides) if serve else nullcontext():
+        from calcidem.app.campaign.run import dask_executor, run_command_line
+        from calcidem.app.cli.run_view import TerminalView
+        from calcidem.sweep.ranks import run_on_ranks
+        from calcidem.sweep.signals import StopRequest
+
+        load = partial(_read_overridden, configuration, overrides, retry or ())
         if ranks is not None and ranks != 1:
             from calcidem.app.campaign.launch import Launch
 
-            if retry:  # only here, since the ranks may be started several times
-                _read_overridden(configuration, overrides, retry)
             options = {"--db": database, "--output": output, "--part": part}
-            flags = {"--report": with_report, "--quiet": IS_QUIET.get(), "--verbose": IS_VERBOSE.get()}
             arguments = ["run", str(configuration)]
             arguments += [word for name, value in options.items() if value is not None for word in (name, str(value))]
-            arguments += [name for name, is_on in flags.items() if is_on]
-            launch = Launch(arguments, ranks, 3 if restarts is None else restarts, start_timeout, silence_timeout)
-            raise typer.Exit(launch.run())
-        from calcidem.app.campaign.ranks import dask_executor, run_on_ranks
-
-        run_on_ranks(
-            partial(_read_overridden, configuration, overrides, retry or ()),
-            partial(_open_view, with_report=with_report, one_process=dask is None),
-            nullcontext if dask is None else partial(dask_executor, dask),
-        )
+            arguments += [
+                name for name, is_on in (("--quiet", IS_QUIET.get()), ("--verbose", IS_VERBOSE.get())) if is_on
+            ]
+            launch = Launch(arguments, ranks, 3 if restarts is None else restarts, start_timeout)
+            code = launch.run(load, TerminalView(with_report=with_report, cores_used=True))
+        elif dask is not None:
+            view = TerminalView(with_report=with_report, cores_used=True)
+            with dask_executor(dask) as executor, StopRequest() as stop:
+                code = run_command_line(load, view, executor, stop)
+        else:
+            # A view is made on rank 0 alone, since it loads libraries that the others do not need.
+            code = run_on_ranks(
+                lambda executor, stop: run_command_line(
+                    load, TerminalView(with_report=with_report, cores_used=False), executor, stop
+                )
+            )
+        raise typer.Exit(code)
 
 
 def _preview(configuration: "Configuration") -> None:
@@ -158,10 +161,3 @@ def _read_overridden(
         head = f"{pluralize(len(pending), 'cell')} to compute again:" if pending else "There is nothing to retry."
         typer.echo("\n  ".join([head, *first_of(list(map(str, pending)))]))
     return loaded
-
-
-def _open_view(*, with_report: bool, one_process: bool) -> "TerminalView":
-    """View of the run, on rank 0 alone."""
-    from calcidem.app.cli.run_view import TerminalView
-
-    return TerminalView(with_report=with_report, one_process=one_process)

@@ -1,5 +1,6 @@
 """Texts and tables of a run for the user."""
 
+import os
 import sys
 from collections.abc import Iterator
 
@@ -8,71 +9,77 @@ from rich.table import Table
 
 from calcidem.analysis.error_budget import median_known
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
-from calcidem.app.campaign.display import command_display
 from calcidem.app.campaign.progress import ProgressDisplay
-from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.campaign.status import STATUS_QUANTITIES, UNREAD, CampaignStatus
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import format_number, make_console, make_table, marks_of, remarks_on
 from calcidem.app.cli.terminal import IS_QUIET, printable
 from calcidem.app.config.calibrated import calibration_note
+from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.environment import available_cores, launcher
+from calcidem.sweep.environment import COMMAND_VARIABLE, available_cores, launcher
 from calcidem.sweep.progress import pluralize
 
 
 class TerminalView:
-    """A `calcidem.app.campaign.ranks.RunView` on the terminal, or in the log, of this process."""
+    """A `calcidem.app.campaign.run.RunView` on the terminal, or in the log, of this process.
 
-    def __init__(self, *, with_report: bool, one_process: bool) -> None:
+    Ranks that `calcidem run --ranks` started only write sentences: their command shows the progress and the results.
+    """
+
+    def __init__(self, *, with_report: bool, cores_used: bool) -> None:
         self.console = make_console()
-        self.quiet = IS_QUIET.get()
-        self.one_process = one_process and launcher() is None
+        self.quiet, self.is_told_by_command = IS_QUIET.get(), COMMAND_VARIABLE in os.environ
+        self.cores_used = cores_used or launcher() is not None
         self.with_report = with_report
 
     def say(self, text: str) -> None:
         """Write a line unchanged, unless only results are wanted."""
-        if self.quiet:
-            return
-        self.console.print(printable(text), markup=False, soft_wrap=True)
+        if not self.quiet:
+            self.console.print(printable(text), markup=False, soft_wrap=True)
 
     def display(self) -> ProgressDisplay:
-        """Display of `command_display`, unless only results are wanted."""
-        return ProgressDisplay() if self.quiet else command_display(self.console)
+        """Display of the progress, unless only results are wanted."""
+        return ProgressDisplay(None if self.quiet else self.console, shows_progress=not self.is_told_by_command)
 
-    def begin(self, work: CampaignRun) -> None:
+    def begin(self, configuration: Configuration, packing: Packing) -> None:
         """Report on the packing, and on idle cores."""
-        for line in packing_lines(work.packing):
+        if self.is_told_by_command:
+            return
+        for line in packing_lines(packing):
             self.say(line)
-        if note := calibration_note(work.configuration):
+        if note := calibration_note(configuration):
             self.say(note)
-        if work.batches and self.one_process and sys.platform == "linux" and (cores := available_cores()) > 1:
+        if not self.cores_used and sys.platform == "linux" and (cores := available_cores()) > 1:
             self.say(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
 
-    def finish(self, work: CampaignRun, *, in_haste: bool) -> None:
+    def finish(self, store: Store, configuration: Configuration, code: int, *, in_haste: bool) -> None:
         """Show the velocities, export them and write the report if requested; in haste show them only."""
+        if self.is_told_by_command:
+            return
         from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf  # imported after the cells
 
-        configuration, plan = work.configuration, work.configuration.campaign
-        seeds = plan.seed_numbers if work.demand is None else None
-        self.console.print(_vs_table(work.store, Selection(seeds, plan.contents)))
-        if work.demand is not None and work.end is not None and work.end.exit_code == 0:
-            for line in work.demand.lines():
+        plan = configuration.campaign
+        self.console.print(_vs_table(store, Selection(None if plan.until else plan.seed_numbers, plan.contents)))
+        if plan.until is not None and code == 0:
+            from calcidem.app.campaign.until import SeedDemand
+
+            for line in SeedDemand.of_store(store, plan).lines():
                 self.say(line)
         address = Address.parse(configuration.database)
         self.say(f"Database: {address}")
         netcdf = configuration.netcdf
-        if belongs_to_another(netcdf, work.store.record.hash):  # two campaigns of one database, or with one name
-            netcdf = netcdf.with_stem(f"{netcdf.stem}-{work.store.record.hash[:8]}")
+        if belongs_to_another(netcdf, store.record.hash):  # two campaigns of one database, or with one name
+            netcdf = netcdf.with_stem(f"{netcdf.stem}-{store.record.hash[:8]}")
         if in_haste:
             self.say(f"NetCDF:   not written, to end quickly; calcidem export {address} OUT.nc does it")
         else:
-            self.say(f"Wrote {export_netcdf(work.store, netcdf)}")
-        if self.with_report and work.end is not None and work.end.exit_code == 0:
+            self.say(f"Wrote {export_netcdf(store, netcdf)}")
+        if self.with_report and code == 0:
             from calcidem.app.report.page import write_report
 
             page = write_report(configuration.database, netcdf.with_suffix(".html").absolute())

@@ -1,7 +1,6 @@
 """Common output of commands: tables, numbers, marks with their meaning, and the console."""
 
 import math
-import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
@@ -12,7 +11,7 @@ from rich.table import Table
 from calcidem.analysis.doubt import is_in_doubt
 from calcidem.storage.records import CellStatus
 from calcidem.storage.records.error_budget import MOST_DEPARTURE
-from calcidem.sweep.environment import TERMINAL_VARIABLE, launcher
+from calcidem.sweep.environment import launcher
 from calcidem.sweep.progress import pluralize
 
 PLAIN_WIDTH = 110
@@ -20,14 +19,10 @@ PLAIN_WIDTH = 110
 
 
 def make_console() -> Console:
-    """Console for results.
-
-    A rank itself cannot detect a terminal, since launchers give it a pseudo-terminal.
-    """
+    """Console for results; launchers give their ranks a pseudo-terminal that nobody sees."""
     if launcher() is None and sys.stdout.isatty():
         return Console(highlight=False)
-    columns = int(os.environ.get(TERMINAL_VARIABLE, "0"))
-    return Console(highlight=False, force_terminal=columns > 0, width=columns or PLAIN_WIDTH)
+    return Console(highlight=False, force_terminal=False, width=PLAIN_WIDTH)
 
 
 def make_table(title: str | None, *names: str, numbers: Sequence[str] = ()) -> Table:

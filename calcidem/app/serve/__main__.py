@@ -7,7 +7,7 @@ import sys
 
 from calcidem.app.serve.address import PageAddress
 from calcidem.app.serve.server import LivePage
-from calcidem.launch.starter import die_with_parent
+from calcidem.sweep.processes import die_with_parent
 
 _LOW_PRIORITY = 10
 

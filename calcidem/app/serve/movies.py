@@ -24,7 +24,7 @@ _LOWEST_PRIORITY = 19
 
 _PROGRAM = f"""
 import os, runpy, sys
-from calcidem.launch.starter import die_with_parent
+from calcidem.sweep.processes import die_with_parent
 parent = int(sys.argv.pop(1))
 if sys.platform == "linux":
     die_with_parent(parent)

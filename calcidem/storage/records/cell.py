@@ -356,7 +356,7 @@ class AttemptRecord(Record):
     number: Annotated[int, Quantity("1", "number of the attempt", bound=_POSITIVE)]
     """Counted from 1."""
     outcome: Annotated[str, Quantity("", "outcome")]
-    """A `CellStatus` value, or ``"lost"`` when the worker vanished."""
+    """A `CellStatus` value, running while it is computed, or ``"lost"`` if the run died meanwhile."""
     reason: Annotated[str, Quantity("", "why")]
     rank: Annotated[_Whole, Quantity("1", "MPI rank")]
     host: Annotated[str | None, Quantity("", "host")]
@@ -370,5 +370,5 @@ class AttemptRecord(Record):
 
     def __post_init__(self) -> None:
         Record.__post_init__(self)
-        if self.outcome not in (known := (*STORED_STATUSES, "lost")):
+        if self.outcome not in (known := (*STORED_STATUSES, "lost", CellStatus.RUNNING)):
             raise ValueError(f"AttemptRecord.outcome is '{self.outcome}'; it is one of {', '.join(known)}.")

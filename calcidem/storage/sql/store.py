@@ -220,18 +220,29 @@ class Store(StoreReader):
     def begin_run(self, run: RunRecord) -> int:
         """Store the provenance of a run and return its number.
 
-        Later attempts belong to it.
+        Later attempts belong to it. Attempts that an earlier run has begun and not ended count as lost.
         """
         (row,) = seal(RUN, [asdict(run)])
         with self._writing() as connection:
+            of_campaign = select(CELL.c.id).where(CELL.c.campaign_id == self._campaign)
+            died = and_(ATTEMPT.c.outcome == CellStatus.RUNNING.value, ATTEMPT.c.cell_id.in_(of_campaign))
+            told = {"outcome": "lost", "reason": "the run died while the cell was computed"}
+            connection.execute(update(ATTEMPT).where(died).values(told))
             stored = connection.execute(insert(RUN).values(row | {"campaign_id": self._campaign}))
         key: Any = stored.inserted_primary_key
         self._run_id = int(key[0])
         return self._run_id
 
-    def end_run(self, exit_state: str, ended: datetime) -> None:
-        """Store reason and time of the end of the run of `begin_run`; `UnknownCampaignError` if no run was begun."""
-        self._change_run(exit_state=exit_state, ended=as_utc(ended))
+    def end_run(self, exit_state: str, ended: datetime, *, cut_off: bool = False) -> None:
+        """Store reason and time of the end of the run of `begin_run`; `UnknownCampaignError` if no run was begun.
+
+        Attempts without an outcome are withdrawn, unless the run was cut off by a death or hanging of a worker.
+        """
+        with self._writing() as connection:
+            self._change_run(exit_state=exit_state, ended=as_utc(ended))
+            if not cut_off:
+                unended = and_(ATTEMPT.c.run_id == self._run_id, ATTEMPT.c.outcome == CellStatus.RUNNING.value)
+                connection.execute(delete(ATTEMPT).where(unended))
         self._run_id = None
 
     def note_workers(self, workers: Iterable[WorkerRecord]) -> None:
@@ -383,14 +394,26 @@ class Store(StoreReader):
         Unlike other writes each call counts, since a loss has no result that would identify it. `UnknownCellError` if a
         cell is not planned.
         """
+        return self._add_attempts(keys, "lost", reason, losses=1)
+
+    def record_running(self, keys: Iterable[CellKey]) -> dict[CellKey, AttemptCount]:
+        """Begin an attempt at each cell, which its outcome will replace; return the new counts.
+
+        If the run dies before, the next one counts it as lost. `UnknownCellError` if a cell is not planned.
+        """
+        return self._add_attempts(keys, CellStatus.RUNNING.value, "", losses=0)
+
+    def _add_attempts(
+        self, keys: Iterable[CellKey], outcome: str, reason: str, losses: int
+    ) -> dict[CellKey, AttemptCount]:
         with self._writing():
             counts = {
-                key: AttemptCount(count.attempts + 1, count.losses + 1)
+                key: AttemptCount(count.attempts + 1, count.losses + losses)
                 for key, count in self.attempt_counts(keys).items()
             }
             now, run = datetime.now(UTC), self._run_id
             self.restore_attempts(
-                AttemptRecord(key, count.attempts, "lost", reason, None, None, None, now, run)
+                AttemptRecord(key, count.attempts, outcome, reason, None, None, None, now, run)
                 for key, count in counts.items()
             )
         return counts

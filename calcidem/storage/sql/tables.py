@@ -184,7 +184,7 @@ ATTEMPT = sa.Table(
     *_columns_of(AttemptRecord, "key", "number", "run_id"),
     sa.Column("checksum", sa.BigInteger),
     *_checks_of(AttemptRecord.quantities()),
-    _check_one_of("outcome", (*STORED_STATUSES, "lost")),
+    _check_one_of("outcome", (*STORED_STATUSES, "lost", CellStatus.RUNNING.value)),
 )
 """One attempt at a cell (`AttemptRecord`)."""
 

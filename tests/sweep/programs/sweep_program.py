@@ -13,17 +13,18 @@ import sqlite3
 import sys
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from calcidem.app.campaign.progress import _end_line
 from calcidem.sweep.batch import Batch, Cell, plan_batches
-from calcidem.sweep.options import SweepOptions
-from calcidem.sweep.outcome import BatchOutcome, Place
-from calcidem.sweep.progress import Progress
+from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.session import Session
-from calcidem.sweep.sweep_end import SweepEnd
+from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE
+from calcidem.sweep.signals import StopRequest
+from calcidem.sweep.sweep_end import SweepState
 
 CONTENTS = (0.0, 2.55, 9.0)
 
@@ -33,7 +34,7 @@ BAD_CELL = (5, 2.55)
 SCHEMA = """
 create table if not exists cell (
     seed integer, content real, status text, value text, message text, rank integer, primary key (seed, content));
-create table if not exists loss (seed integer, content real, losses integer, reason text);
+create table if not exists running (seed integer, content real, run integer);
 """
 
 
@@ -52,8 +53,8 @@ class Sink:
         return {(seed, content) for seed, content in self._connection.execute("select seed, content from cell")}
 
     def losses(self) -> dict[Cell, int]:
-        """Return the number of workers that each cell has taken down."""
-        query = "select seed, content, max(losses) from loss group by seed, content"
+        """Return the number of runs that died while each cell was computed."""
+        query = "select seed, content, count(distinct run) from running group by seed, content"
         return {(seed, content): count for seed, content, count in self._connection.execute(query)}
 
     def store(self, outcomes: Sequence[BatchOutcome[Cell, str]]) -> None:
@@ -71,6 +72,7 @@ class Sink:
                     "insert or replace into cell values (?, ?, ?, ?, ?, ?)",
                     (seed, content, status, value, message, outcome.place.rank),
                 )
+                self._connection.execute("delete from running where seed = ? and content = ?", (seed, content))
         self._perhaps_die("while")
         self._connection.execute("commit")
         # What an acknowledged outcome is to an observer: it has been told of, so it must survive.
@@ -81,10 +83,14 @@ class Sink:
     def keep_alive(self) -> None:
         """Do nothing."""
 
-    def store_loss(self, batch: Batch[Cell], reason: str) -> None:
-        """Keep a loss."""
-        for seed, content in batch.cells:
-            self._connection.execute("insert into loss values (?, ?, ?, ?)", (seed, content, batch.losses, reason))
+    def mark(self, batches: Sequence[Batch[Cell]]) -> None:
+        """Keep that these batches are being computed."""
+        rows = [(*cell, os.getpid()) for batch in batches for cell in batch.cells]
+        self._connection.executemany("insert into running values (?, ?, ?)", rows)
+
+    def forget(self) -> None:
+        """Forget the marks of this run, which has not died."""
+        self._connection.execute("delete from running where run = ?", (os.getpid(),))
 
     def close(self) -> None:
         """Close the file."""
@@ -96,18 +102,6 @@ class Sink:
         if self._die.startswith("raise"):
             raise OSError(28, "no space left on device (on order)")
         os.kill(os.getpid(), signal.SIGSEGV if self._die.startswith("segfault") else signal.SIGKILL)
-
-
-class Told(Progress):
-    """Tells lost workers and the end."""
-
-    def on_loss(self, place: Place, reason: str) -> None:
-        """Tell which worker is lost."""
-        sys.stderr.write(f"lost rank {place.rank} ({place.host}): {reason}\n")
-
-    def on_end(self, end: SweepEnd) -> None:
-        """Tell how it ended."""
-        sys.stderr.write(f"{_end_line(end)}\n")
 
 
 def endless_loop() -> None:
@@ -180,35 +174,29 @@ class Work:
         return True
 
 
-def main() -> None:
-    """Run or continue the sweep."""
-    options = arguments()
-    with Session() as session:
-        sink, batches = None, ()
-        if session.rank == 0:
-            sink = Sink(options.database, options.die, options.die_at)
-            settled = sink.settled()
-            cells = [(seed, content) for seed in range(options.seeds) for content in CONTENTS]
-            pending = [cell for cell in cells if cell not in settled]
-            batches = plan_batches(pending, options.lanes, lambda content: 1.0 + content, sink.losses())
-        end = run_sweep(
-            session.comm,
-            batches,
-            Work(options),
-            sink,
-            progress=Told(),
-            options=SweepOptions(
-                time_limit=options.time_limit,
-                watchdog_margin=0.5,
-                hurry_grace=1.0,
-                silence_floor=options.silence_floor,
-            ),
-            stop_request=session.stop_request,
-        )
-        if sink is not None:
-            sink.close()
-        session.end(end.exit_code, end)
+def lead(options: argparse.Namespace, executor: Executor | None, stop: StopRequest) -> int:
+    """Run or continue the sweep, on rank 0."""
+    sink = Sink(options.database, options.die, options.die_at)
+    losses, settled = sink.losses(), sink.settled()
+    cells = [(seed, content) for seed in range(options.seeds) for content in CONTENTS]
+    deadly = [cell for cell in cells if losses.get(cell, 0) >= LOSSES_BEFORE_QUARANTINE and cell not in settled]
+    pending = [cell for cell in cells if cell not in settled and cell not in deadly]
+    end = run_sweep(
+        executor,
+        plan_batches(pending, options.lanes, lambda content: 1.0 + content, losses),
+        Work(options),
+        sink,
+        time_limit=options.time_limit,
+        silence_floor=options.silence_floor,
+        stop_request=stop,
+    )
+    if end.state is not SweepState.CUT_OFF:
+        sink.forget()
+    sink.close()
+    tally = end.tally
+    sys.stderr.write(f"{end.state}: {end.detail}; {tally.settled} settled; deadly: {deadly}\n")
+    return end.exit_code
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run_on_ranks(partial(lead, arguments()), grace=1.0))
