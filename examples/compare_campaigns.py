@@ -40,6 +40,8 @@ def compare(one: calcidem.Campaign, other: calcidem.Campaign) -> pd.DataFrame:
     for content in np.intersect1d(first.content, second.content):
         a, b = (vs.sel(content=content).dropna("seed") for vs in (first, second))
         pairs, a, b = ((b - a).to_numpy(), a.to_numpy(), b.to_numpy())  # xarray pairs the seeds that both have
+        if min(pairs.size, a.size, b.size) < 2:  # no scatter is known
+            continue
         row = {"n": a.size, "mean": a.mean(), "sd": a.std(ddof=1)}
         row |= {"other n": b.size, "other mean": b.mean(), "other sd": b.std(ddof=1)}
         row |= {"difference": b.mean() - a.mean(), "+-": half_width(a, b)}
@@ -65,9 +67,8 @@ def draw(table: pd.DataFrame, names: tuple[str, str]) -> Figure:
 def main() -> None:
     """Print the table and draw the figure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("one")
-    parser.add_argument("other")
-    parser.add_argument("figure")
+    for name in ("one", "other", "figure"):
+        parser.add_argument(name)
     options = parser.parse_args()
     with calcidem.open_campaign(options.one) as one, calcidem.open_campaign(options.other) as other:
         table = compare(one, other)
