@@ -25,34 +25,11 @@ from calcidem.dem.sample.packing import Packing
 FITTED_BY_DEFAULT = ("sand.wave_stiffness_factor", "pattern.p_share", "pattern.cluster_area")
 """Parameters fitted by default, as many as there are targets."""
 
-_STEP = 0.06
-"""Relative step of the derivatives; Vs is not smooth, since whole contacts and clusters change."""
-
-_CONVERGED = 0.01
-"""Relative change of the parameters at which the fit ends; their statistical error is larger."""
-
-_LARGEST_CHANGE = math.log(2.0)
-"""Largest change of a logarithm in one round."""
-
-_MOST_ROUNDS = 6
-"""Largest number of rounds; from a start within a factor of two, three suffice."""
-
-_MOST_HALVINGS = 3
-
-_LINEAR_WITHIN = 0.3
-"""Distance in the logarithm of each parameter within which trials count as linear."""
-
 ParameterValues = Mapping[str, float]
 """Value of each parameter by its name."""
 
 _FEWEST_SEEDS = 3
 """Fewest seeds with a velocity for a meaningful mean and standard deviation; contents with fewer are left out."""
-
-_FEW_SEEDS = 0.5
-"""Share of seeds with a velocity below which they may not represent the others."""
-
-_TOO_MUCH = 4.0
-"""Chi-square per degree of freedom above which deviations are not random."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +176,7 @@ class _Fit:
     def near(self, point: Floats) -> list[Floats]:
         """Trials near a point, within which Vs is linear in the logarithms of the parameters."""
         trials = [np.frombuffer(key) for key in self.trials]
-        return [other for other in trials if np.abs(other - point).max() < _LINEAR_WITHIN]
+        return [other for other in trials if np.abs(other - point).max() < 0.3]  # in the logarithm of each
 
     def deviation(self, point: Floats) -> Floats:
         """Logarithms of mean and, if targeted, standard deviation over their targets, (R,)."""
@@ -356,7 +333,7 @@ def _fit_to_targets(
     at_limit = np.isclose(point[:, None], limits, atol=1e-6).any(axis=1)
     chi_square, freedom = float(np.sum((fit.deviation(point) / errors) ** 2)), fit.wanted - len(names)
     doubts += [f"{names[i]} ended at a limit of its range: widen it, or remove it" for i in np.flatnonzero(at_limit)]
-    if chi_square > _TOO_MUCH * max(1, freedom):
+    if chi_square > 4.0 * max(1, freedom):  # above that, deviations are not random
         doubts.append(
             "the targets are not met within their errors: free other parameters; the deviations are too small"
         )
@@ -409,7 +386,7 @@ def _open_questions(
         fresh.append((target.sd or vs.std(ddof=1)) / target.vs / math.sqrt(count))
         fresh += [] if target.sd is None else [math.sqrt(0.5 / (count - 1))]
     try:
-        found = draw_posterior(
+        points, predicted = draw_posterior(
             np.array(near),
             np.array([fit.deviation(other) for other in near]),
             np.zeros(len(wanted)),
@@ -420,9 +397,10 @@ def _open_questions(
     except (ValueError, np.linalg.LinAlgError):
         return [], {}
     scale = np.array([target.vs if of == "vs" else target.sd for target, of in wanted], dtype=float)
-    ends = (found.band() * scale).T.tolist()
+    within = (0.025, 0.975)
+    ends = (np.exp(np.quantile(predicted, within, axis=0)) * scale).T.tolist()
     bands = {(target.content, of): (low, high) for (target, of), (low, high) in zip(wanted, ends, strict=True)}
-    return [(low, high) for low, high in found.interval().T.tolist()], bands
+    return [(low, high) for low, high in np.exp(np.quantile(points, within, axis=0)).T.tolist()], bands
 
 
 def _doubts_of_content(row: FittedContent) -> Iterator[str]:
@@ -430,7 +408,7 @@ def _doubts_of_content(row: FittedContent) -> Iterator[str]:
     read = f"at {row.content:g} % {row.seeds} of {row.planned} seeds have a velocity in every trial"
     if row.seeds < _FEWEST_SEEDS:
         yield f"{read}, so it was left out: start from values with readable waves, or change wave.frequency"
-    elif row.seeds < _FEW_SEEDS * row.planned:
+    elif row.seeds < 0.5 * row.planned:
         yield f"{read}: the others may have another mean and scatter"
 
 
@@ -447,8 +425,11 @@ def _descend(
     Empty slopes mean that nothing could be fitted.
     """
     point, slopes, converged, nearer, unread = start, np.empty((0, 0)), False, None, ""
-    for number in range(_MOST_ROUNDS):
-        steps = np.where(point + _STEP > limits[:, 1], -_STEP, _STEP)
+    most_rounds = 6  # from a start within a factor of two, three suffice
+    relative = 0.06  # step of the derivatives; Vs is not smooth, since whole contacts and clusters change
+    largest = math.log(2.0)  # change of a logarithm in one round
+    for number in range(most_rounds):
+        steps = np.where(point + relative > limits[:, 1], -relative, relative)
         beside = [point + step * unit for step, unit in zip(steps, np.eye(len(point)), strict=True)]
         if number == 0:
             fit.begin([point, *beside])
@@ -463,16 +444,17 @@ def _descend(
         own, errors = fit.deviation(point), fit.errors(point)
         tell(_told(names, point, own, errors))
         slopes = np.array([(fit.deviation(other) - own) / step for other, step in zip(beside, steps, strict=True)]).T
-        low, high = np.maximum(limits.T[0] - point, -_LARGEST_CHANGE), np.minimum(limits.T[1] - point, _LARGEST_CHANGE)
+        low, high = np.maximum(limits.T[0] - point, -largest), np.minimum(limits.T[1] - point, largest)
         step = lsq_linear(slopes / errors[:, None], -own / errors, bounds=(low - 1e-9, high + 1e-9)).x.clip(low, high)
         step[~slopes.any(axis=0)] = 0.0  # the direction is unknown
         nearer, unread = _nearer(fit, point, step, errors)
-        converged = nearer is None or bool(np.abs(nearer - point).max() < _CONVERGED)
+        # The statistical error of the parameters is larger than 1 %.
+        converged = nearer is None or bool(np.abs(nearer - point).max() < 0.01)
         point = point if nearer is None else nearer
         if converged:
             break
     tell(_told(names, point, fit.deviation(point), fit.errors(point)))
-    doubts = [] if converged else [f"it has not converged in {_MOST_ROUNDS} rounds: restart from its result"]
+    doubts = [] if converged else [f"it has not converged in {most_rounds} rounds: restart from its result"]
     if nearer is None and unread:
         doubts.append(f"it ended before it converged: {unread}")
     return point, slopes, doubts
@@ -484,7 +466,7 @@ def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> tuple[Flo
     Also the reason why a trial among them could not be compared; empty if all could.
     """
     unread = ""
-    for halvings in range(_MOST_HALVINGS + 1):
+    for halvings in range(4):
         other = np.asarray(point + step / 2**halvings)
         try:
             fit.try_points([other])

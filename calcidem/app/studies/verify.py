@@ -24,9 +24,6 @@ from calcidem.storage.store import Selection
 ExperimentOf = Callable[[int], Experiment]
 """Function that returns the common experiment of a packing's cells by the packing's index."""
 
-_REPEATABLE = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
-"""Outcomes decided by physics; the others depend on the machine."""
-
 _ROUNDING_TOLERANCE = 1e-9
 """Largest relative difference that counts as rounding.
 
@@ -34,13 +31,7 @@ The same cell on the same packing differed between processors by up to 1e-10 whi
 Chaos, as in slipping contacts or a new packing, causes differences above 1e-6.
 """
 
-_SHARES = ("coherence", "reading_error", "path_error", "expected_error", "error_bound")
-"""Numbers that are already relative, so their absolute difference counts."""
-
 _VERIFIED = (*EXACT_QUANTITIES, "expected_error", "error_bound")
-
-_COUNTED = ("across", "along")
-"""Velocities in whole counts; rounding may change one by a count."""
 
 
 class Agreement(StrEnum):
@@ -90,7 +81,9 @@ def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[C
 
     ``choice`` is the seed of the choice; None varies it each time. `UnknownCellError` if no cell can be recomputed.
     """
-    keys = [result.key for result in store.results(Selection(statuses=_REPEATABLE))]
+    # Outcomes decided by physics; the others depend on the machine.
+    repeatable = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
+    keys = [result.key for result in store.results(Selection(statuses=repeatable))]
     if not keys:
         raise UnknownCellError(
             "The campaign has no cell that could be computed again.", "Run it first ('calcidem run')."
@@ -136,6 +129,7 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
     """Yield differing status and numbers with their differences."""
     if stored.status != computed.status:
         yield "status", math.inf
+    relative = {"coherence", "reading_error", "path_error", "expected_error", "error_bound"}
     for name in _VERIFIED:
         one, other = getattr(stored, name), getattr(computed, name)
         if one is None:
@@ -143,7 +137,7 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
         if other is None:
             yield name, math.inf
         elif one != other:
-            yield name, abs(other - one) / (1.0 if name in _SHARES else max(abs(one), abs(other)))
+            yield name, abs(other - one) / (1.0 if name in relative else max(abs(one), abs(other)))
 
 
 def _different_arrays(
@@ -154,8 +148,9 @@ def _different_arrays(
         return {name: math.inf}
     pairs = {field.name: (getattr(stored, field.name), getattr(computed, field.name)) for field in fields(stored)}
     arrays = {field: (np.asarray(one), np.asarray(other)) for field, (one, other) in pairs.items()}
+    counted = {"across", "along"}  # velocities in whole counts; rounding may change one by a count
     return {
-        f"{name}.{field}": _array_difference(one, other, is_counted=field in _COUNTED)
+        f"{name}.{field}": _array_difference(one, other, is_counted=field in counted)
         for field, (one, other) in arrays.items()
         if one.shape != other.shape or one.tobytes() != other.tobytes()
     }
