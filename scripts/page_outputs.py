@@ -1,7 +1,6 @@
 """Run the commands of a page of the documentation in a new folder, and write below each what it printed.
 
     python scripts/page_outputs.py docs/your-sand.md docs/tutorial/tutorial.ipynb
-    python scripts/page_outputs.py --list       # all commands of all pages, and which of them no test runs
 
 A block ``sh`` or ``python`` is run, a block whose first line is ``# NAME.toml`` is written as that file; a block
 ``text`` gets what the one before it printed. Figures that the page shows are taken over from the folder. A notebook is
@@ -70,19 +69,6 @@ def typed_blocks(page: Path) -> Iterator[Block]:
             yield Block(language or "sh", fenced or re.sub(r"^    ", "", indented, flags=re.MULTILINE), reason)
 
 
-def _list_commands() -> None:
-    """Print a table of all commands of all pages."""
-    run = total = 0
-    for page in PAGES:
-        for block in typed_blocks(page):
-            reason = "" if page == RECORDED else block.reason
-            for command in block.commands:
-                total += 1
-                run += not reason
-                print(f"{page.relative_to(ROOT)}: {command}: {f'long, {reason}' if reason else 'run'}")
-    print(f"{run} of {total} commands are run by tests, {total - run} are marked as long")
-
-
 def text_with_outputs(text: str, folder: Path) -> str:
     """Text of a page with what its commands print in a folder.
 
@@ -143,10 +129,7 @@ def _environment(folder: Path) -> dict[str, str]:
 
 
 def main() -> None:
-    """Renew the pages named, or list all commands."""
-    if sys.argv[1:] == ["--list"]:
-        _list_commands()
-        return
+    """Renew the pages named."""
     for page in map(Path, sys.argv[1:]):
         with tempfile.TemporaryDirectory() as folder:
             if page.suffix == ".ipynb":

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from calcidem.app.campaign.opened import PAPER_CAMPAIGN
 from calcidem.app.campaign.packing import provide_packing
-from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, identify_packing, packing_from_bytes, packing_to_bytes
+from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, packing_from_bytes, packing_to_bytes
 from calcidem.app.cli.init import Preset
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration
@@ -34,7 +34,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.environ[CACHE_VARIABLE] = folder  # nothing that other code made
         with Store(Path(folder) / "paper.db") as store:
-            import_netcdf(PRESETS / PAPER_CAMPAIGN, store, identify_packing)
+            import_netcdf(PRESETS / PAPER_CAMPAIGN, store)
             shipped = store.packing()
         for file, configuration in files.items():
             if file.exists():

@@ -1,6 +1,6 @@
 """Whether the figures of the gallery, and what the notebook shows, are still what stored data give.
 
-    python scripts/stale_figures.py
+The build of the site (`docs_site.py`) and `tests/test_figures_of_docs.py` ask.
 
 Pixels are compared, not bytes: means of 8 x 8 of them, so that other smoothing of edges or fonts by another matplotlib
 is no difference, and a point, a line or a number that moves is one.
@@ -10,8 +10,6 @@ import base64
 import json
 import re
 import runpy
-import sys
-import tempfile
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -94,15 +92,3 @@ def _same_output(made: dict[str, Any], shown: dict[str, Any]) -> bool:
 def _numbers(text: str) -> list[float]:
     """Numbers with a point in a text."""
     return [float(number) for number in re.findall(r"-?\d+\.\d+(?:e[-+]\d+)?", text)]
-
-
-def main() -> int:
-    """Print what is not up to date; 1 if anything is."""
-    with tempfile.TemporaryDirectory() as folder:
-        stale = [*stale_gallery(), *stale_notebook(Path(folder))]
-    print("\n".join(stale) or "All figures are up to date.")
-    return bool(stale)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

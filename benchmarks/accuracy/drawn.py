@@ -100,10 +100,10 @@ def drawn_scene(seed: int, *, stiff: bool = False, stiffest: bool = False) -> tu
 
 def compared(one: Measurement, fine: Measurement) -> tuple[float, float, float] | None:
     """Relative difference of a velocity, its bound and its standard error; None if one is missing."""
-    if one.vs is None or fine.vs is None or one.result.error is None or one.result.reading is None:
+    if one.vs is None or fine.vs is None or one.reading is None or not (one.expected_error and one.error_bound):
         return None
-    error, reading = one.result.error, one.result.reading.error or 0.0
-    return abs(one.vs / fine.vs - 1.0), error.bound, float(np.hypot(reading, 1.5 / 1.96 * error.expected))
+    spread = float(np.hypot(one.reading.error, 1.5 / 1.96 * one.expected_error))
+    return abs(one.vs / fine.vs - 1.0), one.error_bound, spread
 
 
 def main() -> None:

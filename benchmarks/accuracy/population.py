@@ -49,9 +49,8 @@ def main() -> None:
             for regime in regimes:
                 cells = measure_all(replace(loud, wave=replace(loud.wave, regime=regime)), content, seeds)
                 for cell, other in zip(cells, exact, strict=True):
-                    error = cell.result.error
-                    if cell.vs and other.vs and error:
-                        row = abs(cell.vs / other.vs - 1.0), error.expected, error.bound
+                    if cell.vs and other.vs and cell.error_bound:
+                        row = abs(cell.vs / other.vs - 1.0), cell.expected_error, cell.error_bound
                         for group in ("all", regime, f"{regime}, {amplitude:g} m/s"):
                             found[group].append(row)
         print(f"until {content:g} %")

@@ -111,7 +111,7 @@ def over_contents() -> list[dict[str, Any]]:
             before = time.process_time()
             cells = measure(experiment, content, SEEDS)
             spent.append((time.process_time() - before) / len(SEEDS))
-        rows.append({"content": content, "seconds": min(spent), "steps": cells[0].record.steps})
+        rows.append({"content": content, "seconds": min(spent), "steps": cells[0].section.steps})
         print(f"{content:5} % {rows[-1]['steps']:6} steps {rows[-1]['seconds']:6.3f} s a sample", flush=True)
     return rows
 

@@ -18,9 +18,8 @@ from calcidem.dem.engine.leapfrog import run_in_place
 from calcidem.dem.engine.scene import Regime
 from calcidem.dem.kernels.layout import LISTENED, NORMAL, OVERLAP, SHEAR, Floats, Recording, X, Y
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Interpretation, measure
 from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.reading import read_section
+from calcidem.dem.wave.reading import Reading, read_section
 from calcidem.dem.wave.recorder import Recorder
 from calcidem.dem.wave.scene import TRANSMITTER
 from calcidem.dem.wave.section import quantise
@@ -96,12 +95,6 @@ def preset_experiment(preset: str) -> Experiment:
     """Experiment of an example, with the packing that comes with calcidem."""
     configuration = load_configuration(ROOT / "examples" / f"{preset}.toml")
     return configuration.experiment(provide_packing(configuration, None, lambda _: None))
-
-
-def measured_cell(experiment: Experiment, content: float, seed: int) -> tuple[Interpretation, float]:
-    """What the campaign says of a cell, and how long its record is, s."""
-    found = measure(experiment, content, [seed])[0]
-    return found.result, found.record.section.duration
 
 
 def cell_of(experiment: Experiment, content: float, seed: int, ingredients: Ingredients, finer: float = 1.0) -> Cell:
@@ -221,9 +214,9 @@ def read_signals(path: Path, step: float, stride: int) -> Signals:
 def velocity_of(cell: Cell, signals: Signals) -> float | None:
     """Vs that calcidem reads from anybody's signals of a cell, m/s."""
     recorder = recorder_of(cell)
-    empty = recorder.record_of(0, "").section
+    empty = recorder.section_of(0)
     across, along = (np.ascontiguousarray(quantise(motion, empty.amplitude).T) for motion in signals.motion)
     interval = float(signals.times[1] - signals.times[0])
     section = replace(empty, sampling_interval=interval, start_time=float(signals.times[0]), across=across, along=along)
     reading = read_section(section, cell.experiment.pick)
-    return reading.peak
+    return reading.peak if isinstance(reading, Reading) else None

@@ -25,7 +25,6 @@ from cells import (
     calcidem_signals,
     cell_of,
     export_cell,
-    measured_cell,
     preset_experiment,
     read_signals,
     velocity_of,
@@ -35,6 +34,7 @@ from programs import HOW_TO, environment, find_yade
 from scipy.interpolate import CubicSpline
 
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import measure
 
 PRESET = "paper-small-pulse"
 CASES: tuple[tuple[str, Ingredients, tuple[int, ...]], ...] = (
@@ -93,14 +93,15 @@ def compare(
 ) -> tuple[Row, Signals, Signals]:
     """One row, and the signals of calcidem and YADE."""
     laws, ingredients, finer = case
-    result, duration = measured_cell(experiment, content, seed)
+    (found,) = measure(experiment, content, [seed])
+    duration = found.section.duration
     cell = cell_of(experiment, content, seed, ingredients, finer)
     own = calcidem_signals(cell, duration)
     with tempfile.TemporaryDirectory() as folder:
         exported = Path(folder) / "cell.npz"
         step, stride, _ = export_cell(cell, duration, exported)
         peer = yade_signals(yade, exported, step, stride)
-    bound = np.nan if result.error is None else result.error.bound
+    bound = np.nan if found.error_bound is None else found.error_bound
     row = Row(
         content, laws, finer, difference(own, peer), velocity_of(cell, own), velocity_of(cell, peer), float(bound)
     )

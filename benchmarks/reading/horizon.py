@@ -25,18 +25,20 @@ def cut(section: Section, samples: int) -> Section:
     return replace(section, across=section.across[:samples], along=section.along[:samples])
 
 
-def values(reading: Reading) -> tuple[object, ...]:
+def values(reading: Reading | Verdict) -> tuple[object, ...]:
     """What users see of a reading."""
+    if isinstance(reading, Verdict):
+        return (reading,)
     return reading.verdict, reading.peak, reading.first_arrival, reading.error, reading.path, reading.path_error
 
 
 def differs(section: Section, rule: PickRule) -> bool:
     """Whether a shorter record has another reading than the whole one."""
     whole = read_section(section, rule)
-    if whole.arrival is None:
+    if isinstance(whole, Verdict):
         shorter = [read_section(cut(section, int(part * len(section.across))), rule) for part in (0.5, 0.75)]
-        return any(each.verdict not in {whole.verdict, Verdict.TOO_SHORT, Verdict.SILENT} for each in shorter)
-    chosen = next(c for c in find_candidates(section, rule.smoothing) if c.index == whole.arrival.index)
+        return any(each not in {whole, Verdict.TOO_SHORT, Verdict.SILENT} for each in shorter)
+    chosen = next(c for c in find_candidates(section, rule.smoothing) if c.index == whole.index)
     samples = int(chosen.decided / section.sampling_interval) + 1
     return values(read_section(cut(section, samples), rule)) != values(whole)
 
@@ -59,7 +61,7 @@ def main() -> None:
         for found in measure_all(experiment, content, seeds, lanes=_LANES):
             count += 1
             read += found.vs is not None
-            different += differs(found.record.section, experiment.pick)
+            different += differs(found.section, experiment.pick)
         print(f"{content:g} %: {count} records so far, {read} read, {different} differ", flush=True)
 
 

@@ -111,13 +111,15 @@ def recorded(known: Section, samples_per_period: int = _SAMPLES_PER_PERIOD) -> s
 def read_section(known: Section) -> tuple[float | None, float]:
     """Velocity, m/s, and standard error by the reading of calcidem.dem.wave."""
     found = reading.read_section(recorded(known), _RULE)
-    return found.peak, np.nan if found.error is None else found.error
+    return (None, np.nan) if isinstance(found, reading.Verdict) else (found.peak, found.error)
 
 
 def read_crest(known: Section) -> tuple[float | None, float]:
     """The same of the path from station to station."""
     found = reading.read_section(recorded(known), _RULE)
-    return found.path, np.nan if found.path_error is None else found.path_error
+    if isinstance(found, reading.Verdict) or found.path_error is None:
+        return None, np.nan
+    return found.path, found.path_error
 
 
 def counts_of(judgement: Judgement, some: Flags) -> tuple[str, ...]:

@@ -62,7 +62,7 @@ PHASES = {
     "drawing cement": ("calcidem.dem.wave.experiment.draw_cement",),
     "looks at the records": ("calcidem.dem.wave.measurement.is_settled",),
     "guards": tuple(f"calcidem.dem.wave.recorder.{name}" for name in ("problems_of", "nonlinearity", "slipped_force")),
-    "readings and their errors": ("calcidem.dem.wave.measurement.interpret_record",),
+    "readings and their errors": ("calcidem.dem.wave.measurement.interpret",),
     "other work of a batch": ("calcidem.app.campaign.task.measure",),
     "path and graph": ("calcidem.app.campaign.task._describe_graph",),
     "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.storage.records.cell.pack_arrays"),

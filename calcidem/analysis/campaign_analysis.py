@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
 from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.correlation import Correlations, correlate, correlate_by_content, seed_permutation_test
-from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, SectionMotion, dispersion
+from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
 from calcidem.analysis.error_budget import ErrorBudget, error_budget, median_known
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
@@ -166,11 +166,11 @@ class CampaignAnalysis:
         table = xr.Dataset(coords={"seed": self.vs["seed"], "content": self.vs["content"]})
         rows = np.searchsorted(table["seed"], [sample.seed for sample in self.samples])
         columns = np.searchsorted(table["content"], [sample.content for sample in self.samples])
-        for feature in FEATURES:
+        for name, (_, definition) in FEATURES.items():
             values = np.full(self.vs.shape, math.nan)
-            values[rows, columns] = [getattr(sample.features, feature.name) for sample in self.samples]
-            table[feature.name] = ("seed", "content"), values
-            table[feature.name].attrs = {"units": "1", "long_name": feature.definition}
+            values[rows, columns] = [getattr(sample.features, name) for sample in self.samples]
+            table[name] = ("seed", "content"), values
+            table[name].attrs = {"units": "1", "long_name": definition}
         table["vs"] = self.vs
         return table
 
@@ -223,7 +223,7 @@ class CampaignAnalysis:
         connectivity = np.array(
             [
                 normalized_connectivity(
-                    float(envelope.connectivity(weights.bond)), weights, self.graphs[sample.packing_index].scale
+                    float(envelope.connectivity(weights.bond)), weights, self.graphs[sample.packing_index].straight
                 )
                 for sample, envelope in zip(self.samples, self.envelopes, strict=True)
             ]
@@ -352,7 +352,7 @@ def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
             f"{len(read)} cells have a velocity and a stored section; a dispersion needs at least {FEWEST_SECTIONS}"
         )
     median = float(np.median([vs for vs, _ in read]))
-    motions = [SectionMotion(found.time, found.places, found.across.astype(float)) for _, found in read]
+    motions = [(found.time, found.places, found.across.astype(float)) for _, found in read]
     return dispersion(motions, read[0][1].pulse_frequency, (median / 3.0, 3.0 * median))
 
 

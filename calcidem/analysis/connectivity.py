@@ -40,33 +40,17 @@ class ContactWeights:
         return self.bond / self.hertz
 
 
-@dataclass(frozen=True, slots=True)
-class PathScale:
-    """Scale that makes path lengths of different samples comparable.
+def straight_contacts(distance: float, median_diameter: float) -> float:
+    """Contacts of a straight row of median grains from transmitter to receiver, L / d50 - 1; both lengths in m.
 
-    Raises
-    ------
-    ValueError
-        If 0 < median_diameter < distance does not hold.
+    `ValueError` if 0 < median_diameter < distance does not hold.
     """
-
-    distance: float
-    """Distance L between transmitter and receiver in m."""
-    median_diameter: float
-    """Median grain diameter d50 by count in m, smaller than the distance."""
-
-    def __post_init__(self) -> None:
-        """Check that the grain is smaller than the distance."""
-        if not 0 < self.median_diameter < self.distance:
-            raise ValueError(
-                f"median_diameter = {self.median_diameter} m and distance = {self.distance} m; "
-                "the diameter must be positive and smaller than the distance"
-            )
-
-    @property
-    def straight_contacts(self) -> float:
-        """Contacts of a straight row of median grains from transmitter to receiver, L / d50 - 1."""
-        return self.distance / self.median_diameter - 1
+    if not 0 < median_diameter < distance:
+        raise ValueError(
+            f"median_diameter = {median_diameter} m and distance = {distance} m; "
+            "the diameter must be positive and smaller than the distance"
+        )
+    return distance / median_diameter - 1
 
 
 def connectivity(hertz_contacts: int, bonded_contacts: int, weights: ContactWeights) -> float:
@@ -74,12 +58,12 @@ def connectivity(hertz_contacts: int, bonded_contacts: int, weights: ContactWeig
     return weights.hertz * hertz_contacts + weights.bond * bonded_contacts
 
 
-def normalized_connectivity(c_d: float, weights: ContactWeights, scale: PathScale) -> float:
+def normalized_connectivity(c_d: float, weights: ContactWeights, straight: float) -> float:
     """Return C_d,n, Eq. 9: 0 for a straight row of cemented contacts, 1 for a straight row of sand contacts.
 
-    The weights are those of C_d. `ValueError` if both are equal, since the definition divides by their difference.
+    The weights are those of C_d; ``straight`` is from `straight_contacts`. `ValueError` for equal weights, since the
+    definition divides by their difference.
     """
     if weights.bond == weights.hertz:
         raise ValueError(f"both weights are {weights.hertz}; C_d,n exists only where bond < hertz")
-    straight = scale.straight_contacts
     return (c_d - weights.bond * straight) / ((weights.hertz - weights.bond) * straight)

@@ -6,6 +6,7 @@ content each variable is divided by its scatter there; otherwise contents with l
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -14,12 +15,8 @@ from scipy import stats
 
 from calcidem.analysis.intervals import BOOTSTRAP_SEED
 
-_PERMUTATIONS = 9999
 _ROUND_OFF = 1e-12
 """Relative size below which variation and differences of coefficients are round-off."""
-
-_FEWEST_FOR_INTERVAL = 3
-"""A correlation of more samples than this has an interval."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +45,7 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     content whose mean was subtracted (Fisher 1924, on partial correlation). They assume independent samples. Samples of
     one seed share their cement, so the intervals are somewhat too narrow.
     """
+    ranked = partial(stats.rankdata, axis=0)
     names, values = _complete_values(table)
     complete = np.isfinite(values[..., 0])
     groups = [values[complete[:, column], column] for column in range(values.shape[1])]
@@ -55,11 +53,11 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     pooled = np.concatenate(groups)
     within, ranks = (
         np.concatenate([pooled[:0], *(_standardised(change(group)) for group in filled)])
-        for change in (np.asarray, _ranks)
+        for change in (np.asarray, ranked)
     )
     lost = max(len(filled) - 1, 0)
     return Correlations(
-        overall=_correlation_matrix(pooled, _ranks(pooled), names, level),
+        overall=_correlation_matrix(pooled, ranked(pooled), names, level),
         within=_correlation_matrix(within, ranks, names, level, lost_freedom=lost),
     )
 
@@ -83,7 +81,7 @@ def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) ->
     found = np.full((4, len(others), values.shape[1]), np.nan)
     counts = np.isfinite(values[..., 0]).sum(axis=0)
     scattered = 0
-    for column in np.flatnonzero(counts > _FEWEST_FOR_INTERVAL).tolist():
+    for column in np.flatnonzero(counts > 3).tolist():
         group = values[np.isfinite(values[:, column, 0]), column]
         varied: NDArray[np.bool_] = np.asarray(np.isfinite(_standardised(group)).all(axis=0))
         if not varied[place]:
@@ -139,13 +137,13 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     added = np.einsum("acf,bc->abf", scaled[..., others], scaled[..., place])
     seeds = np.arange(len(added))
     observed = added[seeds, seeds].sum(axis=0)
-    random = np.random.default_rng(BOOTSTRAP_SEED)
-    drawn = np.array([added[random.permutation(seeds), seeds].sum(axis=0) for _ in range(_PERMUTATIONS)])
+    random, permutations = np.random.default_rng(BOOTSTRAP_SEED), 9999
+    drawn = np.array([added[random.permutation(seeds), seeds].sum(axis=0) for _ in range(permutations)])
     size, sizes = np.abs(observed) - _ROUND_OFF, np.abs(drawn)
     largest = np.where(np.isfinite(sizes), sizes, 0.0).max(axis=1)
 
     def share(as_large: NDArray[np.bool_]) -> NDArray[np.float64]:
-        found = (1 + as_large.sum(axis=0)) / (1 + _PERMUTATIONS)
+        found = (1 + as_large.sum(axis=0)) / (1 + permutations)
         return np.where(np.isfinite(observed), found, np.nan)
 
     return xr.Dataset(
@@ -155,7 +153,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
             "p_corrected": ("variable", share(largest[:, None] >= size)),
         },
         coords={"variable": [names[number] for number in others]},
-        attrs={"permutations": _PERMUTATIONS, "samples": int(known.sum())},
+        attrs={"permutations": permutations, "samples": int(known.sum())},
     )
 
 
@@ -227,11 +225,6 @@ def _standardised(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     scale = centred.std(axis=0)
     constant = scale <= _ROUND_OFF * np.abs(samples).max(axis=0)
     return np.asarray(centred / np.where(constant, np.nan, scale))
-
-
-def _ranks(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ranks of each column."""
-    return np.asarray(stats.rankdata(samples, axis=0), dtype=np.float64)
 
 
 def _place_of(target: str, names: list[str]) -> int:

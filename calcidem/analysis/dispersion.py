@@ -10,23 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-_VELOCITIES = 400  # size of the grid, evenly spaced in the logarithm
 FEWEST_SECTIONS = 3
 """Fewest samples for a jackknife."""
-
-_RESOLVED = 1e-3  # relative resolution of a velocity by a parabola over that grid
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SectionMotion:
-    """Motion across the path of one sample."""
-
-    times: NDArray[np.float64]
-    """(T,) s, evenly spaced."""
-    places: NDArray[np.float64]
-    """(X,) m along the path."""
-    across: NDArray[np.float64]
-    """(T, X) velocity, any unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +46,7 @@ class ContentDispersion:
 
 
 def dispersion(
-    sections: Sequence[SectionMotion],
+    sections: Sequence[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]],
     frequency: float,
     velocities: tuple[float, float],
     *,
@@ -75,7 +60,8 @@ def dispersion(
     Parameters
     ----------
     sections
-        Sections of at least three samples, from the transmitted pulse to the end of the received one.
+        Motion across the path of at least three samples, from the transmitted pulse to the end of the received one:
+        times (T,), s, evenly spaced; places along the path (X,), m; and velocities (T, X) in any unit.
     frequency, velocities
         Frequency of the pulse, Hz, and the range of phase velocities to search, m/s.
     shares
@@ -93,13 +79,13 @@ def dispersion(
     if not 0.0 < velocities[0] < velocities[1]:
         raise ValueError(f"velocities = {velocities}: give a slowest and a fastest positive velocity, m/s")
     wanted = frequency * np.asarray(shares, dtype=float)
-    velocity = np.geomspace(*velocities, _VELOCITIES)
+    velocity = np.geomspace(*velocities, 400)
     waves: dict[bytes, NDArray[np.complex128]] = {}  # sections of one content share most times and places
     powers = np.array([_power(section, wanted, velocity, waves) for section in sections])
     total, count = powers.sum(axis=0), len(sections)
     found, left_out = _ridge(total, velocity), np.array([_ridge(total - power, velocity) for power in powers])
     error = _jackknife(left_out)
-    known = np.maximum(error, _RESOLVED * found)  # at least the resolution of the grid
+    known = np.maximum(error, 1e-3 * found)  # at least the resolution of the grid by a parabola
     limits = np.array([_long_wave(wanted, ridge, known) for ridge in left_out])
     return Dispersion(
         frequency=wanted,
@@ -114,20 +100,21 @@ def dispersion(
 
 
 def _power(
-    section: SectionMotion,
+    section: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
     frequency: NDArray[np.float64],
     velocity: NDArray[np.float64],
     waves: dict[bytes, NDArray[np.complex128]],
 ) -> NDArray[np.float64]:
     """(F, V) stacked power of one sample; `waves` caches the waves (F, T) and (F, V, X) at its times and places."""
-    times, places = section.times.tobytes(), section.places.tobytes()
-    if times not in waves:
-        waves[times] = np.exp(-2j * np.pi * frequency[:, None] * section.times)
-    if places not in waves:
-        waves[places] = np.exp(2j * np.pi * frequency[:, None, None] / velocity[:, None] * section.places)
-    spectrum = waves[times] @ section.across
+    times, places, across = section
+    at_times, at_places = times.tobytes(), places.tobytes()
+    if at_times not in waves:
+        waves[at_times] = np.exp(-2j * np.pi * frequency[:, None] * times)
+    if at_places not in waves:
+        waves[at_places] = np.exp(2j * np.pi * frequency[:, None, None] / velocity[:, None] * places)
+    spectrum = waves[at_times] @ across
     spectrum = spectrum / np.maximum(np.abs(spectrum), np.finfo(float).tiny)
-    stacked = (waves[places] @ spectrum[:, :, None])[:, :, 0] / len(section.places)
+    stacked = (waves[at_places] @ spectrum[:, :, None])[:, :, 0] / len(places)
     return np.asarray(np.abs(stacked) ** 2)
 
 

@@ -18,101 +18,46 @@ from calcidem.analysis.intervals import (
 )
 from calcidem.analysis.outcomes import arrange_matrix, count_outcomes
 
-_SIMULATED_SAMPLES = 20_000
-"""Number of normal samples drawn for one sample size; a p-value of 0.05 then has the standard error 0.0015."""
 
-_MOST_SIMULATED = 10_000
-"""Number of values from which the limit distribution suffices: the error of p is 0.002 at 0.05, 0.001 at 0.01."""
+def normality_of_moments(n: int, skewness: float, kurtosis: float) -> tuple[float, float, float]:
+    """Jarque-Bera test of a sample of n values from its population moments, Eqs. 6 and 7, such as those of a table.
 
-_SIMULATION_SEED = 19_870_555
+    Returns the statistic (Eq. 5), its p-value from the chi-square distribution with 2 degrees of freedom, valid for n
+    towards infinity, and the p-value among simulated normal samples of the same size, valid for every n. The paper
+    calls a sample not normal if the first is below 0.05. NaN if a moment is.
 
-
-@dataclass(frozen=True, slots=True)
-class NormalityTest:
-    """Result of a Jarque-Bera test."""
-
-    statistic: float
-    """The Jarque-Bera statistic, Eq. 5."""
-    p_asymptotic: float
-    """p-value from the chi-square distribution with 2 degrees of freedom, valid for n towards infinity. The paper calls
-    a sample not normal if this is below 0.05.
+    Jarque and Bera (1987), doi:10.2307/1403192.
     """
-    p_small_sample: float
-    """p-value among simulated normal samples of the same size, valid for every n; from n = 10,000 on the asymptotic
-    value.
-    """
-
-    @classmethod
-    def of_moments(cls, n: int, skewness: float, kurtosis: float) -> Self:
-        """Test a sample of n values from its population moments, Eqs. 6 and 7, such as those of a printed table.
-
-        Jarque and Bera (1987), doi:10.2307/1403192. The statistic approaches its limit slowly, so the p-value among
-        simulated samples of the same size is also given.
-        """
-        statistic = n * (skewness**2 / 6 + (kurtosis - 3) ** 2 / 24)  # Eq. 5
-        in_the_limit = float(stats.chi2.sf(statistic, 2))
-        if n >= _MOST_SIMULATED:
-            return cls(statistic, in_the_limit, in_the_limit)
-        null = _null_statistics(n)
-        # The relative tolerance makes statistics equal despite round-off. The two ones count the sample itself, so p is
-        # never zero (Davison and Hinkley 1997, section 4.2).
-        at_least = null.size - int(np.searchsorted(null, statistic * (1 - 1e-12)))
-        return cls(statistic, in_the_limit, (1 + at_least) / (1 + null.size))
-
-
-def _jarque_bera(values: NDArray[np.float64]) -> NormalityTest:
-    """Test a finite sample (n,) for normality; NaN for fewer than two values or equal values."""
-    if values.size <= 1 or np.ptp(values) == 0:
-        return NormalityTest(math.nan, math.nan, math.nan)
-    return NormalityTest.of_moments(values.size, _skewness(values), _kurtosis(values))
-
-
-def _skewness(values: NDArray[np.float64]) -> float:
-    """Return the population skewness of a sample (n,), Eq. 6; NaN if all values are equal."""
-    return math.nan if values.size == 0 or np.ptp(values) == 0 else float(stats.skew(values))
-
-
-def _kurtosis(values: NDArray[np.float64]) -> float:
-    """Return the population kurtosis of a sample (n,), Eq. 7 (3 if normal); NaN if all values are equal."""
-    return math.nan if values.size == 0 or np.ptp(values) == 0 else float(stats.kurtosis(values, fisher=False))
-
-
-def _statistics(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Statistics (Eq. 5) of samples (k, n), four times as fast as `scipy.stats.jarque_bera`."""
-    centred = samples - samples.mean(axis=1, keepdims=True)
-    squares = centred * centred
-    variance, third = np.mean(squares, axis=1), np.mean(squares * centred, axis=1)
-    fourth = np.mean(squares * squares, axis=1)
-    return np.asarray(samples.shape[1] * (third**2 / variance**3 / 6 + (fourth / variance**2 - 3) ** 2 / 24))
+    statistic = n * (skewness**2 / 6 + (kurtosis - 3) ** 2 / 24)
+    in_the_limit = float(stats.chi2.sf(statistic, 2))
+    # From 10,000 values on the limit suffices: the error of p is 0.002 at 0.05, 0.001 at 0.01.
+    if math.isnan(statistic) or n >= 10_000:
+        return statistic, in_the_limit, in_the_limit
+    null = _null_statistics(n)
+    # The relative tolerance makes statistics equal despite round-off. The two ones count the sample itself, so p is
+    # never zero (Davison and Hinkley 1997, section 4.2).
+    at_least = null.size - int(np.searchsorted(null, statistic * (1 - 1e-12)))
+    return statistic, in_the_limit, (1 + at_least) / (1 + null.size)
 
 
 @lru_cache(maxsize=256)
 def _null_statistics(n: int) -> NDArray[np.float64]:
-    """Draw the sorted statistics of normal samples of size n; every call returns the same numbers."""
-    generator = np.random.default_rng([_SIMULATION_SEED, n])
+    """Draw the sorted statistics (Eq. 5) of normal samples of size n; every call returns the same numbers."""
+    generator = np.random.default_rng([19_870_555, n])
+    total = 20_000  # samples: a p-value of 0.05 has the standard error 0.0015
     rows = max(1, 2_000_000 // n)  # 16 MB at a time
-    counts = [min(rows, _SIMULATED_SAMPLES - start) for start in range(0, _SIMULATED_SAMPLES, rows)]
-    parts = [_statistics(generator.standard_normal((count, n))) for count in counts]
+    parts = []
+    for start in range(0, total, rows):
+        samples = generator.standard_normal((min(rows, total - start), n))
+        # Four times as fast as `scipy.stats.jarque_bera`.
+        centred = samples - samples.mean(axis=1, keepdims=True)
+        squares = centred * centred
+        variance, third = np.mean(squares, axis=1), np.mean(squares * centred, axis=1)
+        fourth = np.mean(squares * squares, axis=1)
+        parts.append(n * (third**2 / variance**3 / 6 + (fourth / variance**2 - 3) ** 2 / 24))
     null = np.sort(np.concatenate(parts))
     null.flags.writeable = False
     return null
-
-
-@dataclass(frozen=True, slots=True)
-class _NormalFit:
-    """The normal distribution with the mean and standard deviation of a sample."""
-
-    mean: float
-    standard_deviation: float
-    """In the unit of the sample; the deviation has the denominator n - 1."""
-    largest_distance: float
-    """Largest distance between the sample's cumulative distribution and the fitted one (Kolmogorov's statistic, between
-    0 and 1); NaN if the deviation is zero or undefined.
-    """
-
-    def density(self, values: ArrayLike) -> NDArray[np.float64]:
-        """Return the fitted probability density at `values`, in the inverse unit of the sample."""
-        return np.asarray(stats.norm.pdf(np.asarray(values, dtype=np.float64), self.mean, self.standard_deviation))
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +72,10 @@ class Distribution:
     skewness: float
     kurtosis: float
     """Population moments, Eqs. 6 and 7 (0 and 3 for a normal distribution)."""
-    normality: NormalityTest
-    """Jarque-Bera test, Eq. 5."""
+    jarque_bera: float
+    p_asymptotic: float
+    p_small_sample: float
+    """Test of normality, see `normality_of_moments`."""
     mean_interval: Interval
     """Confidence interval of the mean by Student's t."""
     standard_deviation_interval: Interval
@@ -136,8 +83,10 @@ class Distribution:
     prediction_interval: Interval
     prediction_interval_ordered: Interval
     """Interval for one new sample, for normal values and without this assumption from the ordered values."""
-    normal_fit: _NormalFit
-    """The fitted normal distribution."""
+    normal_fit_largest_distance: float
+    """Largest distance between the sample's cumulative distribution and the normal one with its mean and deviation
+    (Kolmogorov's statistic, between 0 and 1).
+    """
 
     @classmethod
     def of_sample(cls, values: ArrayLike, level: float = 0.95) -> Self:
@@ -152,22 +101,31 @@ class Distribution:
             )
         centre = float(mean(sample)) if sample.size else math.nan
         deviation = float(standard_deviation(sample)) if sample.size > 1 else math.nan
-        distance = (
-            float(stats.kstest(sample, stats.norm(centre, deviation).cdf).statistic) if deviation > 0 else math.nan
-        )
+        varied = deviation > 0
+        skewness = float(stats.skew(sample)) if varied else math.nan
+        kurtosis = float(stats.kurtosis(sample, fisher=False)) if varied else math.nan
+        statistic, p_asymptotic, p_small_sample = normality_of_moments(sample.size, skewness, kurtosis)
         return cls(
             n=sample.size,
             mean=centre,
             standard_deviation=deviation,
-            skewness=_skewness(sample),
-            kurtosis=_kurtosis(sample),
-            normality=_jarque_bera(sample),
+            skewness=skewness,
+            kurtosis=kurtosis,
+            jarque_bera=statistic,
+            p_asymptotic=p_asymptotic,
+            p_small_sample=p_small_sample,
             mean_interval=Interval.of_mean(sample, level),
             standard_deviation_interval=Interval.of_standard_deviation(sample, level),
             prediction_interval=Interval.of_prediction(sample, level),
             prediction_interval_ordered=Interval.of_ordered_prediction(sample, level),
-            normal_fit=_NormalFit(centre, deviation, distance),
+            normal_fit_largest_distance=(
+                float(stats.kstest(sample, stats.norm(centre, deviation).cdf).statistic) if varied else math.nan
+            ),
         )
+
+    def normal_density(self, values: ArrayLike) -> NDArray[np.float64]:
+        """Probability density at values of the normal distribution with this mean and deviation, in inverse units."""
+        return np.asarray(stats.norm.pdf(np.asarray(values, dtype=np.float64), self.mean, self.standard_deviation))
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,38 +174,15 @@ def tabulate(distributions: tuple[ContentDistribution, ...]) -> xr.Dataset:
     table["content"].attrs = {"units": "%", "long_name": "calcite content by sand mass"}
     table["missing"] = "content", [row.missing for row in distributions]
     table["failed"] = "content", [row.failed for row in distributions]
-    for field in fields(Distribution):
-        values = [getattr(row.vs, field.name) for row in distributions]
-        for name, dimensions, numbers in _columns(field.name, values):
-            table[name] = dimensions, numbers
-            table[name].attrs = {"units": _unit(name), "long_name": name.replace("_", " ")}
+    for name in (field.name for field in fields(Distribution)):
+        values = [getattr(row.vs, name) for row in distributions]
+        if values and isinstance(values[0], Interval):
+            table[name] = ("content", "bound"), [(value.low, value.high) for value in values]
+        else:
+            table[name] = "content", values
+        units = "m/s" if name.startswith(("mean", "standard_deviation", "prediction")) else "1"
+        table[name].attrs = {"units": units, "long_name": name.replace("_", " ")}
     return table
-
-
-def _columns(name: str, values: list[object]) -> list[tuple[str, tuple[str, ...], list[object]]]:
-    """Split records into columns: an interval into its bounds, a test or a fit into its numbers."""
-    match values[0] if values else None:
-        case Interval():
-            return [(name, ("content", "bound"), [_numbers(value, "low", "high") for value in values])]
-        case NormalityTest():
-            columns = {
-                "jarque_bera": "statistic",
-                "p_asymptotic": "p_asymptotic",
-                "p_small_sample": "p_small_sample",
-            }
-        case _NormalFit():
-            columns = {"normal_fit_largest_distance": "largest_distance"}
-        case _:
-            return [(name, ("content",), values)]
-    return [(column, ("content",), [getattr(value, part) for value in values]) for column, part in columns.items()]
-
-
-def _numbers(value: object, *names: str) -> list[float]:
-    return [getattr(value, name) for name in names]
-
-
-def _unit(name: str) -> str:
-    return "m/s" if name.startswith(("mean", "standard_deviation", "prediction")) else "1"
 
 
 def budget_dataset(cells: xr.Dataset) -> xr.Dataset:

@@ -11,9 +11,6 @@ from calcidem.analysis.intervals import Interval
 _PARAMETER_COUNT = 3
 """The law has the three parameters a, b and c."""
 
-_START_EXPONENTS = np.concatenate([np.arange(-4.0, 0.0, 0.25), np.arange(0.25, 4.25, 0.25)])
-"""Starting exponents; 0 is excluded, since a C^b and c would be the same term."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PowerLawFit:
@@ -87,7 +84,13 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
             f"{x.size} samples with {np.unique(x).size} different connectivities: the law has three "
             "parameters and needs at least four samples with three different ones"
         )
-    parameters, covariance = _least_squares(x, y, _starting_point(x, y))
+    try:
+        parameters, covariance = optimize.curve_fit(power_law, x, y, p0=_starting_point(x, y), jac=_power_law_gradient)
+    except RuntimeError as error:
+        raise ValueError(
+            f"the fit of Vs = a C^b + c did not converge for {x.size} samples ({error}); "
+            "use samples over a wider range of connectivity"
+        ) from error
     residuals = y - power_law(x, *parameters)
     quantile = float(stats.t.ppf((1 + level) / 2, x.size - _PARAMETER_COUNT))
     intervals = [
@@ -165,23 +168,11 @@ def _known_samples(connectivity: ArrayLike, vs: ArrayLike) -> tuple[NDArray[np.f
 def _starting_point(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Start from the best of several exponents, each with optimal linear parameters a and c."""
     best, smallest = np.zeros(3), np.inf
-    for exponent in _START_EXPONENTS:
+    # Without 0, at which a C^b and c would be the same term.
+    for exponent in (*np.arange(-4.0, 0.0, 0.25), *np.arange(0.25, 4.25, 0.25)):
         design = np.stack([x**exponent, np.ones_like(x)], axis=1)
         (a, c), *_ = np.linalg.lstsq(design, y, rcond=None)
         error = float(np.sum((design @ (a, c) - y) ** 2))
         if error < smallest:
             best, smallest = np.array([a, exponent, c]), error
     return best
-
-
-def _least_squares(
-    x: NDArray[np.float64], y: NDArray[np.float64], start: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    try:
-        parameters, covariance = optimize.curve_fit(power_law, x, y, p0=start, jac=_power_law_gradient)
-    except RuntimeError as error:
-        raise ValueError(
-            f"the fit of Vs = a C^b + c did not converge for {x.size} samples ({error}); "
-            "use samples over a wider range of connectivity"
-        ) from error
-    return parameters, covariance

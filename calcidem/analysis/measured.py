@@ -49,32 +49,27 @@ def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Tar
     """
     rows = [row for row in distributions if row.vs.n]
     contents = np.array([row.content for row in rows])
-    return tuple(
-        _misfit(rows, contents, target)
-        for target in sorted(measured, key=lambda target: target.content)
-        if contents.size and contents[0] - _EQUAL_CONTENTS <= target.content <= contents[-1] + _EQUAL_CONTENTS
-    )
-
-
-_EQUAL_CONTENTS = 1e-6
-"""Largest difference of equal contents, percent, since they are parsed from text."""
-
-
-def _misfit(rows: Sequence[ContentDistribution], contents: np.ndarray, target: Target) -> _Misfit:
-    """Compare at one content."""
     here = [[row.vs.mean, row.vs.standard_deviation, row.vs.standard_deviation / math.sqrt(row.vs.n)] for row in rows]
-    mean, deviation, error = (float(np.interp(target.content, contents, column)) for column in np.array(here).T)
-    of_target = 0.0 if target.sd is None or target.samples is None else target.sd / math.sqrt(target.samples)
-    both = math.hypot(0.0 if math.isnan(error) else error, of_target)
-    return _Misfit(
-        measured=target,
-        mean=mean,
-        standard_deviation=deviation,
-        interpolated=bool(np.min(np.abs(contents - target.content)) > _EQUAL_CONTENTS),
-        difference=mean / target.vs - 1.0,
-        standard_errors=(mean - target.vs) / both if both else math.nan,
-        deviation_ratio=math.nan if target.sd is None else deviation / target.sd,
-    )
+    equal = 1e-6  # percent: contents are parsed from text
+    found = []
+    for target in sorted(measured, key=lambda target: target.content):
+        if not rows or not contents[0] - equal <= target.content <= contents[-1] + equal:
+            continue
+        mean, deviation, error = (float(np.interp(target.content, contents, column)) for column in np.array(here).T)
+        of_target = 0.0 if target.sd is None or target.samples is None else target.sd / math.sqrt(target.samples)
+        both = math.hypot(0.0 if math.isnan(error) else error, of_target)
+        found.append(
+            _Misfit(
+                measured=target,
+                mean=mean,
+                standard_deviation=deviation,
+                interpolated=bool(np.min(np.abs(contents - target.content)) > equal),
+                difference=mean / target.vs - 1.0,
+                standard_errors=(mean - target.vs) / both if both else math.nan,
+                deviation_ratio=math.nan if target.sd is None else deviation / target.sd,
+            )
+        )
+    return tuple(found)
 
 
 def root_mean_square_misfit(found: Sequence[_Misfit]) -> float:

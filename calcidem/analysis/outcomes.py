@@ -6,9 +6,6 @@ from numpy.typing import NDArray
 
 from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CellStatus
 
-_DONE = "done"
-_NOT_COMPUTED = ""
-
 
 def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.Dataset:
     """Count the cells of each content by outcome.
@@ -23,14 +20,14 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
     """
     vs = arrange_matrix(vs)
     measured = np.isfinite(vs.to_numpy())
-    text = np.where(measured, _DONE, _NOT_COMPUTED) if status is None else _check_status(vs, status, measured)
-    names = sorted(set(text.ravel().tolist()) - {_DONE, _NOT_COMPUTED})
+    text = np.where(measured, "done", "") if status is None else _check_status(vs, status, measured)
+    names = sorted(set(text.ravel().tolist()) - {"done", ""})
     failures = np.array([(text == name).sum(axis=0) for name in names], dtype=np.int64)
     failures = failures.reshape(len(names), vs.sizes["content"])
     return xr.Dataset(
         {
             "measured": ("content", measured.sum(axis=0)),
-            "missing": ("content", (text == _NOT_COMPUTED).sum(axis=0)),
+            "missing": ("content", (text == "").sum(axis=0)),
             "failed": ("content", failures.sum(axis=0)),
             "failures": (("outcome", "content"), failures),
         },
@@ -40,9 +37,9 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
 
 def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
     """Outcome of each cell as text along (seed, content), from its `STATUS_CODES`; empty if there is none."""
-    names = np.full(max(STATUS_CODES.values()) + 1, _NOT_COMPUTED, dtype=object)
+    names = np.full(max(STATUS_CODES.values()) + 1, "", dtype=object)
     for name, code in STATUS_CODES.items():
-        if name not in (CellStatus.PENDING, CellStatus.DAMAGED, NOT_PLANNED):
+        if name not in (CellStatus.PENDING, NOT_PLANNED):
             names[code] = str(name)
     return xr.DataArray(names[codes.to_numpy()], codes.coords, codes.dims)
 
@@ -60,7 +57,7 @@ def _check_status(vs: xr.DataArray, status: xr.DataArray, measured: NDArray[np.b
     if dict(status.sizes) != dict(vs.sizes):
         raise ValueError(f"status has shape {dict(status.sizes)}, vs {dict(vs.sizes)}; make them equal")
     text = status.transpose("seed", "content").to_numpy().astype(object)
-    wrong = np.argwhere((text == _DONE) != measured)
+    wrong = np.argwhere((text == "done") != measured)
     if wrong.size:
         row, column = wrong[0]
         seed, content = vs["seed"].to_numpy()[row], vs["content"].to_numpy()[column]

@@ -10,55 +10,39 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calcidem.analysis.connectivity import ContactWeights, PathScale, connectivity, normalized_connectivity
+from calcidem.analysis.connectivity import ContactWeights, connectivity, normalized_connectivity, straight_contacts
 from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, ShortestPaths
 from calcidem.storage.records import CementPattern, PackingRecord, PathFeatures
 
-
-@dataclass(frozen=True, slots=True)
-class _Feature:
-    """Definition of one feature; all are dimensionless."""
-
-    name: str
-    """Name of the quantity throughout (`calcidem.storage.records.PathFeatures`)."""
-    symbol: str
-    """Symbol in the paper."""
-    definition: str
-    """Definition in words."""
-
-
-FEATURES = (
-    _Feature("path_contacts", "N", "number of contacts on the path"),
-    _Feature("path_hertz_contacts", "N_h", "number of sand contacts on the path"),
-    _Feature("path_bonded_contacts", "N_LPB", "number of cemented contacts on the path"),
-    _Feature("path_bonded_fraction", "LP", "share of the path's contacts that are cemented, N_LPB / N"),
-    _Feature(
-        "path_longest_bonded_run",
+FEATURES = {
+    "path_contacts": ("N", "number of contacts on the path"),
+    "path_hertz_contacts": ("N_h", "number of sand contacts on the path"),
+    "path_bonded_contacts": ("N_LPB", "number of cemented contacts on the path"),
+    "path_bonded_fraction": ("LP", "share of the path's contacts that are cemented, N_LPB / N"),
+    "path_longest_bonded_run": (
         "QLLC",
         "largest number of cemented contacts that follow one another on the path; mean over all shortest paths",
     ),
-    _Feature(
-        "path_longest_bonded_run_fraction",
+    "path_longest_bonded_run_fraction": (
         "PLLC",
         "share of the path's contacts in its longest run of cemented ones, QLLC / N",
     ),
-    _Feature("path_connectivity", "C_d", "weighted length of the path, omega_h N_h + omega_LPB N_LPB"),
-    _Feature(
-        "path_normalized_connectivity",
+    "path_connectivity": ("C_d", "weighted length of the path, omega_h N_h + omega_LPB N_LPB"),
+    "path_normalized_connectivity": (
         "C_d,n",
-        "weighted length of the path on a scale where a straight row of median grains has 0 if all its "
-        "contacts are cemented and 1 if none is",
+        "weighted length of the path, 0 for a straight row of median grains with all contacts cemented, 1 with none",
     ),
-)
+}
+"""Symbol in the paper and definition of each feature, by its name in `PathFeatures`; all are dimensionless."""
 
 
 def _measure_path(
-    path: PreferentialPath, longest_bonded_run: float, weights: ContactWeights, scale: PathScale
+    path: PreferentialPath, longest_bonded_run: float, weights: ContactWeights, straight: float
 ) -> PathFeatures:
     """Compute the eight features of a path of at least one contact, for the weights of the search.
 
-    ``longest_bonded_run`` is the mean over all shortest paths. `ValueError` if both weights are equal, where C_d,n is
-    undefined.
+    ``longest_bonded_run`` is the mean over all shortest paths, ``straight`` that of `PackingGraph`. `ValueError` for
+    equal weights, where C_d,n is undefined.
     """
     contacts = len(path.bonded)
     c_d = connectivity(path.hertz_contacts, path.bonded_contacts, weights)
@@ -70,7 +54,7 @@ def _measure_path(
         path_longest_bonded_run_fraction=longest_bonded_run / contacts,
         path_longest_bonded_run=longest_bonded_run,
         path_connectivity=c_d,
-        path_normalized_connectivity=normalized_connectivity(c_d, weights, scale),
+        path_normalized_connectivity=normalized_connectivity(c_d, weights, straight),
     )
 
 
@@ -84,8 +68,8 @@ class PackingGraph:
     """Contacts, and grains at transmitter and receiver."""
     weights: ContactWeights
     """Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains."""
-    scale: PathScale
-    """Distance between transmitter and receiver, and median diameter by count."""
+    straight: float
+    """Contacts of a straight row of grains of the median diameter by count, from transmitter to receiver."""
     in_column: NDArray[np.bool_]
     """True for contacts at the height of the receiver, shape (m,)."""
     _keys: NDArray[np.int64] = field(init=False, repr=False)
@@ -129,7 +113,7 @@ class PackingGraph:
 
     def features(self, paths: ShortestPaths) -> PathFeatures:
         """Return the features of the shortest paths of one sample."""
-        return _measure_path(paths.first(), paths.mean_longest_bonded_run(), self.weights, self.scale)
+        return _measure_path(paths.first(), paths.mean_longest_bonded_run(), self.weights, self.straight)
 
     def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
         """Find the row of each pair in the sorted contacts."""
@@ -152,9 +136,14 @@ def packing_graph(packing: PackingRecord, transmitter_half_width: float, receive
     `ValueError` if no grain touches one of the bands.
     """
     off_centre = np.abs(packing.y - packing.height / 2)
+    centres = np.column_stack([packing.x, packing.y])
+    near = cKDTree(centres).query_pairs(2 * float(packing.radius.max()), output_type="ndarray")
+    pairs = np.sort(near.astype(np.int64).reshape(-1, 2), axis=1)
+    distance = np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
+    touching = pairs[distance < packing.radius[pairs].sum(axis=1)]
     graph = ContactGraph(
         grain_count=packing.radius.size,
-        pairs=_touching_pairs(packing.x, packing.y, packing.radius),
+        pairs=touching[np.lexsort((touching[:, 1], touching[:, 0]))],
         transmitter=np.flatnonzero((packing.x < packing.radius) & (off_centre < transmitter_half_width)),
         receiver=np.flatnonzero((packing.width - packing.x < packing.radius) & (off_centre < receiver_half_width)),
     )
@@ -163,19 +152,9 @@ def packing_graph(packing: PackingRecord, transmitter_half_width: float, receive
         packing=packing,
         graph=graph,
         weights=ContactWeights.from_coordination_number(graph.coordination_number),
-        scale=PathScale(packing.width, 2 * float(np.median(packing.radius))),
+        straight=straight_contacts(packing.width, 2 * float(np.median(packing.radius))),
         in_column=np.abs(middle) < receiver_half_width,
     )
-
-
-def _touching_pairs(x: NDArray[np.float64], y: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the pairs of overlapping disks, shape (m, 2), both columns sorted; positions and radii in m."""
-    centres = np.column_stack([x, y])
-    near = cKDTree(centres).query_pairs(2 * float(radius.max()), output_type="ndarray")
-    pairs = np.sort(near.astype(np.int64).reshape(-1, 2), axis=1)
-    distance = np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
-    pairs = pairs[distance < radius[pairs].sum(axis=1)]
-    return np.asarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))], dtype=np.int64)
 
 
 def _contact_keys(pairs: NDArray[np.int64], grain_count: int) -> NDArray[np.int64]:

@@ -17,9 +17,6 @@ from calcidem.analysis.intervals import (
 )
 from calcidem.analysis.intervals import mean as mean_of
 
-_SMALLEST_COUNT = 3
-"""Fewest values; fewer always have the same skewness."""
-
 
 @dataclass(frozen=True, slots=True)
 class SeedPlan:
@@ -81,9 +78,6 @@ def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0
 FEWEST_READ = 0.5
 """Smallest share of seeds with a velocity; below it, more seeds do not determine the mean of all."""
 
-_ADDED_TOGETHER = 8
-"""Seeds are added in multiples of this number to fill the lanes of a batch."""
-
 
 def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, sd: float | None = None) -> int:
     """Return the next number of seeds of a content on the way to the requested intervals.
@@ -111,7 +105,7 @@ def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, 
     if max(excess) <= 1.0:
         return count
     factor = min(2.0, max(excess) ** 2)
-    needed = math.ceil(factor * count / _ADDED_TOGETHER) * _ADDED_TOGETHER
+    needed = math.ceil(factor * count / 8) * 8  # to fill the lanes of a batch
     return max(count, min(most, max(count + 1, needed)))
 
 
@@ -124,7 +118,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, rep
     values. `ValueError` for fewer than two values, or a count below 3.
     """
     sample = _finite_values(values)
-    if min(counts, default=_SMALLEST_COUNT) < _SMALLEST_COUNT:
+    if min(counts, default=3) < 3:  # fewer values always have the same skewness
         raise ValueError(f"counts holds {min(counts)}; a standard deviation and a skewness need at least 3 seeds")
     deviation = float(standard_deviation(sample))
     generator = np.random.default_rng(BOOTSTRAP_SEED)

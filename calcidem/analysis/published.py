@@ -20,34 +20,18 @@ from numpy.typing import ArrayLike
 from calcidem.analysis.connectivity import ContactWeights
 from calcidem.analysis.intervals import Interval
 
-
-@dataclass(frozen=True, slots=True)
-class Stage:
-    """A range of calcite content."""
-
-    name: str
-    """Roman numeral, as in the paper."""
-    low: float
-    high: float
-    """First and last content, in percent of sand mass."""
-
-
-STAGES = (
-    Stage("I", 0.11, 0.66),
-    Stage("II", 1.24, 3.17),
-    Stage("III", 4.0, 6.0),
-    Stage("IV", 7.0, 9.0),
-)
-"""Ranges whose end points give the printed growth rates. The text of the paper has other bounds (0.66, 2.55 and
-6 %), which do not give these rates; see docs/reproduction/published_check.py."""
+STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 9.0)}
+"""First and last content of each stage, percent, whose end points give the printed growth rates. The text of the paper
+has other bounds (0.66, 2.55 and 6 %), which do not give these rates; see docs/reproduction/published_check.py.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class StageGrowth:
     """Growth of mean Vs within one stage."""
 
-    stage: Stage
-    """The range."""
+    stage: str
+    """Roman numeral, as in the paper."""
     contents: tuple[float, ...]
     """Contents of the campaign in this range, in percent."""
     end_point_slope: float
@@ -59,7 +43,7 @@ class StageGrowth:
 
 
 def growth_by_stage(
-    content: ArrayLike, mean_vs: ArrayLike, stages: tuple[Stage, ...] = STAGES
+    content: ArrayLike, mean_vs: ArrayLike, stages: Mapping[str, tuple[float, float]] = STAGES
 ) -> tuple[StageGrowth, ...]:
     """Return the growth rate of each stage from contents (%) and mean velocities (m/s), both (k,), without NaN."""
     contents, means = np.asarray(content, dtype=np.float64), np.asarray(mean_vs, dtype=np.float64)
@@ -70,9 +54,9 @@ def growth_by_stage(
     order = np.argsort(contents)
     contents, means = contents[order], means[order]
     growth = []
-    for stage in stages:
+    for stage, (low, high) in stages.items():
         # Contents are parsed from decimal text; a difference in the last bit must not exclude one.
-        inside = (contents >= stage.low - 1e-9) & (contents <= stage.high + 1e-9) & np.isfinite(means)
+        inside = (contents >= low - 1e-9) & (contents <= high + 1e-9) & np.isfinite(means)
         x, y = contents[inside], means[inside]
         enough = x.size > 1
         growth.append(
@@ -100,18 +84,6 @@ class PublishedVelocity:
     """Moments (0 and 3 for a normal distribution)."""
     normal: bool
     """True if marked normal."""
-
-
-@dataclass(frozen=True, slots=True)
-class _PublishedContent:
-    """One calcite content of Tables 2 and 3."""
-
-    content: float
-    """Percent of sand mass."""
-    frequency: float
-    """Excitation frequency in Hz."""
-    vs: PublishedVelocity | None
-    """Its row of Table 3, if any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,17 +134,14 @@ class PublishedStudy:
     """Number of random distributions of calcite, and of samples."""
     parameters: Mapping[str, float]
     """Table 1 in SI units; names as in `published.toml`."""
-    contents: tuple[_PublishedContent, ...]
-    """Tables 2 and 3, ascending."""
+    frequencies: Mapping[float, float]
+    """Table 2: excitation frequency in Hz of each content in percent, ascending."""
+    velocities: tuple[tuple[float, PublishedVelocity], ...]
+    """The rows of Table 3, each as (content in percent, row), ascending; there is none for 0 %."""
     stages: tuple[_PublishedStage, ...]
     """Section 3.2.1."""
     laws: tuple[PublishedLaw, ...]
     """Table 4."""
-
-    @property
-    def velocities(self) -> tuple[tuple[float, PublishedVelocity], ...]:
-        """The rows of Table 3, each as (content in percent, row)."""
-        return tuple((row.content, row.vs) for row in self.contents if row.vs is not None)
 
     def has_sand_of(self, config: Mapping[str, Any]) -> bool:
         """Return whether a configuration has the published sand and box, at any stress and cement."""
@@ -192,10 +161,8 @@ def published_study() -> PublishedStudy:
     return PublishedStudy(
         **data["source"],
         parameters=MappingProxyType(data["parameters"]),
-        contents=tuple(
-            _PublishedContent(row["content"], row["frequency"], PublishedVelocity(**row["vs"]) if "vs" in row else None)
-            for row in data["contents"]
-        ),
+        frequencies=MappingProxyType({row["content"]: row["frequency"] for row in data["contents"]}),
+        velocities=tuple((row["content"], PublishedVelocity(**row["vs"])) for row in data["contents"] if "vs" in row),
         stages=tuple(_PublishedStage(**_with_intervals(row)) for row in data["stages"]),
         laws=tuple(
             PublishedLaw(weights=ContactWeights(row.pop("hertz"), row.pop("bond")), **_with_intervals(row))

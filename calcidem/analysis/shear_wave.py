@@ -14,9 +14,6 @@ if TYPE_CHECKING:
 FEWEST_WAVELENGTHS = 2.0
 """Wavelengths from transmitter to receiver below which near field and shear wave arrive together (section 3.1.3)."""
 
-LONGEST_WAVELENGTH = 10.0
-"""Upper limit of the wavelength in median diameters, as printed in section 3.1.3."""
-
 Values = TypeVar("Values", float, NDArray[np.float64], "xr.DataArray")
 
 

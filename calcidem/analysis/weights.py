@@ -107,17 +107,6 @@ def _shorter_at_corner(middle: _PathLine, left: _PathLine, right: _PathLine) -> 
     return run * hertz_gain + rise * bond_gain > 0
 
 
-_SMALLEST_SAMPLE = 3
-"""Fewest samples: two always lie on a line, so their correlation has no meaning."""
-
-_CORRELATION_TIE = 1e-6
-"""Difference below which correlations are equal."""
-
-_WEIGHT_RATIOS = np.linspace(0.01, 0.99, 99)
-"""Ratios of the scan, without 1, where cement makes no difference and C_d,n is undefined."""
-_WEIGHT_RATIOS.flags.writeable = False
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RatioScan:
     """Correlation of C_d,n with Vs over the weight ratio."""
@@ -143,7 +132,7 @@ def scan_ratio(
     vs: ArrayLike,
     seed: ArrayLike,
     *,
-    ratios: ArrayLike = _WEIGHT_RATIOS,
+    ratios: ArrayLike | None = None,
     level: float = 0.95,
     replicates: int = 2000,
 ) -> RatioScan:
@@ -156,7 +145,7 @@ def scan_ratio(
     envelopes, vs, seed
         For every sample its shortest path for all ratios, its velocity in m/s (NaN if missing), and its seed.
     ratios
-        Ratios to compare, shape (k,), ascending, at least two.
+        Ratios to compare, shape (k,), ascending, at least two, below 1; 0.01 to 0.99 by default.
     level, replicates
         Level of the interval, and number of bootstrap replicates.
 
@@ -169,14 +158,14 @@ def scan_ratio(
     independent (Davison and Hinkley 1997, section 3.8).
     """
     velocity, seeds = np.asarray(vs, dtype=np.float64), np.asarray(seed)
-    grid = np.asarray(ratios, dtype=np.float64)
+    grid = np.linspace(0.01, 0.99, 99) if ratios is None else np.asarray(ratios, dtype=np.float64)
     if velocity.ndim != 1 or not len(envelopes) == velocity.size == seeds.size:
         raise ValueError(
             f"got {len(envelopes)} envelopes, vs of shape {velocity.shape} and seed of shape {seeds.shape}; "
             "give one of each for every sample"
         )
     known = np.isfinite(velocity)
-    if known.sum() < _SMALLEST_SAMPLE:
+    if known.sum() < 3:  # two always lie on a line
         raise ValueError(f"only {known.sum()} samples have a velocity; a correlation needs at least three")
     lengths = np.stack([envelope.connectivity(grid) for envelope, use in zip(envelopes, known, strict=True) if use])
     sums = _sums_by_seed(lengths, velocity[known], seeds[known])
@@ -210,7 +199,7 @@ def _first_best(correlation: NDArray[np.float64]) -> NDArray[np.intp]:
     would decide, while C_d,n grows without limit.
     """
     best = np.nanmin(correlation, axis=1, keepdims=True)
-    return np.asarray(np.argmax(correlation <= best + _CORRELATION_TIE, axis=1))
+    return np.asarray(np.argmax(correlation <= best + 1e-6, axis=1))
 
 
 def _sums_by_seed(

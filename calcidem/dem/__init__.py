@@ -58,29 +58,18 @@ __all__ = [
 ]
 
 _MODULES = {
-    "Bonds": "calcidem.dem.engine.scene",
-    "Cement": "calcidem.dem.engine.material",
-    "ContactForces": "calcidem.dem.engine.readout",
-    "Energies": "calcidem.dem.engine.readout",
-    "Preload": "calcidem.dem.engine.scene",
-    "Sand": "calcidem.dem.engine.material",
-    "Scene": "calcidem.dem.engine.scene",
-    "State": "calcidem.dem.engine.leapfrog",
-    "UnstableRunError": "calcidem.dem.engine.step_control",
-    "Wall": "calcidem.dem.engine.scene",
-    "WallForces": "calcidem.dem.engine.readout",
-    "advance": "calcidem.dem.engine.state",
-    "choose_features": "calcidem.dem.engine.state",
-    "contact_forces": "calcidem.dem.engine.readout",
-    "critical_time_step": "calcidem.dem.engine.stability",
-    "energies": "calcidem.dem.engine.readout",
-    "net_forces": "calcidem.dem.engine.readout",
-    "overlaps": "calcidem.dem.engine.readout",
-    "start": "calcidem.dem.engine.state",
-    "unbalanced_ratio": "calcidem.dem.engine.readout",
-    "wall_contacts": "calcidem.dem.engine.readout",
-    "wall_overlaps": "calcidem.dem.engine.readout",
-    "wall_reactions": "calcidem.dem.engine.readout",
+    name: f"calcidem.dem.engine.{module}"
+    for module, names in {
+        "leapfrog": "State",
+        "material": "Cement Sand",
+        "readout": "ContactForces Energies WallForces contact_forces energies net_forces overlaps unbalanced_ratio "
+        "wall_contacts wall_overlaps wall_reactions",
+        "scene": "Bonds Preload Scene Wall",
+        "stability": "critical_time_step",
+        "state": "advance choose_features start",
+        "step_control": "UnstableRunError",
+    }.items()
+    for name in names.split()
 }
 
 

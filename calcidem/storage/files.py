@@ -1,4 +1,4 @@
-"""Files that are written completely or not at all, and never replace a database."""
+"""Files that are written completely or not at all, and never replace a database; file systems of paths."""
 
 import os
 import secrets
@@ -8,15 +8,8 @@ from pathlib import Path
 
 from calcidem.storage.errors import OutputRefusedError
 
-_SQLITE = b"SQLite format 3\0"
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-_BESIDE_A_DATABASE = ("-wal", "-shm", "-journal", ".lock")
-"""Endings of the files of SQLite and of the lease beside a database."""
-
-_BEGIN_A_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "\N{FULLWIDTH EQUALS SIGN}", "\N{FULLWIDTH COMMERCIAL AT}")
-"""First characters of texts that spreadsheets evaluate."""
-
-_CURE = "Give another file name for the result; nothing was written."
+BESIDE_A_DATABASE = ("-wal", "-shm", "-journal")
+"""Endings of SQLite's files beside a database."""
 
 
 @contextmanager
@@ -27,16 +20,24 @@ def write_atomically(path: str | os.PathLike[str], *, replaces_netcdf: bool = Fa
     After an error `path` is unchanged. Set ``replaces_netcdf`` if the NetCDF file at `path` may be replaced.
     `FileNotFoundError` if the folder does not exist; `OutputRefusedError` if `path` is a database or a NetCDF file.
     """
-    target = Path(path).absolute()
-    refuse_to_replace(target, replaces_netcdf=replaces_netcdf)
-    temporary = target.with_name(f".{target.name[:200]}.{secrets.token_hex(8)}.tmp")
+    refuse_to_replace(path, replaces_netcdf=replaces_netcdf)
+    with replace_file(Path(path).absolute()) as temporary:
+        yield temporary
+
+
+@contextmanager
+def replace_file(target: Path) -> Iterator[Path]:
+    """Yield a temporary file for `write_atomically`, which replaces any file."""
+    kept_name = os.fsdecode(os.fsencode(target.name)[:180])  # file systems allow 255 bytes, and SQLite adds endings
+    temporary = target.with_name(f".{kept_name}.{secrets.token_hex(8)}.tmp")
     try:
         yield temporary
         _flush_to_disk(temporary)
         temporary.replace(target)
         _flush_to_disk(target.parent)
     finally:
-        temporary.unlink(missing_ok=True)
+        for end in ("", *BESIDE_A_DATABASE):
+            Path(f"{temporary}{end}").unlink(missing_ok=True)
 
 
 def write_text_atomically(path: str | os.PathLike[str], text: str) -> None:
@@ -50,24 +51,23 @@ def refuse_to_replace(path: str | os.PathLike[str], *, replaces_netcdf: bool = F
     target = Path(path).absolute()
     if not target.parent.is_dir():
         raise FileNotFoundError(f"The folder {target.parent} does not exist; create it, or give another file name.")
-    if target.exists() and not target.is_file():
-        raise OutputRefusedError(f"{target} is a folder or a device.", _CURE)
-    ends = [end for end in _BESIDE_A_DATABASE if target.name.endswith(end)]
-    databases = [target.with_name(target.name.removesuffix(end)) for end in ends]
-    for file in (target, *databases):
-        if _beginning(file) == _SQLITE:
-            what = "is a database" if file == target else f"belongs to the database {file}"
-            raise OutputRefusedError(f"{target} {what}.", _CURE)
-    if not replaces_netcdf and _beginning(target).startswith(_HDF5):
-        raise OutputRefusedError(f"{target} is a NetCDF file.", _CURE)
+    what = "is a folder or a device" if target.exists() and not target.is_file() else ""
+    for end in (*BESIDE_A_DATABASE, ".lock", ""):
+        database = target.with_name(target.name.removesuffix(end)) if target.name.endswith(end) else target
+        if _beginning(database) == b"SQLite format 3\0":
+            what = "is a database" if database == target else f"belongs to the database {database}"
+    if not replaces_netcdf and _beginning(target).startswith(b"\x89HDF\r\n\x1a\n"):
+        what = "is a NetCDF file"
+    if what:
+        raise OutputRefusedError(f"{target} {what}.", "Give another file name for the result; nothing was written.")
 
 
 def _beginning(path: Path) -> bytes:
-    """First bytes of a file; empty if it does not exist or is not a file."""
+    """First 16 bytes of a file; empty if it does not exist or is not a file."""
     if not path.is_file():
         return b""
     with path.open("rb") as file:
-        return file.read(len(_SQLITE))
+        return file.read(16)
 
 
 def _flush_to_disk(path: Path) -> None:
@@ -85,10 +85,51 @@ def spreadsheet_value(value: object) -> object:
 
     Spreadsheets do not show the apostrophe. Numbers stay as they are.
     """
-    if not isinstance(value, str) or not value.startswith(_BEGIN_A_FORMULA):
+    begin_a_formula = (*"=+-@\t\r\n", "\N{FULLWIDTH EQUALS SIGN}", "\N{FULLWIDTH COMMERCIAL AT}")
+    if not isinstance(value, str) or not value.startswith(begin_a_formula):
         return value
     try:
         float(value)
     except ValueError:
         return f"'{value}"
     return value
+
+
+def filesystem_type(path: Path, mountinfo: str | None = None) -> str | None:
+    """Type of the file system of a path, such as ``"ext4"``; None if unknown (no /proc).
+
+    The path need not exist yet. ``mountinfo`` is a text in the format of ``/proc/self/mountinfo`` (proc(5)), by default
+    this file.
+    """
+    if mountinfo is None:
+        try:
+            mountinfo = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="surrogateescape")
+        except OSError:
+            return None
+    resolved = path.resolve()
+    found: tuple[int, str] | None = None
+    for line in mountinfo.splitlines():
+        before, separator, after = line.partition(" - ")
+        fields = before.split()
+        if not separator or len(fields) < 5:  # the mount point is the fifth field
+            continue
+        for code, character in (("\\040", " "), ("\\011", "\t"), ("\\012", "\n"), ("\\134", "\\")):
+            fields[4] = fields[4].replace(code, character)
+        depth = len(Path(fields[4]).parts)
+        # A later mount on the same point hides the earlier one, hence >=.
+        if resolved.is_relative_to(fields[4]) and (found is None or depth >= found[0]):
+            found = (depth, after.split()[0])
+    return found[1] if found else None
+
+
+def is_network_filesystem(path: Path, mountinfo: str | None = None) -> bool:
+    """Whether a path is on a network or cluster file system, on which SQLite's write-ahead log does not work.
+
+    Every ``fuse.*`` type counts as one (sshfs, glusterfs, s3fs ...): a wrong yes costs speed, a wrong no costs data.
+    """
+    kind = filesystem_type(path, mountinfo) or ""
+    networks = (
+        "9p acfs afs beegfs ceph cifs gfs gfs2 gpfs lustre ncpfs nfs nfs4 ocfs2 orangefs panfs pvfs2 smb3 smbfs "
+        "virtiofs wekafs"
+    )
+    return kind.startswith("fuse.") or kind in networks.split()

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Self
 
 from calcidem.storage.errors import QueryError
@@ -80,26 +81,67 @@ class LeaseHolder:
     """Process that holds the lease of a campaign, or held it when it died."""
 
     host: str
+    """Name of its machine."""
     pid: int
-    """Process number on this host."""
+    """Number of the process."""
+    machine: str
+    """`this_machine` of the process."""
+    started: str
+    """`start_of` the process."""
+    lock: str
+    """Device and inode of the lock file that it has locked; empty without one."""
     acquired: datetime
     """Time at which it became the master (UTC)."""
     heartbeat: datetime
     """Time of its last heartbeat (UTC)."""
 
+    @classmethod
+    def of_this_process(cls, lock: str) -> Self:
+        """Describe the calling process as a new master."""
+        now = datetime.now(UTC)
+        return cls(socket.gethostname(), os.getpid(), this_machine(), start_of(os.getpid()), lock, now, now)
+
+    def is_here(self) -> bool:
+        """Whether its process number has a meaning for this process."""
+        return self.machine == this_machine()
+
     def may_live(self) -> bool:
         """Whether it may be alive; on another machine its heartbeat decides."""
         if datetime.now(UTC) - self.heartbeat > STALE_AFTER:
             return False
-        if self.host != socket.gethostname():
-            return True
+        return not self.is_here() or (self.started != "" and start_of(self.pid) == self.started)
+
+
+def this_machine() -> str:
+    """Equal for two processes if and only if process numbers have the same meaning for both.
+
+    That is the same boot of the same kernel and the same namespace (containers); without ``/proc`` the host's name.
+    """
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        return f"{boot} {Path('/proc/self/ns/pid').readlink()}"
+    except OSError:
+        return socket.gethostname()
+
+
+def start_of(pid: int) -> str:
+    """Start time of a process in the kernel's clock ticks, since process numbers are used again; empty if it has ended.
+
+    Without ``/proc`` any living process with this number counts as the same.
+    """
+    try:
+        words = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b") ")[2].split()  # the name may contain spaces
+    except OSError:
+        if Path("/proc/self/stat").exists():
+            return ""
         try:
-            os.kill(self.pid, 0)
+            os.kill(pid, 0)
         except ProcessLookupError:
-            return False
+            return ""
         except PermissionError:
             pass
-        return True
+        return "alive"
+    return "" if words[0] in {b"Z", b"X"} else words[19].decode()  # a zombie has ended; proc(5), fields 3 and 22
 
 
 class Closable(ABC):

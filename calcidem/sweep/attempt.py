@@ -5,8 +5,9 @@ from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from typing import Protocol, TypeVar
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place, ResultT
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place, ResultT
 
 ResultT_co = TypeVar("ResultT_co", covariant=True)
 
@@ -71,7 +72,7 @@ def attempt(
         results = tuple(compute(batch, Deadline(time_limit)))
         return BatchOutcome(batch, place, time.monotonic() - start, results=results)
     except _TimeLimitReached as error:
-        failure = Failure(FailureKind.TIMED_OUT, str(error))
+        failure = Failure(CellStatus.TIMED_OUT, str(error))
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever it is, it costs only this batch
-        failure = Failure.from_exception(FailureKind.FAILED, error)
+        failure = Failure.from_exception(CellStatus.FAILED, error)
     return BatchOutcome(batch, place, time.monotonic() - start, failure=failure)

@@ -3,23 +3,12 @@
 import platform
 import traceback
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Generic, Self, TypeVar
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch, CellT
 
 ResultT = TypeVar("ResultT")
-
-
-class FailureKind(StrEnum):
-    """Kind of failure of a batch; the values are the stored status of its cells."""
-
-    FAILED = "failed"
-    """The computation raised an exception."""
-    TIMED_OUT = "timed_out"
-    """The computation reached the time limit of a batch."""
-    QUARANTINED = "quarantined"
-    """Workers were lost so often while computing the cell that it is not tried again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +29,15 @@ class Place:
 class Failure:
     """Failure of a batch."""
 
-    kind: FailureKind
-    """Class of the failure."""
+    kind: CellStatus
+    """What the cells of the batch end with: failed, timed out or quarantined."""
     message: str
     """One sentence for the user."""
     traceback: str = ""
     """Python traceback of the exception; may be empty."""
 
     @classmethod
-    def from_exception(cls, kind: FailureKind, error: BaseException) -> Self:
+    def from_exception(cls, kind: CellStatus, error: BaseException) -> Self:
         """Return an exception as data, since it might not be picklable itself."""
         return cls(
             kind=kind,

@@ -5,8 +5,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.outcome import BatchOutcome, FailureKind, ResultT
+from calcidem.sweep.outcome import BatchOutcome, ResultT
 
 LOSSES_BEFORE_QUARANTINE = 3
 """Number of times that a run died while a cell was computed, after which the cell is not tried again."""
@@ -74,7 +75,7 @@ class Schedule(Generic[CellT]):
         """Return an outcome if it is final, None if its cells are computed again."""
         cells = len(outcome.batch.cells)
         kind = None if outcome.failure is None else outcome.failure.kind
-        if kind in {FailureKind.FAILED, FailureKind.QUARANTINED} and cells > 1:
+        if kind in {CellStatus.FAILED, CellStatus.QUARANTINED} and cells > 1:
             parts = outcome.batch.split(self._next_identifier)
             self._next_identifier += len(parts)
             self._queue.extendleft(reversed(parts))

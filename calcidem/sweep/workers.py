@@ -19,10 +19,11 @@ from hashlib import sha256
 from queue import SimpleQueue
 from typing import Any, Generic, TypeAlias
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.attempt import Compute, SweepInterrupted, attempt
 from calcidem.sweep.batch import Batch, CellT
 from calcidem.sweep.environment import available_cores, own_rank
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place
 from calcidem.sweep.sweep_end import SweepError
 
 _Identity: TypeAlias = tuple[str, int, int, int | None]
@@ -215,7 +216,7 @@ class Workers(Generic[CellT]):
             try:
                 results = pickle.loads(results)  # noqa: S301 - as above
             except Exception as error:  # noqa: BLE001 - unpickling runs code of the result's class
-                results, failure = None, Failure.from_exception(FailureKind.FAILED, error)
+                results, failure = None, Failure.from_exception(CellStatus.FAILED, error)
             else:
                 self._slowest = max(self._slowest, seconds / flight.batch.cost)
                 self._longest = max(self._longest, seconds)
@@ -228,7 +229,7 @@ class Workers(Generic[CellT]):
         """
         reason = f"{type(error).__name__}: {error}"
         if type(error).__name__ == "KilledWorker":  # an exception of Dask, which is not imported for this
-            failure = Failure(FailureKind.QUARANTINED, f"took down its workers and is not tried again: {reason}")
+            failure = Failure(CellStatus.QUARANTINED, f"took down its workers and is not tried again: {reason}")
             return BatchOutcome(flight.batch, Place(0, "unknown host"), 0.0, failure=failure)
         if isinstance(error, BrokenExecutor | CancelledError | OSError):
             self._end(f"a worker was lost ({reason})")
@@ -279,5 +280,5 @@ def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_
         try:
             results = pickle.dumps(outcome.results, pickle.HIGHEST_PROTOCOL)
         except Exception as error:  # noqa: BLE001 - pickling runs code of the result's class
-            failure = Failure.from_exception(FailureKind.FAILED, error)
+            failure = Failure.from_exception(CellStatus.FAILED, error)
     return pickle.dumps((worker, (outcome.seconds, results, failure)))

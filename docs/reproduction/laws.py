@@ -31,14 +31,14 @@ def print_features(analysis: CampaignAnalysis) -> None:
     logarithm = analysis.table.assign(log_vs=np.log(analysis.table["vs"]))
     of_all = "Pearson", "with log Vs", "Spearman"
     show_header("feature", *of_all, "within: Spearman", "p, corrected", "contents")
-    for feature in FEATURES:
-        overall, within = (part.sel(variable=feature.name, other="vs") for part in (matrices.overall, matrices.within))
-        values = logarithm[[feature.name, "log_vs"]].to_array("name").stack(sample=("seed", "content")).dropna("sample")
-        found = by_content.sel(variable=feature.name)["p_corrected"]
+    for name, (symbol, _) in FEATURES.items():
+        overall, within = (part.sel(variable=name, other="vs") for part in (matrices.overall, matrices.within))
+        values = logarithm[[name, "log_vs"]].to_array("name").stack(sample=("seed", "content")).dropna("sample")
+        found = by_content.sel(variable=name)["p_corrected"]
         print(
-            f"| {feature.symbol} | {float(overall['pearson']):+.2f} | {np.corrcoef(values)[0, 1]:+.2f} "
+            f"| {symbol} | {float(overall['pearson']):+.2f} | {np.corrcoef(values)[0, 1]:+.2f} "
             f"| {float(overall['spearman']):+.2f} | {float(within['spearman']):+.2f} "
-            f"| {float(tests['p_corrected'].sel(variable=feature.name)):.2g} "
+            f"| {float(tests['p_corrected'].sel(variable=name)):.2g} "
             f"| {int((found < SIGNIFICANCE).sum())} of {int(found.notnull().sum())} |"
         )
     scan = analysis.ratio_scan

@@ -6,23 +6,23 @@ stay as they are.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from calcidem.analysis.connectivity import ContactWeights
-from calcidem.analysis.distribution import NormalityTest
+from calcidem.analysis.distribution import normality_of_moments
 from calcidem.analysis.fits import power_law
 from calcidem.analysis.published import (
     STAGES,
     PublishedLaw,
     PublishedStudy,
-    Stage,
     StageGrowth,
     growth_by_stage,
     published_study,
 )
-from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, LONGEST_WAVELENGTH, wavelengths
+from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, wavelengths
 
 _PAPER_SIGNIFICANCE = 0.05
 """The paper calls a sample not normal where the asymptotic p-value is below this (section 2.4)."""
@@ -49,18 +49,20 @@ class VerdictCheck:
         Calcite content in percent.
     printed_normal
         What Table 3 marks.
-    test
+    statistic, p_asymptotic, p_small_sample
         Jarque-Bera test of the printed moments.
     """
 
     content: float
     printed_normal: bool
-    test: NormalityTest
+    statistic: float
+    p_asymptotic: float
+    p_small_sample: float
 
     @property
     def computed_normal(self) -> bool:
         """The verdict by the paper's own rule."""
-        return self.test.p_asymptotic >= _PAPER_SIGNIFICANCE
+        return self.p_asymptotic >= _PAPER_SIGNIFICANCE
 
     @property
     def agrees(self) -> bool:
@@ -92,7 +94,7 @@ def check_verdicts(study: PublishedStudy | None = None) -> tuple[VerdictCheck, .
     """Test each row of Table 3 for normality and compare with its mark."""
     study = study or published_study()
     return tuple(
-        VerdictCheck(content, row.normal, NormalityTest.of_moments(study.seeds, row.skewness, row.kurtosis))
+        VerdictCheck(content, row.normal, *normality_of_moments(study.seeds, row.skewness, row.kurtosis))
         for content, row in study.velocities
     )
 
@@ -118,22 +120,22 @@ def _compare_verdicts(study: PublishedStudy) -> list[StatementCheck]:
         StatementCheck(
             place=f"Table 3, {check.content:g} %",
             printed=f"marked {words[check.printed_normal]}",
-            computed=f"{words[check.computed_normal]}: Jarque-Bera {check.test.statistic:.2f} from "
-            f"the printed moments and n = {study.seeds}, p = {check.test.p_asymptotic:.2g} "
-            f"(simulated for this n: {check.test.p_small_sample:.2g})",
+            computed=f"{words[check.computed_normal]}: Jarque-Bera {check.statistic:.2f} from "
+            f"the printed moments and n = {study.seeds}, p = {check.p_asymptotic:.2g} "
+            f"(simulated for this n: {check.p_small_sample:.2g})",
             agrees=check.agrees,
         )
         for check in check_verdicts(study)
     ]
 
 
-def _growth(study: PublishedStudy, stages: tuple[Stage, ...]) -> tuple[StageGrowth, ...]:
+def _growth(study: PublishedStudy, stages: Mapping[str, tuple[float, float]]) -> tuple[StageGrowth, ...]:
     contents, means = zip(*((content, row.mean) for content, row in study.velocities), strict=True)
     return growth_by_stage(contents, means, stages)
 
 
 def _compare_rates(study: PublishedStudy) -> list[StatementCheck]:
-    text = tuple(Stage(stage.name, stage.text_range.low, stage.text_range.high) for stage in study.stages)
+    text = {stage.name: (stage.text_range.low, stage.text_range.high) for stage in study.stages}
     findings = []
     for basis, stages in {"": STAGES, ", its own borders": text}.items():
         for printed, growth in zip(study.stages, _growth(study, stages), strict=True):
@@ -259,12 +261,12 @@ def _compare_wavelengths(study: PublishedStudy) -> list[StatementCheck]:
     distance, *diameters = _lengths(study)
     median = (sum(diameter**3 for diameter in diameters) / 2) ** (1 / 3)  # by mass, of a uniform distribution
     found = [
-        (row.content, *wavelengths(row.vs.mean, row.frequency, distance, median))
-        for row in study.contents
-        if row.vs is not None
+        (content, *wavelengths(row.mean, study.frequencies[content], distance, median))
+        for content, row in study.velocities
     ]
     near = [f"{number:.2f} at {content:g} %" for content, number, _ in found if number < FEWEST_WAVELENGTHS]
-    long = [over for _, _, over in found if over >= LONGEST_WAVELENGTH]
+    longest = 10.0  # wavelength in median diameters, as printed
+    long = [over for _, _, over in found if over >= longest]
     return [
         StatementCheck(
             place="Section 3.1.3 and Tables 2, 3",
@@ -274,7 +276,7 @@ def _compare_wavelengths(study: PublishedStudy) -> list[StatementCheck]:
         ),
         StatementCheck(
             place="Section 3.1.3 and Tables 2, 3",
-            printed=f"lambda / d50 < {LONGEST_WAVELENGTH:g}",
+            printed=f"lambda / d50 < {longest:g}",
             computed=f"{len(long)} of {len(found)} contents have more, {min(long):.1f} to {max(long):.1f} with d50 = "
             f"{1e3 * median:.2f} mm by mass",
             agrees=not long,
@@ -300,7 +302,7 @@ def _compare_calcite(study: PublishedStudy) -> StatementCheck:
     calcite = 2 * (width * height - (diameter**2 / 4 * angle - width / 2 * (diameter / 2 - height)))
     densities = printed["calcite_density"] / printed["sand_density"]
     capacity = 100 * coordination_number / 2 * calcite / grain * densities
-    most = max(row.content for row in study.contents)
+    most = max(study.frequencies)
     return StatementCheck(
         place="Table 2 and Eq. 2",
         printed=f"contents up to {most:g} %",

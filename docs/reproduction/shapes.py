@@ -49,7 +49,7 @@ def print_shapes(vs: xr.DataArray, here: dict[float, Distribution]) -> None:
         found = here[round(content, 6)]
         values = vs.sel(content=content).dropna("seed").to_numpy()
         interval = bootstrap(values, stats.skew)
-        normal = found.normality.p_asymptotic >= SIGNIFICANCE
+        normal = found.p_asymptotic >= SIGNIFICANCE
         agree += normal == printed.normal
         by_table = by_moments[content].computed_normal
         print(

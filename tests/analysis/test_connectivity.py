@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calcidem.analysis.connectivity import ContactWeights, PathScale, connectivity, normalized_connectivity
+from calcidem.analysis.connectivity import ContactWeights, connectivity, normalized_connectivity, straight_contacts
 
 
 def test_weights_of_the_paper_follow_from_its_coordination_number() -> None:
@@ -19,7 +19,7 @@ def test_a_path_is_as_long_as_its_contacts_together() -> None:
 
 def test_straight_length_counts_the_contacts_of_a_row() -> None:
     """A row of 40 grains of 2.5 mm spans 0.1 m and has 39 contacts."""
-    assert PathScale(0.1, 2.5e-3).straight_contacts == pytest.approx(39)
+    assert straight_contacts(0.1, 2.5e-3) == pytest.approx(39)
 
 
 @given(
@@ -33,17 +33,16 @@ def test_normalised_connectivity_measures_the_sand_share_of_a_straight_row(
 ) -> None:
     """On a straight row C_d,n is the share of sand contacts, whatever the weights."""
     weights = ContactWeights.from_coordination_number(coordination)
-    scale = PathScale(distance=grains * 1e-3, median_diameter=1e-3)
-    contacts = scale.straight_contacts
+    contacts = straight_contacts(grains * 1e-3, 1e-3)
     c_d = weights.hertz * share * contacts + weights.bond * (1 - share) * contacts
     # Subtracting nearly equal weights loses up to four digits here.
-    assert normalized_connectivity(c_d, weights, scale) == pytest.approx(share, abs=1e-9)
+    assert normalized_connectivity(c_d, weights, contacts) == pytest.approx(share, abs=1e-9)
 
 
 def test_equal_weights_have_no_normalised_connectivity() -> None:
     """Where both kinds of contact weigh the same, Eq. 9 divides by zero, which is refused."""
     with pytest.raises(ValueError, match="bond < hertz"):
-        normalized_connectivity(40.0, ContactWeights(1.0, 1.0), PathScale(0.1, 2.5e-3))
+        normalized_connectivity(40.0, ContactWeights(1.0, 1.0), straight_contacts(0.1, 2.5e-3))
 
 
 @pytest.mark.parametrize(("hertz", "bond"), [(1.0, 0.0), (1.0, 1.1), (1.0, -0.5), (float("nan"), 0.5)])
@@ -57,7 +56,7 @@ def test_impossible_weights_are_refused(hertz: float, bond: float) -> None:
 def test_impossible_scales_are_refused(distance: float, diameter: float) -> None:
     """The median grain must be smaller than the distance."""
     with pytest.raises(ValueError, match="median_diameter"):
-        PathScale(distance, diameter)
+        straight_contacts(distance, diameter)
 
 
 def test_ratio_is_bond_over_hertz() -> None:

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from calcidem.analysis.dispersion import SectionMotion, dispersion
+from calcidem.analysis.dispersion import dispersion
 
 FREQUENCY = 8000.0
 PLACES = np.linspace(0.012, 0.093, 10)
 
 
-def section(speed: float, spacing: float, seed: int, noise: float = 0.0) -> SectionMotion:
+def section(speed: float, spacing: float, seed: int, noise: float = 0.0) -> tuple[NDArray[np.float64], ...]:
     """A pulse that has travelled through a chain of masses: ``sin(k d / 2) = pi f d / speed``."""
     times = np.arange(0.0, 12.0 / FREQUENCY, 1.0 / (40.0 * FREQUENCY))
     pulse = np.where(times < 1.0 / FREQUENCY, 1.0 - np.cos(2.0 * np.pi * FREQUENCY * times), 0.0)
@@ -19,7 +20,7 @@ def section(speed: float, spacing: float, seed: int, noise: float = 0.0) -> Sect
     waves = [np.fft.irfft(spectrum * np.exp(-1j * number * place))[: len(times)] for place in PLACES]
     across = np.column_stack(waves)
     generator = np.random.default_rng(seed)
-    return SectionMotion(times, PLACES, across + noise * generator.standard_normal(across.shape))
+    return times, PLACES, across + noise * generator.standard_normal(across.shape)
 
 
 def test_phase_velocities_of_a_chain_are_those_of_its_dispersion_relation() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.colors import to_rgba
 
 from calcidem.analysis.dispersion import ContentDispersion, Dispersion
-from calcidem.analysis.figures.dispersion import draw_dispersion
+from calcidem.analysis.figures.signals import draw_dispersion
 from calcidem.analysis.figures.style import VERMILION
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from calcidem.analysis.connectivity import ContactWeights, PathScale
+from calcidem.analysis.connectivity import ContactWeights, straight_contacts
 from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, ShortestPaths
 from calcidem.analysis.packing_graph import FEATURES, _measure_path
 from calcidem.storage.records import PathFeatures
@@ -19,7 +19,7 @@ def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np
     """The drawing's path has 4 contacts, cement on 3 of them and on 2 in a row, and is straight."""
     paths = ShortestPaths.search(*drawn_sample, WEIGHTS)
     path = paths.first()
-    found = _measure_path(path, paths.mean_longest_bonded_run(), WEIGHTS, PathScale(distance=5.0, median_diameter=1.0))
+    found = _measure_path(path, paths.mean_longest_bonded_run(), WEIGHTS, straight_contacts(5.0, 1.0))
     assert path.grains == (5, 6, 7, 8, 9)
     assert (found.path_contacts, found.path_hertz_contacts, found.path_bonded_contacts) == (4, 1, 3)
     assert found.path_bonded_fraction == 3 / 4
@@ -31,10 +31,8 @@ def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np
 
 def test_each_feature_is_defined_once() -> None:
     """The eight definitions are the eight fields of the record, each with its own symbol and words."""
-    names = [feature.name for feature in FEATURES]
-    assert set(names) == {field.name for field in fields(PathFeatures)}
-    assert len(FEATURES) == len({feature.symbol for feature in FEATURES}) == 8
-    assert len({feature.definition for feature in FEATURES}) == 8
+    assert FEATURES.keys() == {field.name for field in fields(PathFeatures)}
+    assert [len(set(column)) for column in zip(*FEATURES.values(), strict=True)] == [8, 8]
 
 
 @given(bonded=st.lists(st.booleans(), min_size=1, max_size=60))
@@ -46,7 +44,7 @@ def test_features_of_any_path_fit_together(bonded: list[bool]) -> None:
         len(path.grains), np.array(list(pairwise(path.grains))), np.array([0]), np.array([len(bonded)])
     )
     run = ShortestPaths.search(chain, bonded, WEIGHTS).mean_longest_bonded_run()
-    found = _measure_path(path, run, WEIGHTS, PathScale(0.1, 2.5e-3))
+    found = _measure_path(path, run, WEIGHTS, straight_contacts(0.1, 2.5e-3))
     text = "".join("b" if kind else " " for kind in bonded)
     assert found.path_longest_bonded_run == max((len(run) for run in text.split()), default=0)
     assert found.path_contacts == found.path_hertz_contacts + found.path_bonded_contacts == len(bonded)

@@ -1,6 +1,9 @@
 """The figures, drawn from a small real campaign."""
 
+import os
 import struct
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +19,11 @@ from places import TUTORIAL
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures import style
-from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure, load_arrival, published_velocities
+from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.relations import _law_text, _symbol
-from calcidem.analysis.figures.samples import _round_length, draw_cemented_samples, draw_preferential_paths
-from calcidem.analysis.figures.signals import _received_peak_index
-from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range
+from calcidem.analysis.figures.samples import COLOURS, _round_length, draw_cemented_samples, draw_preferential_paths
+from calcidem.analysis.figures.signals import load_arrival
+from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range, published_velocities
 from calcidem.app.campaign.opened import open_campaign
 
 pytestmark = pytest.mark.slow
@@ -155,7 +158,7 @@ def test_the_way_of_the_wave_is_the_distance_of_its_velocities(analysis: Campaig
 def test_marked_peak_is_a_peak_of_the_signal(analysis: CampaignAnalysis) -> None:
     """The arrival from peak to peak lies on a maximum of the received signal, within the picking's smoothing."""
     arrival = load_arrival(analysis, 1, 0.34)
-    index = _received_peak_index(arrival)
+    index = int(np.searchsorted(arrival.time, arrival.arrival_time("peak")))
     period = 1.0 / float(analysis.cells["frequency"].sel(seed=1, content=0.34))
     reach = round(0.1 * period / (arrival.time[1] - arrival.time[0]))
     near = arrival.received[index - reach : index + reach + 1]
@@ -184,8 +187,33 @@ def test_symbols_are_upright_where_they_are_names() -> None:
 
 def test_colours_differ_in_brightness() -> None:
     """Cement, clusters and sand differ in brightness, so that they can be told apart without colour."""
-    brightness = [
-        float(np.dot(to_rgb(colour), (0.2126, 0.7152, 0.0722)))
-        for colour in (style.SAND_GRAIN, style.CLUSTER_GRAIN, style.P_CEMENT, style.C_CEMENT)
-    ]
+    brightness = [float(np.dot(to_rgb(colour), (0.2126, 0.7152, 0.0722))) for colour in COLOURS.values()]
     assert min(brightness[:2]) - max(brightness[2:]) > 0.25
+
+
+DRAWN_BY_A_USER = """
+import sys
+from calcidem.app.campaign.opened import open_campaign
+
+with open_campaign(sys.argv[1]) as campaign:
+    for name in ("vs_range", "laws", "signals"):
+        figure = getattr(campaign.plot, name)()
+        figure.savefig(f"{name}.png")
+        figure.savefig(f"{name}.svg", metadata={"Date": None})
+    campaign.plot.movie("wave.gif", seed=1, content=5.0, frames=2)
+"""
+
+
+def test_a_users_settings_of_matplotlib_change_no_figure(small_database: Path, tmp_path: Path) -> None:
+    """Figures drawn in Python are the same bytes with a matplotlibrc that asks for LaTeX, which is not installed."""
+    (tmp_path / "none").mkdir()
+    settings = ("text.usetex: True", "font.family: serif", "axes.grid: False", "xtick.direction: in", "backend: TkAgg")
+    (tmp_path / "matplotlibrc").write_text("\n".join(settings), encoding="utf-8")
+    written = []
+    for name, own in (("plain", {}), ("own", {"MATPLOTLIBRC": str(tmp_path / "matplotlibrc")})):
+        (folder := tmp_path / name).mkdir()
+        command = [sys.executable, "-c", DRAWN_BY_A_USER, str(small_database)]
+        subprocess.run(command, check=True, cwd=folder, env=os.environ | own | {"PATH": str(tmp_path / "none")})
+        written.append({path.name: path.read_bytes() for path in folder.iterdir()})
+    assert len(written[0]) == 7
+    assert written[0] == written[1]

@@ -5,10 +5,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.doubt import _bias_of_failed, is_in_doubt
 from calcidem.analysis.intervals import (
     UNDEFINED,
     Interval,
+    bias_of_failed,
+    is_in_doubt,
     mean,
     standard_deviation,
 )
@@ -147,7 +148,7 @@ def test_the_bias_of_a_mean_is_that_of_a_normal_distribution_without_its_end(mea
     """Values of a normal distribution at equal steps of probability, less those at one end, have this mean."""
     values = stats.norm.ppf((np.arange(200_000) + 0.5) / 200_000)
     left = values[round(len(values) * failed / (measured + failed)) :]
-    assert _bias_of_failed(measured, failed) == pytest.approx(left.mean(), rel=1e-3)
+    assert bias_of_failed(measured, failed) == pytest.approx(left.mean(), rel=1e-3)
     assert is_in_doubt(measured, failed) == (left.mean() > 1.0 / np.sqrt(measured))
 
 

@@ -6,20 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from calcidem.analysis.distribution import (
-    NormalityTest,
-    _jarque_bera,
-    _kurtosis,
-    _null_statistics,
-    _skewness,
-)
+from calcidem.analysis.distribution import Distribution, _null_statistics, normality_of_moments
 
 
 def test_moments_of_a_sample_counted_by_hand() -> None:
     """The values 0 0 0 4 have mean 1, central moments 3, 6 and 21, so skewness 6/3^1.5 and kurtosis 21/9."""
     values = np.array([0.0, 0.0, 0.0, 4.0])
-    assert _skewness(values) == pytest.approx(6 / 3**1.5)
-    assert _kurtosis(values) == pytest.approx(21 / 9)
+    assert Distribution.of_sample(values).skewness == pytest.approx(6 / 3**1.5)
+    assert Distribution.of_sample(values).kurtosis == pytest.approx(21 / 9)
 
 
 @pytest.mark.parametrize("n", [3, 20, 116])
@@ -27,8 +21,8 @@ def test_statistic_and_asymptotic_p_are_scipys(n: int) -> None:
     """The statistic and its chi-square p-value are those of scipy.stats.jarque_bera."""
     values = np.random.default_rng(n).gumbel(1000, 100, n)
     expected = stats.jarque_bera(values)
-    test = _jarque_bera(values)
-    assert test.statistic == pytest.approx(expected.statistic)
+    test = Distribution.of_sample(values)
+    assert test.jarque_bera == pytest.approx(expected.statistic)
     assert test.p_asymptotic == pytest.approx(expected.pvalue)
 
 
@@ -45,7 +39,7 @@ def test_small_sample_p_is_scipys_monte_carlo_test() -> None:
         alternative="greater",
     ).pvalue
     error = np.sqrt(expected * (1 - expected) * (1 / replicates + 1 / 20_000))
-    assert _jarque_bera(values).p_small_sample == pytest.approx(expected, abs=4 * error)
+    assert Distribution.of_sample(values).p_small_sample == pytest.approx(expected, abs=4 * error)
 
 
 def test_small_sample_p_rejects_as_often_as_promised(
@@ -53,14 +47,14 @@ def test_small_sample_p_rejects_as_often_as_promised(
 ) -> None:
     """Of 2000 normal samples of 20, the simulated p rejects 5 % and the asymptotic one too few."""
     samples = np.random.default_rng(9).standard_normal((2000, 20))
-    tests = [_jarque_bera(sample) for sample in samples]
+    tests = [Distribution.of_sample(sample) for sample in samples]
     assert within_binomial(sum(test.p_small_sample < 0.05 for test in tests), 2000, 0.05)
     assert not within_binomial(sum(test.p_asymptotic < 0.05 for test in tests), 2000, 0.05)
 
 
 def test_skewed_values_are_rejected() -> None:
     """A hundred and sixteen exponential values are not normal by either p-value."""
-    test = _jarque_bera(np.random.default_rng(10).exponential(1.0, 116))
+    test = Distribution.of_sample(np.random.default_rng(10).exponential(1.0, 116))
     assert test.p_asymptotic < 1e-6
     assert test.p_small_sample < 1e-3
 
@@ -70,14 +64,16 @@ def test_skewed_values_are_rejected() -> None:
 def test_units_and_origin_do_not_matter(shift: float, scale: float) -> None:
     """Shifting and scaling the values leaves the statistic as it is, up to round-off of the shift."""
     values = np.random.default_rng(11).gumbel(0.0, 1.0, 40)
-    expected = _jarque_bera(values).statistic
-    assert _jarque_bera(scale * values + shift).statistic == pytest.approx(expected, rel=1e-6)
+    expected = Distribution.of_sample(values).jarque_bera
+    assert Distribution.of_sample(scale * values + shift).jarque_bera == pytest.approx(expected, rel=1e-6)
 
 
 def test_moments_alone_give_the_same_test() -> None:
     """The test from printed moments is the test from the values."""
     values = np.random.default_rng(12).normal(0, 1, 50)
-    assert NormalityTest.of_moments(50, _skewness(values), _kurtosis(values)) == _jarque_bera(values)
+    found = Distribution.of_sample(values)
+    expected = found.jarque_bera, found.p_asymptotic, found.p_small_sample
+    assert normality_of_moments(50, found.skewness, found.kurtosis) == expected
 
 
 @pytest.mark.parametrize("n", [25, 300])
@@ -98,11 +94,10 @@ def test_the_simulation_is_done_once_for_a_size_and_is_the_same_every_time() -> 
 @pytest.mark.parametrize("values", [[], [3.0], [5.0, 5.0, 5.0]])
 def test_values_that_do_not_vary_have_no_test(values: list[float]) -> None:
     """No value, one value or equal values have neither moments nor a p-value."""
-    test = _jarque_bera(np.array(values))
-    assert np.isnan([test.statistic, test.p_asymptotic, test.p_small_sample]).all()
-    assert np.isnan(_skewness(np.array(values)))
+    test = Distribution.of_sample(np.array(values))
+    assert np.isnan([test.jarque_bera, test.p_asymptotic, test.p_small_sample, test.skewness]).all()
 
 
 def test_two_values_never_speak_against_normality() -> None:
     """All pairs have the same statistic, so the small-sample p is one; the asymptotic one cannot know."""
-    assert _jarque_bera(np.array([1.0, 2.0])).p_small_sample == 1.0
+    assert Distribution.of_sample(np.array([1.0, 2.0])).p_small_sample == 1.0

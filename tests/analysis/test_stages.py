@@ -3,19 +3,19 @@ import itertools
 import numpy as np
 import pytest
 
-from calcidem.analysis.published import STAGES, Stage, growth_by_stage
+from calcidem.analysis.published import STAGES, growth_by_stage
 
 
 def test_slopes_of_a_drawn_curve() -> None:
     """Means 0, 2, 1 at 1, 2, 3 % rise by 1/2 a percent from end to end and in least squares."""
-    (growth,) = growth_by_stage([1, 2, 3], [0, 2, 1], (Stage("I", 1, 3),))
+    (growth,) = growth_by_stage([1, 2, 3], [0, 2, 1], {"I": (1, 3)})
     assert growth.end_point_slope == pytest.approx(0.5)
     assert growth.least_squares_slope == pytest.approx(0.5)
 
 
 def test_the_two_slopes_differ_when_the_curve_bends() -> None:
     """Means 0, 0, 0, 4 rise by 4/3 from end to end, and by 1.2 in least squares."""
-    (growth,) = growth_by_stage([0, 1, 2, 3], [0, 0, 0, 4], (Stage("I", 0, 3),))
+    (growth,) = growth_by_stage([0, 1, 2, 3], [0, 0, 0, 4], {"I": (0, 3)})
     assert growth.end_point_slope == pytest.approx(4 / 3)
     assert growth.least_squares_slope == pytest.approx(1.2)
 
@@ -39,7 +39,7 @@ def test_missing_contents_are_left_out() -> None:
 
 def test_stages_do_not_overlap() -> None:
     """Each stage begins above the end of the one before."""
-    assert all(after.low > before.high for before, after in itertools.pairwise(STAGES))
+    assert all(after[0] > before[1] for before, after in itertools.pairwise(STAGES.values()))
 
 
 def test_unequal_lengths_are_refused() -> None:

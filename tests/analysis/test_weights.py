@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.connectivity import ContactWeights, PathScale, normalized_connectivity
+from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity, straight_contacts
 from calcidem.analysis.weights import PathEnvelope, _correlate_sums, _first_best, _PathLine, _sums_by_seed, scan_ratio
 
 SEEDS, CONTENTS = 20, 6
@@ -49,11 +49,11 @@ def test_correlation_is_that_of_normalised_connectivity() -> None:
     """At each ratio the coefficient is SciPy's, between C_d,n itself and Vs."""
     envelopes, velocity, seeds = campaign(0.6, 100.0)
     scan = scan_ratio(envelopes, velocity, seeds, ratios=[0.3, 0.83], replicates=10)
-    scale = PathScale(0.1, 2.56e-3)
+    straight = straight_contacts(0.1, 2.56e-3)
     for ratio, found in zip(scan.ratios, scan.correlation, strict=True):
         weights = ContactWeights.from_ratio(ratio)
         lengths = [float(envelope.connectivity(ratio)) for envelope in envelopes]
-        c_dn = [normalized_connectivity(length, weights, scale) for length in lengths]
+        c_dn = [normalized_connectivity(length, weights, straight) for length in lengths]
         assert found == pytest.approx(stats.pearsonr(c_dn, velocity).statistic)
 
 

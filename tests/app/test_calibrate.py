@@ -70,7 +70,7 @@ def test_the_parameters_that_made_the_targets_are_found_again(
     prediction = found.contents[2]
     assert (prediction.content, prediction.role, prediction.target) == (0.5, "predicted", None)
     assert found.contents[0].mean < prediction.mean < found.contents[1].mean
-    monkeypatch.setattr("calcidem.app.campaign.task.measure_all", None)
+    monkeypatch.setattr("calcidem.app.campaign.task.measure", None)
     again = calibrate(start, small_packing, plan, trials)
     assert (again.values, again.contents, again.doubts) == (found.values, found.contents, found.doubts)
 
@@ -277,7 +277,7 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
     refuse("wave.damping=0.5:0.1", match="two increasing positive numbers")
     refuse("wave.damping=0.1", match="two increasing positive numbers")
     refuse("pattern.p_share=0.1:many", match="two increasing positive numbers")
-    refuse("wave.transmitter_half_width=0.001:0.9", match="does not fit into the sample")
+    refuse("wave.transmitter_half_width=0.001:0.9", match="less than half of packing.height")
     refuse(STIFFNESS, MODULUS, match="parameters = 2: give at most 1")
     refuse(STIFFNESS, STIFFNESS, match="named twice")
     refuse(match="name at least one")

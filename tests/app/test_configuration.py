@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,10 +15,13 @@ from calcidem.app.cli.main import main
 from calcidem.app.config import schema
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.presets import PRESETS, preset_text
-from calcidem.app.config.reader import SECTIONS, load_configuration, read_configuration
+from calcidem.app.config.reader import load_configuration, read_configuration
 from calcidem.app.config.reference import key_references
-from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, RunOptions
+from calcidem.app.config.schema import SECTIONS, CampaignPlan, Configuration, Excitation, RunOptions
+from calcidem.dem.engine.fields import FieldError
+from calcidem.dem.engine.material import Cement
 from calcidem.dem.sample.packing import PackingRule
+from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.records.canonical import canonical_hash
 
 if TYPE_CHECKING:
@@ -83,18 +87,21 @@ WRONG = {
         "[campaign]\ncontents = [5.0, 12.0]\n",
         ("campaign.contents = [12.0]", "known from 0 to 9 %", "give wave.frequency"),
     ),
-    "content not finite": ("[campaign]\ncontents = [nan]\n", ("campaign.contents = [nan]", "a list of percentages")),
+    "content not finite": (
+        "[campaign]\ncontents = [nan]\n",
+        ("campaign.contents = [nan]", "is not finite", "give 0, or a number of 1e-30"),
+    ),
     "name with a slash": ('[campaign]\nname = "a/b"\n', ('campaign.name = "a/b"', "part of a file name")),
     "negative root": ("[campaign]\nroot_seed = -3\n", ("campaign.root_seed = -3", "give a whole number of 0 or more")),
     "negative width": ("[packing]\nwidth = -0.1\n", ("packing.width = -0.1", "give a positive number, in m")),
     "infinite height": ("[packing]\nheight = inf\n", ("packing.height = inf", "is not finite")),
     "three diameters": (
         "[packing]\ndiameter = [1e-3, 2e-3, 3e-3]\n",
-        ("packing.diameter = [0.001, 0.002, 0.003]", "wrong number of entries"),
+        ("packing.diameter = [0.001, 0.002, 0.003]", "give (smallest, largest) in m"),
     ),
     "diameters in the wrong order": (
         "[packing]\ndiameter = [3e-3, 2e-3]\n",
-        ("packing.diameter = (0.003, 0.002)", "give (smallest, largest)"),
+        ("line 2: packing.diameter = [0.003, 0.002]", "give (smallest, largest)"),
     ),
     "disks too large for the box": (
         "[packing]\nwidth = 0.008\n",
@@ -118,8 +125,11 @@ WRONG = {
     ),
     "impossible porosity": ("[packing]\nporosity = 0.9\n", ("packing.porosity = 0.9", "between 0.1 and 0.5")),
     "negative packing seed": ("[packing]\nseed = -1\n", ("packing.seed = -1", "give a whole number of 0 or more")),
-    "text for a number": ('[sand]\nfriction = "high"\n', ('sand.friction = "high"', "is not a number")),
-    "truth for a number": ("[sand]\nfriction = true\n", ("sand.friction = true", "is not a number")),
+    "text for a number": (
+        '[sand]\nfriction = "high"\n',
+        ('line 2: sand.friction = "high"', "give a number of 0 or more"),
+    ),
+    "truth for a number": ("[sand]\nfriction = true\n", ("sand.friction = true", "give a number of 0 or more")),
     "negative modulus": (
         "[sand]\nshear_modulus = -1.0\n",
         ("sand.shear_modulus = -1.0", "give a positive number, in Pa"),
@@ -143,7 +153,7 @@ WRONG = {
     ),
     "cement wider than a disk": (
         "[pattern]\nc_diameter = 2.5e-3\n",
-        ("pattern.c_diameter = 0.0025", "packing.diameter[0] = 0.00212", "make it narrower"),
+        ("pattern.c_diameter = 0.0025", "packing.diameter[0] = 0.00212", "make it smaller"),
     ),
     "cluster larger than the box": (
         "[pattern]\ncluster_diameter = 0.2\n",
@@ -188,17 +198,20 @@ WRONG = {
     ),
     "a table with another key": (
         "[wave.frequency]\ncontent = [0.0, 9.0]\nfrequency = [4e3, 8e3]\nunit = 1\n",
-        ("wave.frequency.unit: unknown key of [wave.frequency]", "there are content, frequency"),
+        ("line 4: wave.frequency.unit: is unknown", "there are content, frequency"),
     ),
     "a table with one wrong number": (
         "[wave.frequency]\ncontent = [0.0, 9.0]\nfrequency = [4e3, true]\n",
-        ("wave.frequency.frequency = [4000.0, true]: entry 2 is not a number; give a list of positive frequencies",),
+        ("wave.frequency.frequency = [4000.0, true]: entry 2: give a list of positive frequencies",),
     ),
     "a table that is not rising": (
         "[wave.frequency]\ncontent = [9.0, 0.0]\nfrequency = [4e3, 8e3]\n",
         ("wave.frequency.content = [9.0, 0.0]", "give increasing contents in percent"),
     ),
-    "a date": ("[campaign]\nseeds = [2001-01-01]\n", ("campaign.seeds = [", "is a date, which no key takes")),
+    "a date": (
+        "[campaign]\nseeds = [2001-01-01]\n",
+        ("campaign.seeds = [2001-01-01]", "give a number n for the seeds 1 to n"),
+    ),
     "step above the limit": (
         "[wave]\nstep_fraction = 1.2\n",
         ("wave.step_fraction = 1.2", "above 1 the scheme is unstable", "give 0.05 to 0.95"),
@@ -222,7 +235,7 @@ WRONG = {
     "unknown method": ('[pick]\nmethod = "eye"\n', ('pick.method = "eye"', '"peak", "first_arrival" or "cross_corr')),
     "error out of reach": ("[pick]\nlargest_error = 1.5\n", ("pick.largest_error = 1.5", "give ")),
     "odd lanes": ("[run]\nlanes = 7\n", ("run.lanes = 7", "give 1, 2, 4, 8, 16 or 32")),
-    "truth as a number": ("[run]\nstore_sections = 1\n", ("run.store_sections = 1", "neither true nor false")),
+    "truth as a number": ("[run]\nstore_sections = 1\n", ("run.store_sections = 1", "give a valid boolean")),
     "no time": ("[run]\ntime_limit = 0.0\n", ("run.time_limit = 0.0", "give seconds above 0")),
     "database is a folder": ('[run]\ndatabase = "."\n', ('run.database = "."', "is a folder", "give a file name")),
     "database nowhere": (
@@ -313,6 +326,33 @@ def test_a_class_refuses_in_the_words_of_the_reference() -> None:
     for make in (lambda: read_configuration({"packing": {"porosity": 0.9}}), lambda: PackingRule(porosity=0.9)):
         with pytest.raises(ValueError, match=re.escape(f"porosity = 0.9: give {accepted}")):
             make()
+
+
+def test_one_checker_says_all_that_is_wrong_with_a_class(tmp_path: Path) -> None:
+    """A class made in Python refuses all wrong values in the words that a file gets, with section and line there."""
+    table = {"content": [0.0, 9.0], "frequency": [4e3, -1.0], "unit": 1}
+    with pytest.raises(FieldError) as in_python:
+        Excitation(table)
+    text = "# A table in one line.\n\n[wave]\n'frequency' = { content = [0, 9], frequency = [4e3, -1.0], unit = 1 }\n"
+    (tmp_path / "wrong.toml").write_text(text)
+    with pytest.raises(ConfigurationError) as in_file:
+        load_configuration(tmp_path / "wrong.toml")
+    assert [f"line 4: wave.{line}" for line in str(in_python.value).split("\n")] == [
+        problem.message for problem in in_file.value.problems
+    ]
+    with pytest.raises(
+        FieldError, match=r"^amplitude = -1: give a positive.*\ndamping = 2: give a factor in \[0, 0.7\]"
+    ):
+        WaveRule(amplitude=-1, damping=2)  # in the order of the fields
+
+
+def test_arrays_and_numbers_of_numpy_are_taken() -> None:
+    """Lists and arrays become tuples, numbers those of Python; an infinite strength never breaks, in Python alone."""
+    plan = CampaignPlan(seeds=np.int64(3), contents=np.array([0.0, 5.0]))  # type: ignore[arg-type]  # not declared
+    assert plan == CampaignPlan(seeds=3, contents=(0.0, 5.0))
+    assert Cement(tensile_strength=np.inf).tensile_strength == np.inf
+    with pytest.raises(ConfigurationError, match="tensile_strength = inf: is not finite"):
+        read_configuration({"cement": {"tensile_strength": np.inf}})
 
 
 @given(st.floats(min_value=1e-30, max_value=1e30))

@@ -24,20 +24,19 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.task import cell_result
-from calcidem.app.config.calibrated import _CALIBRATED, calibration_note
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import change_configuration, load_configuration
-from calcidem.app.config.reference import key_references
+from calcidem.app.config.reference import CALIBRATED, calibration_note, key_references
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import _velocity_remarks
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave import reading
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.first_look import WAVELENGTHS
-from calcidem.dem.wave.measurement import Interpretation, Outcome, measure
+from calcidem.dem.wave.experiment import WAVELENGTHS, Experiment
+from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.reading import (
     LEAST_COHERENCE,
     PickRule,
+    Reading,
     Verdict,
     find_candidates,
     read_section,
@@ -100,7 +99,7 @@ def experiment(small_configuration: Configuration, small_packing: Packing) -> Ex
 @pytest.fixture(scope="module")
 def section(experiment: Experiment) -> Section:
     """Give the section of a cell that has a velocity."""
-    return measure(replace(experiment, early_stop=False), CONTENT, (1,))[0].record.section
+    return measure(replace(experiment, early_stop=False), CONTENT, (1,))[0].section
 
 
 def test_every_unread_cell_has_its_number_a_remedy_and_a_picture(
@@ -139,7 +138,7 @@ def test_a_record_that_is_too_short_becomes_long_enough(
     short = replace(small_configuration, campaign=plan, wave=replace(small_configuration.wave, slowest=2000.0))
     with open_campaign(store_campaign(tmp_path / "short.db", short, small_packing)) as campaign:
         (cell,) = campaign.diagnose()
-    assert cell.reading.verdict is Verdict.TOO_SHORT
+    assert cell.reading is Verdict.TOO_SHORT
     assert f"the record ends at {1e3 * cell.section.duration:.3g} ms" in cell.finding
     assert list(cell.remedies) == ["wave.slowest"]
     (expected,) = measure(small_configuration.experiment(small_packing), CONTENT, (1,))
@@ -161,8 +160,8 @@ def test_each_verdict_has_its_number(experiment: Experiment, section: Section) -
     """A section made silent, cut, or put out of order says by how much."""
     quiet = replace(section, across=section.across.copy())
     quiet.across[:, -1] //= 1000
-    arrival = read_section(section).arrival
-    assert arrival is not None
+    arrival = read_section(section)
+    assert isinstance(arrival, Reading)
     cut, rising = section.until(len(arrival.clean) // 2 + 20), section.until(arrival.index - 5)
     reached = np.abs(rising.across[:, -1]).max() * RESOLUTION
     order = [*reversed(range(len(section.places) - 1)), -1]
@@ -180,7 +179,7 @@ def test_each_verdict_has_its_number(experiment: Experiment, section: Section) -
     assert {verdict for _, _, verdict, *_ in cases} == set(Verdict)
     for used, recorded, verdict, words in cases:
         reading = read_section(recorded, used.pick)
-        assert reading.verdict is verdict
+        assert (reading.verdict if isinstance(reading, Reading) else reading) is verdict
         assert words in _explain_refusal(used, recorded, reading, None)
 
 
@@ -215,8 +214,8 @@ def find(
             names = asdict(experiment.wave).items()
             vs = outcome({name for name, value in names if value != getattr(used.wave, name)})
             if isinstance(vs, str):
-                return (SimpleNamespace(result=Interpretation(Outcome.NO_ARRIVAL, vs)),)
-            return (SimpleNamespace(result=Interpretation(Outcome.DONE, vs=vs)),)
+                return (SimpleNamespace(vs=None, reason=vs),)
+            return (SimpleNamespace(vs=vs, reason=""),)
 
         monkeypatch.setattr("calcidem.app.campaign.diagnosis.measure", measured)
         cell = SimpleNamespace(reason=reason, key=SimpleNamespace(content=CONTENT, seed=1))
@@ -279,8 +278,8 @@ def test_a_large_numerical_error_says_its_bound(experiment: Experiment, section:
 
 def test_the_spectrum_passes_through_the_candidates(section: Section) -> None:
     """The arrival is one of the candidates, and the spectrum at its velocity is its coherence."""
-    arrival, candidates = read_section(section).arrival, find_candidates(section, SMOOTHING)
-    assert arrival is not None
+    arrival, candidates = read_section(section), find_candidates(section, SMOOTHING)
+    assert isinstance(arrival, Reading)
     (same,) = (one for one in candidates if one.index == arrival.index)
     assert (same.travel_time, same.coherence) == (arrival.travel_time, arrival.coherence)
     velocities = np.array([section.distance / one.travel_time for one in candidates])
@@ -337,7 +336,7 @@ def test_every_value_that_a_preset_calls_calibrated_is_known() -> None:
         for section, body in re.findall(r"(?ms)^\[([\w.]+)\]$(.*?)(?=^\[|\Z)", text)
         for key in re.findall(r"(?m)^(\w+) = .*# calibrated", body)
     }
-    assert marked == set(_CALIBRATED)
+    assert marked == set(CALIBRATED)
 
 
 @pytest.mark.full

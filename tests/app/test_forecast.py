@@ -1,8 +1,9 @@
 import pytest
 
 from calcidem.app.campaign.progress import _Forecast
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place
 
 PLACE = Place(rank=2, host="node7")
 BATCHES = [Batch(number, (number,), cost=1.0 + number, group=number) for number in range(3)]
@@ -40,5 +41,5 @@ def test_no_time_is_left_in_the_end() -> None:
     """Once all cells are settled, 0 s are left, even if none of them gave a measurement."""
     forecast = _Forecast(BATCHES)
     for batch in BATCHES:
-        forecast.record(BatchOutcome(batch, PLACE, 1.0, failure=Failure(FailureKind.FAILED, "on order")))
+        forecast.record(BatchOutcome(batch, PLACE, 1.0, failure=Failure(CellStatus.FAILED, "on order")))
     assert forecast.seconds_left(workers=1) == 0.0

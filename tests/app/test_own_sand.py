@@ -10,7 +10,7 @@ import pytest
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.own_sand import OwnSand, _OwnDisks, _parse_quantity
+from calcidem.app.config.own_sand import OwnDisks, OwnSand, parse_quantity
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation
 from calcidem.dem.sample.packing import Packing
@@ -58,7 +58,7 @@ def test_own_disks_are_written_with_lengths_of_their_box(tmp_path: Path) -> None
     place = np.stack(np.meshgrid(np.arange(0.5, 36.0), np.arange(0.5, 60.0)), axis=-1).reshape(-1, 2)
     radius = np.resize([0.3, 0.4, 0.5], len(place))
     write_disks_csv(*(1e-3 * place).T, 1e-3 * radius, tmp_path / "disks.csv")
-    disks = _OwnDisks.read(tmp_path / "disks.csv", tmp_path / "elsewhere")
+    disks = OwnDisks.read(tmp_path / "disks.csv", tmp_path / "elsewhere")
     assert (disks.file, disks.count) == ("../disks.csv", 2160)
     assert disks.width == pytest.approx(36e-3)
     assert disks.height == pytest.approx(60e-3 * np.pi * np.mean(radius**2) / 0.8, rel=1e-3)
@@ -71,14 +71,14 @@ def test_own_disks_are_written_with_lengths_of_their_box(tmp_path: Path) -> None
 
 def test_grain_sizes_and_stresses_have_units() -> None:
     """With or without a blank; what has no unit, another one, or is impossible is refused with an example."""
-    assert _parse_quantity("grain size", "0.3mm") == _parse_quantity("grain size", " 300 um") == 0.3e-3
-    assert _parse_quantity("stress", "1e5 Pa") == _parse_quantity("stress", "0.1MPa") == 1e5
+    assert parse_quantity("grain size", "0.3mm") == parse_quantity("grain size", " 300 um") == 0.3e-3
+    assert parse_quantity("stress", "1e5 Pa") == parse_quantity("stress", "0.1MPa") == 1e5
     for quantity, text in (
         *(("grain size", text) for text in ("3", "0mm", "-1mm", "nanmm", "1e99m", "1..mm", "3 kPa", "")),
         *(("stress", text) for text in ("100", "0kPa", "1psi")),
     ):
         with pytest.raises(ValueError, match="such as"):
-            _parse_quantity(quantity, text)
+            parse_quantity(quantity, text)
 
 
 def test_sands_that_cannot_be_computed_are_refused() -> None:

@@ -17,8 +17,8 @@ from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.plots import CampaignPlots, _with_step_of
 from calcidem.app.cli.exit_codes import _exit_code_of
-from calcidem.dem.wave.domain import domain_of, listening_disks
-from calcidem.dem.wave.film import film_wave
+from calcidem.dem.wave.propagation import film_wave
+from calcidem.dem.wave.scene import domain_of, listening_disks
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
 
 CELL = {"seed": 1, "content": 5.0}
@@ -77,14 +77,14 @@ def test_a_film_is_the_stored_wave(campaign: Campaign) -> None:
     assert section is not None
     count = len(section.across)
     film = film_wave(experiment, bonded, cell.frequency, frames=7, samples=count)
-    np.testing.assert_array_equal(film.record.section.across, section.across)
-    np.testing.assert_array_equal(film.record.section.along, section.along)
+    np.testing.assert_array_equal(film.section.across, section.across)
+    np.testing.assert_array_equal(film.section.along, section.along)
     whole, _ = experiment.stiffen()
     domain = domain_of(whole, experiment.wave, experiment.installation)
     heard = film.velocity[:, listening_disks(domain.packing, experiment.wave)].mean(axis=1)
     last = np.minimum(np.arange(1, 8) * -(-count // 7), count) - 1
     np.testing.assert_allclose(heard, section.received[last], rtol=1e-5, atol=section.resolution)
-    np.testing.assert_allclose(film.times, section.time[last] + 0.5 * film.record.time_step)
+    np.testing.assert_allclose(film.times, section.time[last] + 0.5 * film.section.time_step)
 
 
 def test_a_movie_has_the_step_of_its_cell(campaign: Campaign) -> None:

@@ -22,8 +22,9 @@ import calcidem
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.status import CampaignStatus
 from calcidem.dem.sample.packing import PackingStage
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place
 from calcidem.sweep.sweep_end import SweepEnd, SweepState
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def tell_a_story(display: ProgressDisplay, database: Path) -> None:
     time.sleep(0.5)
     reporter.read = lambda: CampaignStatus.read(database)
     reporter.on_start(BATCHES, workers=2)
-    failure = Failure(FailureKind.FAILED, "ZeroDivisionError: on order")
+    failure = Failure(CellStatus.FAILED, "ZeroDivisionError: on order")
     reporter.on_outcome(BatchOutcome(BATCHES[1], PLACE, 1.0, failure=failure))
     time.sleep(0.5)
     reporter.on_heartbeat()
@@ -58,7 +59,7 @@ def test_lines_tell_what_matters() -> None:
     text = stream.getvalue()
     total = sum(CampaignStatus.read(TUTORIAL).counts.values())
     for line in (
-        "packing: radius step 2 of 5, unbalanced-force ratio 5.0e-01",
+        "packing: radius step 2 of 5",
         "compiling",
         "6 cells in 3 batches on 2 workers",
         "failed: seed 1, 2.55 %, seed 2, 2.55 % on rank 2 (node7): ZeroDivisionError: on order",

@@ -1,52 +1,101 @@
+import sys
 from collections import Counter
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
+from places import CHECKOUT
 
-from calcidem.app.studies.stability.command import _judge_scene, _StabilityVerdict
-from calcidem.app.studies.stability.limits import Limits, _energy_drift, _force_step
-from calcidem.app.studies.stability.own_scenes import _OWN_KINDS, OwnScene
-from calcidem.app.studies.stability.scenes import (
-    Extreme,
-    Packed,
-    _small_packing,
-)
+from calcidem.app.config.schema import Configuration
+from calcidem.app.studies import stability as study
+from calcidem.app.studies.stability import SceneVerdict, stability
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.state import advance, start
+from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.error_estimate import shift_by_change
-from calcidem.dem.wave.measurement import Outcome, interpret_record, measure
+from calcidem.dem.wave.measurement import interpret, measure
 from calcidem.dem.wave.propagation import send_waves
-from calcidem.dem.wave.reading import read_section
+from calcidem.dem.wave.reading import Reading, read_section
 from calcidem.dem.wave.scene import wave_scene
+from calcidem.ends import CellStatus
+
+sys.path.append(str(CHECKOUT / "benchmarks" / "stability"))
+
+from extreme_scenes import Extreme, Packed, small_packing
+from own_scenes import OWN_KINDS, OwnScene
+from step_limits import Limits, energy_drift, force_step
 
 pytestmark = pytest.mark.slow
 
 SCENES = 512
 
 
+def test_a_quantity_of_a_campaign_is_varied_alone(
+    small_configuration: Configuration, small_packing: Packing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each value of a quantity has a row: a velocity that is right, a refusal with a cure, or a reason."""
+    few = {"wave.damping": (0.3, 1.0), "wave.frequency": (0.1,), "campaign.contents": (1.0,)}
+    monkeypatch.setattr(study, "QUANTITIES", {key: (key, values) for key, values in few.items()})
+    experiment = small_configuration.experiment(small_packing)
+    found = stability(small_configuration, experiment, 5.0)
+    assert [row["verdict"] for row in found.rows[:3]] == [
+        SceneVerdict.STABLE,
+        SceneVerdict.REFUSED,
+        SceneVerdict.STOPPED,
+    ]
+    assert "a factor in [0, 0.7]" in found.rows[1]["reason"]
+    assert found.rows[3]["campaign.contents"] == pytest.approx(experiment.ordering(1).maximum_content, abs=1e-6)
+    assert "| wave.damping | 1 | 1 | 0 | 0 |" in found.text
+    assert not found.is_wrong
+    assert len(found.figures[""]().axes) == 4
+
+
+def test_scenes_of_a_campaign_are_drawn_in_all_quantities(
+    small_configuration: Configuration, small_packing: Packing
+) -> None:
+    """A scene has a value of every quantity within its range, the same for the same seed."""
+    first, again = (
+        stability(small_configuration, small_configuration.experiment(small_packing), 5.0, scenes=3, draw=2)
+        for _ in range(2)
+    )
+    assert first.rows == again.rows
+    assert all(row.keys() >= study.QUANTITIES.keys() for row in first.rows)
+    assert not first.is_wrong
+
+
+@pytest.mark.full
+def test_no_extreme_value_of_a_campaign_gives_a_wrong_velocity_in_silence(
+    small_configuration: Configuration, small_packing: Packing
+) -> None:
+    """Along all quantities, and in 64 scenes drawn at random."""
+    experiment = small_configuration.experiment(small_packing)
+    for scenes in (0, 64):
+        found = stability(small_configuration, experiment, 5.0, scenes=scenes)
+        assert not found.is_wrong, found.text
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("scenes", [SCENES // 32, SCENES])
 def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None:
     """Of the scenes drawn over all quantities each is right, refused with a cure, or found out with a reason."""
-    judgements = [_judge_scene(scene) for scene in Extreme.draw(scenes, seed=1)]
-    assert [judgement for judgement in judgements if judgement.verdict == _StabilityVerdict.WRONG] == []
+    judgements = [scene.judge() for scene in Extreme.draw(scenes, seed=1)]
+    assert [judgement for judgement in judgements if judgement.verdict == SceneVerdict.WRONG] == []
     count = Counter(judgement.verdict for judgement in judgements)
     # The draw has to reach all three, or it shows nothing.
     assert all(
         count[verdict] >= 20 * scenes // SCENES
-        for verdict in (_StabilityVerdict.STABLE, _StabilityVerdict.REFUSED, _StabilityVerdict.DETECTED)
+        for verdict in (SceneVerdict.STABLE, SceneVerdict.REFUSED, SceneVerdict.STOPPED)
     ), count
-    assert all(judgement.reason for judgement in judgements if judgement.verdict != _StabilityVerdict.STABLE)
+    assert all(judgement.reason for judgement in judgements if judgement.verdict != SceneVerdict.STABLE)
 
 
 @pytest.mark.parametrize("regimes", [{"linear"}, pytest.param({"linear", "small", "finite"}, marks=pytest.mark.full)])
 def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str]) -> None:
     """Where a velocity is to be expected most scenes give one, and each is right."""
     scenes = [scene for scene in Extreme.draw(40, seed=3, box="plausible") if scene.regime in regimes]
-    judgements = [_judge_scene(scene) for scene in scenes]
-    assert [judgement for judgement in judgements if judgement.verdict == _StabilityVerdict.WRONG] == []
+    judgements = [scene.judge() for scene in scenes]
+    assert [judgement for judgement in judgements if judgement.verdict == SceneVerdict.WRONG] == []
     assert sum(judgement.error is not None for judgement in judgements) >= 15 / 40 * len(scenes) > 2
 
 
@@ -54,41 +103,37 @@ def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str])
 @pytest.mark.parametrize("scenes", [SCENES // 16, SCENES])
 def test_no_scene_of_ones_own_goes_wrong_in_silence(scenes: int) -> None:
     """Impacts, disks that just touch, gravity and bonds across gaps end right to 2 %, or with an error that says so."""
-    judgements = [_judge_scene(scene) for scene in OwnScene.draw(scenes, seed=1)]
-    assert [judgement for judgement in judgements if judgement.verdict == _StabilityVerdict.WRONG] == []
-    count = Counter(
-        judgement.scene.kind  # type: ignore[union-attr]
-        for judgement in judgements
-        if judgement.verdict == _StabilityVerdict.STABLE
-    )
-    assert all(count[kind] >= scenes // len(_OWN_KINDS) // 2 for kind in _OWN_KINDS), count
-    assert all(judgement.reason for judgement in judgements if judgement.verdict != _StabilityVerdict.STABLE)
+    judged = [(scene.kind, scene.judge()) for scene in OwnScene.draw(scenes, seed=1)]
+    assert [pair for pair in judged if pair[1].verdict == SceneVerdict.WRONG] == []
+    count = Counter(kind for kind, judgement in judged if judgement.verdict == SceneVerdict.STABLE)
+    assert all(count[kind] >= scenes // len(OWN_KINDS) // 2 for kind in OWN_KINDS), count
+    assert all(judgement.reason for _, judgement in judged if judgement.verdict != SceneVerdict.STABLE)
 
 
 @pytest.mark.full
 def test_an_unstable_run_is_found_at_the_first_look() -> None:
     """With a step 5 % above the true limit a run ends after 50 samples; 1 % below it goes on."""
-    caught = _force_step(1.05, "linear")
+    caught = force_step(1.05, "linear")
     assert caught.steps == caught.looks
     assert "moves at" in caught.problem
-    assert _force_step(0.99, "linear").steps is None
+    assert force_step(0.99, "linear").steps is None
 
 
 @pytest.mark.full
 def test_undamped_runs_keep_their_energy() -> None:
     """Over 100,000 steps the linear regime keeps its invariant to rounding, the others their balance to 2 %."""
-    assert _energy_drift("linear", 100_000) < 1e-11
+    assert energy_drift("linear", 100_000) < 1e-11
     # The balance of the leapfrog swings by (omega dt)^2 but does not drift.
-    assert _energy_drift("small", 100_000) < 0.02
+    assert energy_drift("small", 100_000) < 0.02
 
 
 @pytest.mark.parametrize("floating", [1, 3])
 def test_disks_that_float_in_a_pore_do_no_harm(floating: int) -> None:
     """A grain without a contact, or a bonded cluster that nothing holds, changes no velocity."""
     with_them, without = (
-        _judge_scene(Extreme(step_fraction=0.5, content=1.0, contrast=1.0, floating=count)) for count in (floating, 0)
+        Extreme(step_fraction=0.5, content=1.0, contrast=1.0, floating=count).judge() for count in (floating, 0)
     )
-    assert with_them.verdict == without.verdict == _StabilityVerdict.STABLE
+    assert with_them.verdict == without.verdict == SceneVerdict.STABLE
     # Small bonded disks need a smaller step, which moves Vs by half a percent in so small a lattice.
     assert with_them.vs == pytest.approx(without.vs, rel=1e-2)
 
@@ -105,10 +150,10 @@ def test_near_isostaticity_the_linear_regime_bounds_what_it_leaves_out(
     stress: float, friction: float, seed: int
 ) -> None:
     """A bare packing has the finite regime's velocity within the linear one's bound, and none below isostaticity."""
-    packing = _small_packing(stress, friction, seed)
+    packing = small_packing(stress, friction, seed)
     scene = Packed(stress, friction, 0.0, "linear", seed)
-    judgement = _judge_scene(scene)
-    assert judgement.verdict != _StabilityVerdict.WRONG, judgement
+    judgement = scene.judge()
+    assert judgement.verdict != SceneVerdict.WRONG, judgement
     if friction > Sand().friction and seed == 1:
         assert packing.report.coordination_number_without_rattlers < 3.0
         assert judgement.vs is None
@@ -127,8 +172,8 @@ def test_near_isostaticity_the_linear_regime_bounds_what_it_leaves_out(
 )
 def test_slip_that_begins_down_the_way_is_counted(scene: Packed) -> None:
     """Contacts of cemented packings near isostaticity slip after the pulse was sent; what was stated is not given."""
-    judgement = _judge_scene(scene)
-    assert judgement.verdict != _StabilityVerdict.WRONG, judgement
+    judgement = scene.judge()
+    assert judgement.verdict != SceneVerdict.WRONG, judgement
 
 
 @pytest.mark.parametrize("contrast", [1.0, 1e3, 1e6])
@@ -143,24 +188,24 @@ def test_the_predicted_limit_is_safe_and_sharp(contrast: float, damping: float, 
 
 def test_a_step_above_the_limit_is_refused_with_the_cure() -> None:
     """A step fraction above 1 is refused before anything is computed."""
-    judgement = _judge_scene(Extreme(step_fraction=1.01))
-    assert judgement.verdict == _StabilityVerdict.REFUSED
+    judgement = Extreme(step_fraction=1.01).judge()
+    assert judgement.verdict == SceneVerdict.REFUSED
     assert "give 0.05 to 0.95" in judgement.reason
 
 
 @pytest.mark.parametrize("regime", ["linear", "small"])
 def test_a_pulse_too_strong_for_its_regime_is_refused(regime: str) -> None:
     """10 m/s is refused where stiffness or geometry are taken for constant, with the largest amplitude that is not."""
-    judgement = _judge_scene(replace(Extreme(amplitude=10.0), regime=regime))  # type: ignore[arg-type]
-    assert judgement.verdict == _StabilityVerdict.REFUSED
+    judgement = replace(Extreme(amplitude=10.0), regime=regime).judge()  # type: ignore[arg-type]
+    assert judgement.verdict == SceneVerdict.REFUSED
     assert "amplitude of at most" in judgement.reason
 
 
 @pytest.mark.full
 def test_what_is_unbalanced_is_held_while_a_tiny_pulse_passes() -> None:
     """A gap in the lattice leaves forces unbalanced: a tiny pulse has the linear regime's velocity all the same."""
-    finite, linear = (_judge_scene(Extreme(amplitude=1e-9, missing=0.1, regime=each)) for each in ("finite", "linear"))
-    assert finite.verdict == linear.verdict == _StabilityVerdict.STABLE
+    finite, linear = (Extreme(amplitude=1e-9, missing=0.1, regime=each).judge() for each in ("finite", "linear"))
+    assert finite.verdict == linear.verdict == SceneVerdict.STABLE
     assert finite.vs == pytest.approx(linear.vs, rel=5e-3)
 
 
@@ -170,11 +215,11 @@ def test_bonds_that_break_are_reported_after_one_retry() -> None:
     scene = Extreme(strength=0.01, regime="small", amplitude=1e-3, content=0.9)
     experiment, content = scene.experiment()
     found = measure(experiment, content, [1], lanes=1)[0]
-    assert found.result.outcome == Outcome.UNSTABLE
+    assert found.status is CellStatus.UNSTABLE
     assert found.vs is None
-    assert "bonds broke" in found.result.reason
-    assert "bonds broke" in found.record.retry
-    assert found.record.time_step == pytest.approx(0.5 * scene.step_fraction * found.record.stability_limit)
+    assert "bonds broke" in found.reason
+    assert "bonds broke" in found.section.retry
+    assert found.section.time_step == pytest.approx(0.5 * scene.step_fraction * found.section.stability_limit)
 
 
 def test_chatter_counts_what_half_of_the_step_changes() -> None:
@@ -182,28 +227,27 @@ def test_chatter_counts_what_half_of_the_step_changes() -> None:
     scene = Extreme(damping=0.66, content=0.3, contrast=100.0)
     strong, content = scene.experiment()
     found = measure(strong, content, [1], lanes=1)[0]
-    assert found.record.time_step == pytest.approx(0.5 * scene.step_fraction * found.record.stability_limit)
+    assert found.section.time_step == pytest.approx(0.5 * scene.step_fraction * found.section.stability_limit)
     cemented = [strong.ordering(1).at(content).bonded]
-    (coarse,) = send_waves(strong, cemented, found.frequency, stop_when=lambda _: False, lanes=1)
-    arrivals = [read_section(record.section, strong.pick).arrival for record in (coarse, found.record)]
-    assert arrivals[0] is not None
-    assert arrivals[1] is not None
-    assert found.result.error is not None
-    change = abs(arrivals[0].travel_time / arrivals[1].travel_time - 1.0)
-    assert found.result.error.bound >= found.result.error.parts.chatter > 3.2 * change > 0.0
-    assert found.result.error.expected > 0.7 * change
+    (coarse,) = send_waves(strong, cemented, found.section.frequency, stop_when=lambda _: False, lanes=1)
+    before, reading = read_section(coarse, strong.pick), found.reading
+    assert isinstance(before, Reading)
+    assert reading is not None
+    assert found.error_parts is not None
+    change = abs(before.travel_time / reading.travel_time - 1.0)
+    assert found.error_bound >= found.error_parts.chatter > 3.2 * change > 0.0
+    assert found.expected_error > 0.7 * change
     # Peaks at the same time may agree by luck: a signal that is 20 % stronger counts as a change.
-    section = found.record.section
+    section = found.section
     louder = replace(section, across=6 * section.across // 5, along=6 * section.along // 5)
-    stronger = replace(found.record, section=louder)
-    other = interpret_record(strong, found.record, stronger).error
+    other = interpret(strong, found, louder).error_parts
     assert other is not None
-    assert other.parts.chatter == pytest.approx(4.6 * 0.71 * 0.2 * shift_by_change(section, arrivals[1]), rel=1e-2)
-    ended = interpret_record(strong, found.record, replace(found.record, problem="a guard ended the full step"))
+    assert other.chatter == pytest.approx(4.6 * 0.71 * 0.2 * shift_by_change(section, reading), rel=1e-2)
+    ended = interpret(strong, found, replace(section, problem="a guard ended the full step"))
     assert ended.vs is None
     assert "make step_fraction or damping smaller" in ended.reason
     usual = measure(replace(strong, wave=replace(strong.wave, damping=0.35)), content, [1], lanes=1)[0]
-    assert usual.record.time_step == pytest.approx(scene.step_fraction * usual.record.stability_limit)
+    assert usual.section.time_step == pytest.approx(scene.step_fraction * usual.section.stability_limit)
 
 
 @pytest.mark.full

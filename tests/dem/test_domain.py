@@ -12,14 +12,14 @@ from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.cement import CementRule, draw_cement
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.domain import domain_of, listening_disks, station_disks
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Outcome, measure
+from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
-from calcidem.dem.wave.scene import wave_scene
+from calcidem.dem.wave.scene import domain_of, listening_disks, station_disks, wave_scene
 from calcidem.dem.wave.section import RESOLUTION, Counts
+from calcidem.ends import CellStatus
 
 RULE = WaveRule(
     transmitter_half_width=0.006,
@@ -51,11 +51,11 @@ def heard(packing: Packing, rule: WaveRule, content: float, time_step: float) ->
     assert time_step <= SAFETY * recorder.state.critical_time_step[0]
     recorder.stride = STRIDE
     recorder.state = replace(recorder.state, time_step=np.array([time_step]))
-    (record,) = recorder.run(lambda record: len(record.section.across) >= 20 * SAMPLES_PER_CHUNK, lambda: None)
+    (record,) = recorder.run(lambda record: len(record.across) >= 20 * SAMPLES_PER_CHUNK, lambda: None)
     velocity = recorder.state.motion.velocity[np.argsort(recorder.state.assembly.order), :2, 0]
     part = experiment.domain.packing
     groups = (*station_disks(part, rule), listening_disks(part, rule))
-    return record.section.across * [len(disks) for disks in groups], velocity[groups[-1]]
+    return record.across * [len(disks) for disks in groups], velocity[groups[-1]]
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_stations_record_the_mean_of_their_disks(packing: Packing) -> None:
     """Each place is the plain mean of a slice, the last one that of the receiver, in whole steps."""
     experiment = Experiment(packing, sand=SAND, wave=RULE)
     recorder = prepare_recorder(experiment, [bonded(packing, 5.0)], FREQUENCY, 1, check=lambda: None)
-    (record,) = recorder.run(lambda record: len(record.section.across) >= SAMPLES_PER_CHUNK, lambda: None)
+    (record,) = recorder.run(lambda record: len(record.across) >= SAMPLES_PER_CHUNK, lambda: None)
     assert recorder.state.steps == recorder.steps_per_look
     part = domain_of(packing, RULE, "preserve").packing
     velocity = recorder.state.motion.velocity[np.argsort(recorder.state.assembly.order), :2, 0]
@@ -151,11 +151,11 @@ def test_stations_record_the_mean_of_their_disks(packing: Packing) -> None:
     along, across = np.array([velocity[disks].mean(axis=0) for disks in listening]).T
     step = RULE.amplitude * RESOLUTION
     assert np.abs([along, across]).max() > 1e3 * step
-    np.testing.assert_allclose(record.section.across[-1] * step, across, atol=0.501 * step)
-    np.testing.assert_allclose(record.section.along[-1] * step, along, atol=0.501 * step)
-    assert record.section.across.dtype == record.section.along.dtype == np.int32
-    assert len(record.section.places) == len(listening) > 1
-    np.testing.assert_allclose(record.section.places, [part.x[disks].mean() for disks in listening], rtol=1e-12)
+    np.testing.assert_allclose(record.across[-1] * step, across, atol=0.501 * step)
+    np.testing.assert_allclose(record.along[-1] * step, along, atol=0.501 * step)
+    assert record.across.dtype == record.along.dtype == np.int32
+    assert len(record.places) == len(listening) > 1
+    np.testing.assert_allclose(record.places, [part.x[disks].mean() for disks in listening], rtol=1e-12)
 
 
 def test_samples_are_taken_in_the_middle_of_every_last_step(packing: Packing) -> None:
@@ -163,12 +163,11 @@ def test_samples_are_taken_in_the_middle_of_every_last_step(packing: Packing) ->
     experiment = Experiment(packing, sand=SAND, wave=RULE)
     recorder = prepare_recorder(experiment, [bonded(packing, 5.0)], FREQUENCY, 1, check=lambda: None)
     recorder.record_chunk(3)
-    record = recorder.record_of(0, "")
-    section = record.section
-    assert record.stride > 1
-    assert section.sampling_interval == pytest.approx(record.stride * record.time_step, rel=1e-14)
-    assert section.start_time == pytest.approx(section.sampling_interval - record.time_step / 2.0, rel=1e-12)
-    assert section.duration == pytest.approx(record.steps * record.time_step, rel=1e-12)
+    section = recorder.section_of(0)
+    assert recorder.stride > 1
+    assert section.sampling_interval == pytest.approx(recorder.stride * section.time_step, rel=1e-14)
+    assert section.start_time == pytest.approx(section.sampling_interval - section.time_step / 2.0, rel=1e-12)
+    assert section.duration == pytest.approx(section.steps * section.time_step, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -180,11 +179,27 @@ def test_a_cell_has_one_reading(packing: Packing, lanes: int, early_stop: bool) 
     alone = measure(experiment, 0.66, [5], lanes=1)[0]
     seeds = (5, 1, 3)[: min(lanes, 3)]
     cell = measure(replace(experiment, early_stop=early_stop), 0.66, seeds, lanes=lanes)[0]
-    assert cell.result.outcome is Outcome.DONE
-    one, other = cell.result.reading, alone.result.reading
+    assert cell.status is CellStatus.DONE
+    one, other = cell.reading, alone.reading
     assert one is not None
     assert other is not None
     for name in ("peak", "first_arrival", "cross_correlation", "error", "path", "path_error"):
         assert getattr(one, name) == getattr(other, name)
-    assert (cell.vs, cell.result.error) == (alone.vs, alone.result.error)
-    assert early_stop or len(cell.record.section.across) > len(alone.record.section.across)
+    assert (cell.vs, cell.error_parts) == (alone.vs, alone.error_parts)
+    assert (cell.expected_error, cell.error_bound) == (alone.expected_error, alone.error_bound)
+    assert early_stop or len(cell.section.across) > len(alone.section.across)
+
+
+def test_a_kept_value_belongs_to_its_function(packing: Packing) -> None:
+    """True, 1 and 1.0 are equal: what one function gave for one of them is never taken for that of another."""
+    experiment = Experiment(packing)
+    calls = []
+
+    def first(_: Experiment, cemented: bool) -> str:
+        calls.append(cemented)
+        return "first"
+
+    assert experiment.once(first, True) == "first"
+    assert experiment.once(lambda _, stroke: f"second of {stroke}", 1.0) == "second of 1.0"
+    assert experiment.once(first, True) == "first"
+    assert calls == [True]

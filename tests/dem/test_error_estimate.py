@@ -17,7 +17,6 @@ from calcidem.dem.wave import measurement
 from calcidem.dem.wave.error_estimate import ErrorParts, chatters, cure_of, error_bound, estimate_error, shift_by_change
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.linearity import (
-    Nonlinearity,
     _intact_bonds,
     _spring_work,
     _strained_contacts,
@@ -26,10 +25,9 @@ from calcidem.dem.wave.linearity import (
 )
 from calcidem.dem.wave.measurement import _change_by_halving
 from calcidem.dem.wave.pulse import Pulse
-from calcidem.dem.wave.reading import ShearArrival, read_section
-from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.reading import Reading, read_section
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.dem.wave.section import Section
+from calcidem.dem.wave.section import Nonlinearity, Section
 
 WAY, RADIUS, OVERLAP = 0.094, 1.25e-3, 1e-6  # m; one disk is listened to, there
 AMPLITUDE = 1e-4  # m/s
@@ -40,8 +38,17 @@ PACKING = bare_packing(
 EXPERIMENT = Experiment(PACKING, wave=WaveRule(amplitude=AMPLITUDE))  # linear, with damping
 EXACT = Experiment(PACKING, wave=WaveRule(regime="finite", damping=0.0))  # nothing but step and sampling
 SAMPLING = 1e-6  # s
-SECTION = Section(SAMPLING, 0.0, FREQUENCY, AMPLITUDE, (WAY,), *np.zeros((2, 3, 1), dtype=np.int32))
-RECORD = WaveRecord(time_step=1e-7, stride=10, section=SECTION, stability_limit=1.25e-7, steps=30)
+SECTION = Section(
+    SAMPLING,
+    0.0,
+    FREQUENCY,
+    AMPLITUDE,
+    (WAY,),
+    *np.zeros((2, 3, 1), dtype=np.int32),
+    time_step=1e-7,
+    stability_limit=1.25e-7,
+    steps=30,
+)
 
 
 def waves(experiment: Experiment, **changes: object) -> Experiment:
@@ -54,31 +61,31 @@ def pressed(experiment: Experiment, overlap: float) -> Experiment:
     return replace(experiment, packing=replace(PACKING, report=replace(PACKING.report, mean_overlap=overlap)))
 
 
-def slipping(softening: float = 0.0, slipped: float = 0.0) -> WaveRecord:
-    """The record with contacts that would slip."""
-    return replace(RECORD, nonlinear=(Nonlinearity(0.0, softening),), slipped=slipped)
+def slipping(softening: float = 0.0, slipped: float = 0.0) -> Section:
+    """The section with contacts that would slip."""
+    return replace(SECTION, nonlinear=(Nonlinearity(0.0, softening),), slipped=slipped)
 
 
-def received(stretch: float = 1.0, travel_time: float = TRAVEL_TIME, roughness: float = 0.0) -> ShearArrival:
+def received(stretch: float = 1.0, travel_time: float = TRAVEL_TIME, roughness: float = 0.0) -> Reading:
     """A pulse that arrives after a travel time, its width multiplied."""
     time = np.arange(0.0, 6.0 / FREQUENCY, SAMPLING)
     middle = 0.5 / FREQUENCY
     clean = Pulse(1.0, FREQUENCY).velocity(middle + (time - TRAVEL_TIME - middle) / stretch)
     index = round((TRAVEL_TIME + middle) / SAMPLING)
-    return ShearArrival(travel_time, 1.0, 0.0, 0.0, 0.0, roughness, None, None, index, clean[:, np.newaxis])
+    return Reading(travel_time, 1.0, 0.0, 0.0, 0.0, roughness, None, index, clean[:, np.newaxis])
 
 
 def parts(
     experiment: Experiment = EXPERIMENT,
-    record: WaveRecord = RECORD,
+    record: Section = SECTION,
     frequency: float = FREQUENCY,
     travel_time: float = TRAVEL_TIME,
     *,
     noisy: bool = False,
 ) -> ErrorParts:
     """Parts of the error, of the cell at hand but for what is given."""
-    record = replace(record, section=replace(record.section, frequency=frequency))
-    return estimate_error(experiment, record, received(1.0, travel_time, 0.101 if noisy else 0.099)).parts
+    record = replace(record, frequency=frequency)
+    return estimate_error(experiment, record, received(1.0, travel_time, 0.101 if noisy else 0.099))[2]
 
 
 def test_a_plain_cell_has_the_error_of_its_step_and_sampling_alone() -> None:
@@ -93,23 +100,21 @@ def test_a_plain_cell_has_the_error_of_its_step_and_sampling_alone() -> None:
 @pytest.mark.parametrize(
     ("part", "experiment", "record", "noisy"),
     [
-        ("step", EXPERIMENT, replace(RECORD, time_step=2e-7, stride=5, stability_limit=2.5e-7), False),
-        ("sampling", EXPERIMENT, replace(RECORD, section=replace(SECTION, sampling_interval=2.0 * SAMPLING)), False),
-        ("regime", waves(EXPERIMENT, amplitude=2.0 * AMPLITUDE), RECORD, False),
-        ("regime", pressed(EXPERIMENT, 10.0 * OVERLAP), RECORD, False),
-        ("regime", EXPERIMENT, replace(RECORD, closing_gaps=0.01), False),
+        ("step", EXPERIMENT, replace(SECTION, time_step=2e-7, stability_limit=2.5e-7), False),
+        ("sampling", EXPERIMENT, replace(SECTION, sampling_interval=2.0 * SAMPLING), False),
+        ("regime", waves(EXPERIMENT, amplitude=2.0 * AMPLITUDE), SECTION, False),
+        ("regime", pressed(EXPERIMENT, 10.0 * OVERLAP), SECTION, False),
+        ("regime", EXPERIMENT, replace(SECTION, closing_gaps=0.01), False),
         ("slip", EXPERIMENT, slipping(softening=0.01), False),
         ("slip", EXPERIMENT, slipping(slipped=0.01), False),
-        ("precision", waves(EXPERIMENT, precision="float32"), RECORD, False),
-        ("noise", EXPERIMENT, RECORD, True),
-        ("chatter", EXPERIMENT, replace(RECORD, stability_limit=1.1e-7), False),
-        ("unbalanced", EXPERIMENT, replace(RECORD, unbalanced_speed=1e-4), False),
-        ("breaking", EXPERIMENT, replace(RECORD, broken_bonds=3, bonds=560), False),
+        ("precision", waves(EXPERIMENT, precision="float32"), SECTION, False),
+        ("noise", EXPERIMENT, SECTION, True),
+        ("chatter", EXPERIMENT, replace(SECTION, stability_limit=1.1e-7), False),
+        ("unbalanced", EXPERIMENT, replace(SECTION, unbalanced_speed=1e-4), False),
+        ("breaking", EXPERIMENT, replace(SECTION, broken_bonds=3, bonds=560), False),
     ],
 )
-def test_each_cause_raises_its_own_part_alone(
-    part: str, experiment: Experiment, record: WaveRecord, noisy: bool
-) -> None:
+def test_each_cause_raises_its_own_part_alone(part: str, experiment: Experiment, record: Section, noisy: bool) -> None:
     """More of a cause makes its part larger, leaves the others, and so raises the whole."""
     before, after = parts(), parts(experiment, record, noisy=noisy)
     assert getattr(after, part) > getattr(before, part)
@@ -118,12 +123,12 @@ def test_each_cause_raises_its_own_part_alone(
     assert error_bound(after) > error_bound(before)
 
 
-@given(st.floats(1e-9, 1e-6), st.integers(1, 50), st.floats(1e3, 5e4), st.floats(2e-5, 2e-3), st.floats(0.0, 0.7))
+@given(st.floats(1e-9, 1e-6), st.floats(1e3, 5e4), st.floats(2e-5, 2e-3), st.floats(0.0, 0.7))
 def test_the_error_is_at_least_that_of_each_part(
-    time_step: float, stride: int, frequency: float, travel_time: float, damping: float
+    time_step: float, frequency: float, travel_time: float, damping: float
 ) -> None:
     """No part is negative, and none takes another away."""
-    record = replace(RECORD, time_step=time_step, stride=stride, stability_limit=1.25 * time_step)
+    record = replace(SECTION, time_step=time_step, stability_limit=1.25 * time_step)
     experiment = waves(EXPERIMENT, damping=damping, precision="float32")
     found = parts(experiment, record, frequency, travel_time, noisy=True)
     assert min(found) >= 0.0
@@ -135,22 +140,22 @@ def test_the_error_is_at_least_that_of_each_part(
 
 def test_bonds_that_break_count_as_rare_events_do() -> None:
     """Two standard deviations of their number, over all bonds; none in a sample that has none."""
-    four, sixteen = (parts(EXACT, replace(RECORD, broken_bonds=count, bonds=1000)).breaking for count in (4, 16))
+    four, sixteen = (parts(EXACT, replace(SECTION, broken_bonds=count, bonds=1000)).breaking for count in (4, 16))
     assert (four, sixteen) == pytest.approx((4e-3, 8e-3))
-    assert parts(EXACT, replace(RECORD, broken_bonds=0, bonds=0)).breaking == 0.0
+    assert parts(EXACT, replace(SECTION, broken_bonds=0, bonds=0)).breaking == 0.0
 
 
 def test_the_step_has_the_dispersion_of_leapfrog() -> None:
     """Beyond the half step of damping it is the exact shift of a frequency three times that of the pulse."""
-    angle = 3.0 * 2.0 * np.pi * FREQUENCY * RECORD.time_step
+    angle = 3.0 * 2.0 * np.pi * FREQUENCY * SECTION.time_step
     shift = 2.0 / angle * np.arcsin(angle / 2.0) - 1.0
-    assert parts(EXACT).step - 0.5 * RECORD.time_step / TRAVEL_TIME == pytest.approx(shift, rel=1e-3)
+    assert parts(EXACT).step - 0.5 * SECTION.time_step / TRAVEL_TIME == pytest.approx(shift, rel=1e-3)
 
 
 def test_a_damped_step_counts_more() -> None:
     """Half a step of the travel time, over the part of a force that local damping leaves."""
     first = [parts(waves(EXACT, damping=damping)).step - parts(EXACT).step for damping in (0.5, 0.6)]
-    half = 0.5 * RECORD.time_step / TRAVEL_TIME
+    half = 0.5 * SECTION.time_step / TRAVEL_TIME
     assert first == pytest.approx([half, 1.5 * half])
 
 
@@ -177,7 +182,7 @@ def test_noise_moves_a_peak_as_far_as_it_is_said() -> None:
 
 def test_regimes_count_what_they_leave_out() -> None:
     """Small displacement misses turning and closing contacts, linear also stiffening, finite nothing."""
-    record, stroke = replace(RECORD, closing_gaps=0.01), AMPLITUDE / FREQUENCY
+    record, stroke = replace(SECTION, closing_gaps=0.01), AMPLITUDE / FREQUENCY
     small, linear = (parts(waves(EXPERIMENT, regime=name), record).regime for name in ("small", "linear"))
     assert parts(waves(EXPERIMENT, regime="finite")).regime == 0.0
     assert small == pytest.approx(3.0 * OVERLAP / RADIUS + 0.5 * 0.01)
@@ -194,7 +199,7 @@ def test_changes_of_shape_weigh_more_on_a_short_way() -> None:
 @given(st.floats(0.01, 0.7), st.floats(0.1, 1.0))
 def test_chatter_grows_with_damping_and_step(damping: float, fraction: float) -> None:
     """It is the cube of a / (1 - a) times the fourth power of the step over its limit."""
-    record = replace(RECORD, stability_limit=RECORD.time_step / fraction)
+    record = replace(SECTION, stability_limit=SECTION.time_step / fraction)
     expected = 1.8e-2 * (damping / (1.0 - damping)) ** 3 * fraction**4
     assert parts(waves(EXPERIMENT, damping=damping), record).chatter == pytest.approx(expected)
 
@@ -218,7 +223,7 @@ def test_softening_counts_for_more_than_it_takes_where_slip_is_even() -> None:
 def test_slip_counts_until_the_pulse_has_come() -> None:
     """Looks after 1, 3, 5 and 7 periods count until the whole pulse, a period long, has gone the way."""
     looks = tuple(Nonlinearity(0.0, softening) for softening in (1e-3, 2e-3, 4e-3, 8e-3))
-    late = replace(RECORD, nonlinear=looks)
+    late = replace(SECTION, nonlinear=looks)
     for periods, largest in ((1.9, 1e-3), (2.1, 2e-3), (3.9, 2e-3), (4.1, 4e-3), (5.9, 4e-3)):
         found = parts(record=late, travel_time=periods / FREQUENCY).slip
         assert found == parts(record=slipping(softening=largest), travel_time=periods / FREQUENCY).slip
@@ -251,8 +256,8 @@ def test_the_cure_of_a_large_bound_works() -> None:
 
 def expected(share: float, stretch: float = 1.0, experiment: Experiment = EXACT) -> float:
     """Error to expect if that share of the work is nonlinear."""
-    record = replace(RECORD, nonlinear=(Nonlinearity(share, 0.0),))
-    return estimate_error(experiment, record, received(stretch)).expected
+    record = replace(SECTION, nonlinear=(Nonlinearity(share, 0.0),))
+    return estimate_error(experiment, record, received(stretch))[0]
 
 
 def test_a_changed_signal_moves_its_peak_as_far_as_is_expected() -> None:
@@ -271,14 +276,14 @@ def test_a_flat_peak_lets_expect_a_larger_error() -> None:
     assert wide == pytest.approx(4.0 * narrow, rel=0.1)
     assert expected(3e-3) - expected(0.0) == pytest.approx(3.0 * narrow)
     level = 5e-3
-    chattering = estimate_error(EXACT, RECORD, received(roughness=level)).expected
+    chattering = estimate_error(EXACT, SECTION, received(roughness=level))[0]
     assert chattering - expected(0.0) == pytest.approx(narrow * 0.25 * level / 1.7e-3, rel=0.1)
 
 
 def test_the_step_lets_expect_an_error_of_first_order() -> None:
     """Half the limit means twice the step over it, 1.6 for 0.8, and all is below the bound."""
-    coarse = replace(RECORD, stability_limit=0.5 * RECORD.stability_limit)
-    errors = [estimate_error(EXACT, record, received()).expected for record in (RECORD, coarse)]
+    coarse = replace(SECTION, stability_limit=0.5 * SECTION.stability_limit)
+    errors = [estimate_error(EXACT, record, received())[0] for record in (SECTION, coarse)]
     assert errors[1] - errors[0] == pytest.approx(7.5e-5 * 0.8)
     assert errors[0] < error_bound(parts(EXACT))
 
@@ -287,7 +292,7 @@ def test_what_the_transmitter_loses_is_expected_in_part() -> None:
     """A force of which 1 % is missing lets expect 0.45 of its bound more, and raises the bound by that alone."""
     lossy = slipping(slipped=0.01)
     loss = parts(EXACT, lossy).slip
-    (usual, _, _), (larger, bound, found) = (estimate_error(EXACT, record, received()) for record in (RECORD, lossy))
+    (usual, _, _), (larger, bound, found) = (estimate_error(EXACT, record, received()) for record in (SECTION, lossy))
     assert larger - usual == pytest.approx(0.45 * loss)
     assert bound == error_bound(found)
 
@@ -295,17 +300,20 @@ def test_what_the_transmitter_loses_is_expected_in_part() -> None:
 @pytest.mark.parametrize(
     ("experiment", "record"),
     [
-        (waves(EXPERIMENT, precision="float32"), RECORD),
-        (EXPERIMENT, replace(RECORD, time_step=0.5 * RECORD.time_step, stability_limit=0.5 * RECORD.stability_limit)),
-        (EXPERIMENT, replace(RECORD, unbalanced_speed=1e-4)),
-        (EXPERIMENT, replace(RECORD, broken_bonds=3, bonds=560)),
-        (waves(EXPERIMENT, damping=0.5), RECORD),
+        (waves(EXPERIMENT, precision="float32"), SECTION),
+        (
+            EXPERIMENT,
+            replace(SECTION, time_step=0.5 * SECTION.time_step, stability_limit=0.5 * SECTION.stability_limit),
+        ),
+        (EXPERIMENT, replace(SECTION, unbalanced_speed=1e-4)),
+        (EXPERIMENT, replace(SECTION, broken_bonds=3, bonds=560)),
+        (waves(EXPERIMENT, damping=0.5), SECTION),
     ],
 )
-def test_a_tenth_of_the_other_parts_is_expected(experiment: Experiment, record: WaveRecord) -> None:
+def test_a_tenth_of_the_other_parts_is_expected(experiment: Experiment, record: Section) -> None:
     """Precision, chatter, unbalanced forces and broken bonds count alike."""
     (usual, _, before), (changed, _, after) = (
-        estimate_error(*given, received()) for given in ((EXPERIMENT, RECORD), (experiment, record))
+        estimate_error(*given, received()) for given in ((EXPERIMENT, SECTION), (experiment, record))
     )
     others = ("precision", "chatter", "unbalanced", "breaking")
     more = sum(getattr(after, name) - getattr(before, name) for name in others)
@@ -314,21 +322,20 @@ def test_a_tenth_of_the_other_parts_is_expected(experiment: Experiment, record: 
 
 def test_chatter_that_was_measured_is_expected_as_of_one_of_two_runs() -> None:
     """Two runs with equal errors differ by sqrt(2) of one."""
-    without, measured = (estimate_error(EXPERIMENT, RECORD, received(), chatter).expected for chatter in (0.0, 0.01))
+    without, measured = (estimate_error(EXPERIMENT, SECTION, received(), chatter)[0] for chatter in (0.0, 0.01))
     assert measured - without == pytest.approx(0.01 / np.sqrt(2.0), rel=0.01)
 
 
 def test_the_change_by_halving_is_that_of_the_signal_where_the_travel_time_stays() -> None:
     """A signal sampled at other times is the same; one that is 1 % larger moves its peak as such a change does."""
     fine, coarse, louder = (
-        replace(RECORD, section=section(wave(8.0, height), samples=samples))
-        for height, samples in ((1.0, 40), (1.0, 37), (1.01, 40))
+        section(wave(8.0, height), samples=samples) for height, samples in ((1.0, 40), (1.0, 37), (1.01, 40))
     )
-    arrival = read_section(fine.section).arrival
-    assert arrival is not None
+    arrival = read_section(fine)
+    assert isinstance(arrival, Reading)
     assert _change_by_halving(EXPERIMENT, fine, arrival, coarse) < 3e-4
     change = _change_by_halving(EXPERIMENT, fine, arrival, louder)
-    assert change == pytest.approx(0.01 * shift_by_change(fine.section, arrival), rel=1e-3)
+    assert change == pytest.approx(0.01 * shift_by_change(fine, arrival), rel=1e-3)
     assert _change_by_halving(EXPERIMENT, fine, arrival, replace(coarse, problem="unstable")) == 1.0
 
 
@@ -338,7 +345,7 @@ def test_where_there_is_no_peak_a_change_moves_the_time_as_the_period_is_wide() 
     for curvature in (0.0, 1e-6):
         places = np.arange(len(arrival.clean)) - arrival.index
         wide = replace(arrival, clean=np.repeat(1.0 - curvature * places[:, None] ** 2, arrival.clean.shape[1], axis=1))
-        assert shift_by_change(RECORD.section, wide) == pytest.approx(2.0 * np.pi / (FREQUENCY * TRAVEL_TIME))
+        assert shift_by_change(SECTION, wide) == pytest.approx(2.0 * np.pi / (FREQUENCY * TRAVEL_TIME))
 
 
 def test_seeds_are_measured_in_batches_of_the_kernels_width(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -430,9 +437,9 @@ def test_a_loaded_contact_loses_shear_where_it_is_unloaded(amplitude: float) -> 
 
 def test_the_bound_counts_half_of_what_shear_rescaling_takes() -> None:
     """A velocity goes with the root of the stiffness; what is expected stays, since work of both signs cancels."""
-    rescaled = replace(RECORD, nonlinear=(Nonlinearity(0.0, 0.0, 0.01),))
+    rescaled = replace(SECTION, nonlinear=(Nonlinearity(0.0, 0.0, 0.01),))
     assert parts(EXACT, rescaled).regime - parts(EXACT).regime == pytest.approx(0.005)
-    usual, same = (estimate_error(EXACT, record, received()).expected for record in (RECORD, rescaled))
+    usual, same = (estimate_error(EXACT, record, received())[0] for record in (SECTION, rescaled))
     assert same == usual
 
 

@@ -15,10 +15,11 @@ from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import cheap_limit, problems_of, unbalanced_speed
-from calcidem.dem.wave.measurement import Measurement, Outcome, measure
+from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
+from calcidem.dem.wave.section import Section
+from calcidem.ends import CellStatus
 
 LOUD, CONTENT, FREQUENCY = 5.0, 1.0, 2.4e4
 STRESS = 3.0e5  # that carries it, Pa
@@ -83,16 +84,16 @@ def test_a_loud_sample_gives_the_same_bits_alone_and_among_others() -> None:
     batch = measure(given, CONTENT, SEEDS[::-1], lanes=8)
     for one, another in zip(measured(given), batch[::-1], strict=True):
         assert one.vs == another.vs
-        np.testing.assert_array_equal(one.record.section.across, another.record.section.across)
+        np.testing.assert_array_equal(one.section.across, another.section.across)
 
 
-def recorded(given: Experiment, step_of_limit: float) -> WaveRecord:
+def recorded(given: Experiment, step_of_limit: float) -> Section:
     """Send the pulse with a step over its limit at the start, for as long as it takes to cross the sample."""
     recorder = prepare_recorder(given, [given.ordering(1).at(CONTENT).bonded], FREQUENCY, 1, lambda: None)
     limit = recorder.state.critical_time_step
     recorder.stride = max(1, int(2e-7 / (step_of_limit * limit[0])))
     recorder.state = replace(recorder.state, time_step=step_of_limit * limit)
-    return recorder.run(lambda record: record.section.duration > 1.5e-4, lambda: None)[0]
+    return recorder.run(lambda section: section.duration > 1.5e-4, lambda: None)[0]
 
 
 @pytest.mark.parametrize("part", [0.5, 0.8])
@@ -141,10 +142,8 @@ def test_a_disk_that_left_its_neighbours_behind_is_named_by_its_place() -> None:
 def test_the_end_of_a_loud_record_changes_no_reading() -> None:
     """A record at 5 m/s that ends when its pick is settled gives the same bits as the whole record."""
     short, whole = measured(experiment()), measured(replace(experiment(), early_stop=False))
-    assert [cell.result.outcome for cell in short] == [Outcome.DONE] * len(SEEDS)
-    assert all(
-        one.record.section.duration < other.record.section.duration for one, other in zip(short, whole, strict=True)
-    )
+    assert [cell.status for cell in short] == [CellStatus.DONE] * len(SEEDS)
+    assert all(one.section.duration < other.section.duration for one, other in zip(short, whole, strict=True))
     assert [cell.vs for cell in short] == [cell.vs for cell in whole]
 
 
@@ -161,7 +160,7 @@ def test_a_shock_is_told_from_an_unstable_run() -> None:
     """Under 300 kPa 5 m/s goes through, and half the step gives the same Vs; a step above the limit is found out."""
     given = experiment()
     coarse, fine = measured(given), measured(replace(given, wave=replace(given.wave, step_fraction=0.4)))
-    assert all(not cell.record.problem and not cell.record.retry for cell in (*coarse, *fine))
+    assert all(not cell.section.problem and not cell.section.retry for cell in (*coarse, *fine))
     assert [cell.vs for cell in coarse] == pytest.approx([cell.vs for cell in fine], rel=0.02)
     stable, unstable = (recorded(given, part) for part in (0.8, 2.5))
     assert not stable.problem
@@ -173,5 +172,5 @@ def test_a_shock_is_told_from_an_unstable_run() -> None:
 def test_a_sample_that_a_loud_pulse_presses_too_hard_is_sent_again_with_half_the_step() -> None:
     """Sand under 5 kPa stiffens so much that the step is too long: it is sent again with half of it, and says so."""
     (cell,) = measure(experiment(stress=5e3), 0.0, [1], lanes=1)
-    assert "stability limit of the pressed contacts" in cell.record.retry
-    assert cell.record.time_step == pytest.approx(0.4 * cell.record.stability_limit)
+    assert "stability limit of the pressed contacts" in cell.section.retry
+    assert cell.section.time_step == pytest.approx(0.4 * cell.section.stability_limit)

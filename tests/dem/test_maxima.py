@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import find_peaks
 
-from calcidem.dem.wave.maxima import find_maxima, parabola_vertex
+from calcidem.dem.engine.portable import find_maxima, parabola_vertex
 
 
 @pytest.mark.parametrize("smooth", [False, True])

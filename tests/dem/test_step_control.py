@@ -1,11 +1,12 @@
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from places import CHECKOUT
 from scenes import ACCOUNT, BONDED, HERTZ, LINEAR, RADIUS, SERVO, SOFT, jumble, pair_scene, throw
 
-from calcidem.app.studies.stability.limits import fastest_mode
 from calcidem.dem.engine.leapfrog import State, change_step, look_ahead
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.portable import root
@@ -14,6 +15,10 @@ from calcidem.dem.engine.scene import Bonds, Scene, Wall
 from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.engine.step_control import UnstableRunError, _contact_durations, _instant
+
+sys.path.append(str(CHECKOUT / "benchmarks" / "stability"))
+
+from step_limits import fastest_mode
 
 FLOOR = Wall((0.0, 0.0), (0.0, 1.0))
 GRAVITY = 9.81

@@ -165,6 +165,7 @@ class Records:
             unbalanced_ratio=9.0e-5,
             seconds=31.4,
             state=bytes(range(256)),
+            content_hash=f"content-{index}",
         )
         return dataclasses.replace(record, **changes)
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem
+from calcidem.storage.files import filesystem_type, is_network_filesystem
 
 MOUNTINFO = r"""
 22 1 8:1 / / rw,relatime shared:1 - ext4 /dev/sda1 rw

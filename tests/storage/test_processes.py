@@ -168,13 +168,13 @@ def test_acknowledged_transactions_that_a_damaged_log_loses_are_told(killed: Pat
         log.write(bytes([byte[0] ^ 1]))
     with open_campaign(killed) as campaign:
         assert int(campaign.vs().count()) < ACKNOWLEDGED
-        assert any("write-ahead log was damaged" in text for text in campaign.store.integrity()[1])
+        assert any("write-ahead log was damaged" in text for text in campaign.store.damage())
     with Store(killed) as store:
         store.use_campaign()
         assert any("no longer in the database" in sentence for sentence in store.acquire_lease())
     with Store(killed) as store:
         store.use_campaign()
-        assert store.integrity()[1] == []
+        assert store.damage() == []
         assert not any("no longer in the database" in sentence for sentence in store.acquire_lease())
 
 
@@ -182,7 +182,7 @@ def test_an_undamaged_log_loses_nothing(killed: Path) -> None:
     """After a kill alone nothing is missing, and nothing is told."""
     with Store(killed) as store:
         store.use_campaign()
-        assert store.integrity()[1] == []
+        assert store.damage() == []
         assert not any("no longer in the database" in sentence for sentence in store.acquire_lease())
 
 
@@ -207,8 +207,8 @@ def test_lease_of_another_machine_ends_with_its_heartbeat(database: Path, start_
     process = start_writer(seeds=1)
     process.communicate()
     elsewhere = (
-        "INSERT INTO lease (campaign_id, token, host, pid, acquired, heartbeat) "
-        "VALUES (1, 'x', 'elsewhere', 1, datetime('now'), datetime('now', :age))"
+        "INSERT INTO lease (campaign_id, token, host, pid, machine, started, lock, acquired, heartbeat) "
+        "VALUES (1, 'x', 'elsewhere', 1, 'elsewhere', '1', '', datetime('now'), datetime('now', :age))"
     )
     with Store(database) as store:
         store.use_campaign()

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import pytest
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch, plan_batches
-from calcidem.sweep.outcome import FailureKind
 from calcidem.sweep.progress import Progress
 from calcidem.sweep.run import _Master, run_sweep
 from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE
@@ -105,7 +105,7 @@ def test_a_failure_on_an_executor_is_that_of_a_serial_run(sink: "MemorySink", tm
     cells = {cell for outcome in failed for cell in outcome.batch.cells}
     assert cells == ({(2, 5.0), BAD_CELL} if kind == "slow" else {BAD_CELL})
     assert failed[0].failure is not None
-    assert failed[0].failure.kind is (FailureKind.TIMED_OUT if kind == "slow" else FailureKind.FAILED)
+    assert failed[0].failure.kind is (CellStatus.TIMED_OUT if kind == "slow" else CellStatus.FAILED)
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell not in cells}
 
 
@@ -273,5 +273,5 @@ def test_a_cell_that_kills_workers_of_a_real_cluster_is_quarantined(sink: "Memor
         end = run_sweep(client.get_executor(), planned(), Fault("kill", tmp_path), sink)
     assert end.state is SweepState.COMPLETE
     failures = {cell: o.failure.kind for o in sink.outcomes if o.failure is not None for cell in o.batch.cells}
-    assert failures == {BAD_CELL: FailureKind.QUARANTINED}
+    assert failures == {BAD_CELL: CellStatus.QUARANTINED}
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}

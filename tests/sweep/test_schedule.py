@@ -1,13 +1,14 @@
 import pytest
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Failure, FailureKind, Place
+from calcidem.sweep.outcome import BatchOutcome, Failure, Place
 from calcidem.sweep.schedule import Schedule
 
 PLACE = Place(rank=1, host="here")
 
 
-def failed(batch: Batch[str], kind: FailureKind = FailureKind.FAILED) -> BatchOutcome[str, int]:
+def failed(batch: Batch[str], kind: CellStatus = CellStatus.FAILED) -> BatchOutcome[str, int]:
     """Return the outcome of a batch that failed."""
     return BatchOutcome(batch, PLACE, 1.0, failure=Failure(kind, "on order"))
 
@@ -68,7 +69,7 @@ def test_a_batch_that_timed_out_is_settled_as_a_whole() -> None:
     schedule = Schedule((Batch(0, ("a", "b")),))
     batch = schedule.take()
     assert batch is not None
-    assert schedule.settle(failed(batch, FailureKind.TIMED_OUT)) is not None
+    assert schedule.settle(failed(batch, CellStatus.TIMED_OUT)) is not None
     assert (schedule.tally.settled, schedule.tally.timed_out, len(schedule)) == (2, 2, 0)
 
 
@@ -78,7 +79,7 @@ def test_the_cell_that_takes_down_workers_is_quarantined_alone() -> None:
     done, settled = [], []
     while (batch := schedule.take()) is not None:
         if "deadly" in batch.cells:
-            settled.append(schedule.settle(failed(batch, FailureKind.QUARANTINED)))
+            settled.append(schedule.settle(failed(batch, CellStatus.QUARANTINED)))
         else:
             results = BatchOutcome(batch, PLACE, 1.0, results=(1,) * len(batch.cells))
             assert schedule.settle(results) is results

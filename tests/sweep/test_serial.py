@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch, plan_batches
-from calcidem.sweep.outcome import FailureKind
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.sweep_end import SweepState
 
@@ -67,7 +67,7 @@ def test_an_exception_costs_only_its_cell(sink: "MemorySink") -> None:
     (failure,) = [outcome for outcome in sink.outcomes if outcome.failure is not None]
     assert failure.batch.cells == (7,)
     assert failure.failure is not None
-    assert failure.failure.kind is FailureKind.FAILED
+    assert failure.failure.kind is CellStatus.FAILED
     assert failure.failure.message == "ArithmeticError: seven is not supported"
     assert "refuse_seven" in failure.failure.traceback
     assert end.tally.failed == 1
@@ -93,7 +93,7 @@ def test_the_time_limit_is_a_failure_of_the_batch(sink: "MemorySink") -> None:
     assert end.tally.timed_out == 2
     failure = sink.outcomes[0].failure
     assert failure is not None
-    assert failure.kind is FailureKind.TIMED_OUT
+    assert failure.kind is CellStatus.TIMED_OUT
     assert "0.05 s" in failure.message
 
 

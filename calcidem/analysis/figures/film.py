@@ -17,30 +17,15 @@ from calcidem.analysis.figures.samples import draw_bands, draw_frame
 from calcidem.analysis.figures.signals import Arrival, draw_signal_pair
 from calcidem.analysis.figures.style import (
     BLACK,
-    CORRELATION_MAP,
     MM,
     MS,
     PALE,
-    PICTURE_MARGIN,
     apply_style,
     new_figure,
     strip_axes,
 )
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.records import PackingRecord
-
-_FILM_WIDTH = 4.6
-_SIGNALS_HEIGHT = 2.1
-"""Inches."""
-_PICTURE_SHARE = 0.66
-"""Share of the figure's width; the colour scale has the rest."""
-_SHOWN = 0.6
-"""Displayed height above and below the middle, over the width of the box; beyond it the motion is damped."""
-_GIF_PALETTE = 96
-_COLOURED = 0.999
-"""Quantile of all velocities with the last colour; higher ones belong to a few loose disks."""
-_DOTS = 90
-_MOVIE_RATE = 15
 
 
 class _SmallGifWriter(PillowWriter):
@@ -51,13 +36,13 @@ class _SmallGifWriter(PillowWriter):
         super().grab_frame(**savefig_kwargs)
         frames: list[Image.Image] = self._frames  # type: ignore[attr-defined]  # not in the stubs
         frame = frames[-1].convert("RGB")
-        frames[-1] = frame.quantize(_GIF_PALETTE, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        frames[-1] = frame.quantize(96, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
 
 
 def movie_writer(file: Path) -> AbstractMovieWriter:
     """Writer for the ending .gif or .mp4 of a file; `OutputRefusedError` for others, or without ffmpeg."""
     if file.suffix.lower() == ".gif":
-        return _SmallGifWriter(fps=_MOVIE_RATE)
+        return _SmallGifWriter(fps=15)
     if file.suffix.lower() != ".mp4":
         raise OutputRefusedError(f"{file} ends with neither .gif nor .mp4.", "Give it one of these endings.")
     if not FFMpegWriter.isAvailable():
@@ -65,7 +50,7 @@ def movie_writer(file: Path) -> AbstractMovieWriter:
             f"{file} needs the program ffmpeg, which is not installed.",
             "Install it (Debian: apt-get install ffmpeg), or give a name that ends with .gif.",
         )
-    return FFMpegWriter(fps=_MOVIE_RATE, extra_args=["-f", "mp4"])
+    return FFMpegWriter(fps=15, extra_args=["-f", "mp4"])
 
 
 def write_movie(
@@ -76,13 +61,18 @@ def write_movie(
     watch: Callable[[int], None],
 ) -> None:
     """Write all frames of a figure of `draw_film` into a file; `watch` receives their number."""
-    show = _frame_shower(figure, *frames)
-    with mpl.rc_context({"savefig.bbox": None}), writer.saving(figure, str(file), _DOTS):
-        for frame in range(len(frames[0])):
-            show(frame)
+    sample, signals = figure.axes[:2]
+    (disks,) = (artist for artist in sample.collections if artist.get_gid() == "disks")
+    (now,) = (line for line in signals.lines if line.get_gid() == "now")
+    title = sample.get_title(loc="left")
+    with mpl.rc_context({"savefig.bbox": None}), writer.saving(figure, str(file), dpi=90):
+        for number, (time, velocity) in enumerate(zip(*frames, strict=True), start=1):
+            disks.set_array(velocity)
+            now.set_xdata([time * MS] * 2)
+            sample.set_title(f"{title}, t = {time * MS:.3f} ms", loc="left")
             writer.grab_frame()
             figure.set_layout_engine("none")  # the layout is that of the first frame
-            watch(frame + 1)
+            watch(number)
 
 
 @apply_style
@@ -101,20 +91,22 @@ def draw_film(
     along y (f, n), m/s.
     """
     x, y, radius = disks
-    reach = min(_SHOWN * packing.width, packing.height / 2)
+    reach = min(0.6 * packing.width, packing.height / 2)  # the motion is damped beyond
     low, high = ((packing.height / 2 + side * reach) * MM for side in (-1, 1))
-    picture = _PICTURE_SHARE * _FILM_WIDTH * (high - low) / (packing.width * MM)
-    figure = new_figure(picture + _SIGNALS_HEIGHT, _FILM_WIDTH)
-    sample, signals = figure.subplots(2, 1, height_ratios=[picture, _SIGNALS_HEIGHT])
+    width, signals_height = 4.6, 2.1  # inches
+    picture_height = 0.66 * width * (high - low) / (packing.width * MM)  # the colour scale has a third of the width
+    figure = new_figure(picture_height + signals_height, width)
+    sample, signals = figure.subplots(2, 1, height_ratios=[picture_height, signals_height])
     style: dict[str, Any] = {"units": "xy", "edgecolor": "none", "transOffset": sample.transData}
     whole = np.column_stack([packing.x, packing.y]) * MM
     sizes = 2 * packing.radius * MM
     sample.add_collection(EllipseCollection(sizes, sizes, 0 * sizes, offsets=whole, facecolor=PALE, **style))
     sizes, places = 2 * np.array(radius, dtype=float) * MM, np.column_stack([x, y]) * MM
     moving = EllipseCollection(sizes, sizes, 0 * sizes, offsets=places, gid="disks", **style)
-    largest = float(np.quantile(np.abs(frames[1]), _COLOURED)) or 1.0
+    largest = float(np.quantile(np.abs(frames[1]), 0.999)) or 1.0  # higher velocities belong to a few loose disks
     # Colours are linear in the square root, since the received amplitude is a tenth of the transmitted one.
-    moving.set(cmap=CORRELATION_MAP, norm=FuncNorm((_signed_root, _signed_square), -largest, largest))
+    root_and_square = lambda v: np.sign(v) * np.sqrt(np.abs(v)), lambda v: v * np.abs(v)
+    moving.set(cmap="RdBu_r", norm=FuncNorm(root_and_square, -largest, largest))
     moving.set_array(frames[1][0])
     sample.add_collection(moving)
     sample.add_collection(LineCollection(list(whole[cemented]), colors=BLACK, linewidths=0.5, alpha=0.5))
@@ -122,7 +114,7 @@ def draw_film(
     draw_bands(sample, packing, *half_widths)
     strip_axes(sample)
     sample.set_aspect("equal")
-    sample.set_xlim(-PICTURE_MARGIN * packing.width * MM, (1.0 + PICTURE_MARGIN) * packing.width * MM)
+    sample.set_xlim(-0.015 * packing.width * MM, 1.015 * packing.width * MM)  # the frame is not cut
     sample.set_ylim(low, high)
     sample.set_title(f"seed {arrival.seed} at {arrival.content:g} %")
     bar = figure.colorbar(moving, ax=sample, label="velocity along y (m/s)", shrink=0.7, extend="both")
@@ -133,27 +125,3 @@ def draw_film(
     signals.set_xlabel("time (ms)")
     figure.legend(*signals.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
-
-
-def _frame_shower(
-    figure: Figure, times: NDArray[np.floating[Any]], velocity: NDArray[np.floating[Any]]
-) -> Callable[[int], None]:
-    """Return the function that shows one frame in a figure of `draw_film`; arguments as its `frames`."""
-    (disks,) = (artist for artist in figure.axes[0].collections if artist.get_gid() == "disks")
-    (now,) = (line for line in figure.axes[1].lines if line.get_gid() == "now")
-    title = figure.axes[0].get_title(loc="left")
-
-    def show(frame: int) -> None:
-        disks.set_array(velocity[frame])
-        now.set_xdata([times[frame] * MS] * 2)
-        figure.axes[0].set_title(f"{title}, t = {times[frame] * MS:.3f} ms", loc="left")
-
-    return show
-
-
-def _signed_root(value: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    return np.asarray(np.sign(value) * np.sqrt(np.abs(value)))
-
-
-def _signed_square(value: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    return np.asarray(value * np.abs(value))

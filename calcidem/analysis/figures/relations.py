@@ -1,23 +1,17 @@
 """Figures of the relation between paths and Vs: correlations, the weight scan and the laws."""
 
-from collections.abc import Sequence
-
 import matplotlib as mpl
 import numpy as np
-import xarray as xr
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
-from calcidem.analysis.campaign_analysis import LawFit
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.correlation import Correlations
 from calcidem.analysis.figures.style import (
     BLACK,
     BLUE,
     CONTENT_MAP,
-    CORRELATION_MAP,
     PALE,
     SKY,
     VERMILION,
@@ -27,24 +21,17 @@ from calcidem.analysis.figures.style import (
     new_figure,
     new_panel,
 )
+from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.fits import power_law
 from calcidem.analysis.packing_graph import FEATURES
 from calcidem.analysis.predictor import VelocityPredictor
-from calcidem.analysis.published import PublishedLaw
-from calcidem.analysis.weights import RatioScan
-
-_VARIABLE_SYMBOLS = {feature.name: feature.symbol for feature in FEATURES} | {"vs": "V_s"}
-_READABLE_ON_DARK = 0.6
-_SAMPLES_OF_AN_INTERVAL = 4
-"""Fewest samples of a content for an interval."""
-
-_SAME_RATIO = 0.02
-"""Largest difference of weight ratios for which values of C_d,n are comparable."""
+from calcidem.analysis.published import published_study
 
 
 def _symbol(name: str) -> str:
     """Return the symbol of a variable as mathematical text, such as ``$C_{d,n}$``."""
-    base, _, index = _VARIABLE_SYMBOLS[name].partition("_")
+    symbols = {name: symbol for name, (symbol, _) in FEATURES.items()} | {"vs": "V_s"}
+    base, _, index = symbols[name].partition("_")
     upright = f"\\mathrm{{{base}}}" if len(base) > 1 else base
     return f"${upright}_{{{index}}}$" if index else f"${upright}$"
 
@@ -56,7 +43,23 @@ def draw_correlations(correlations: Correlations) -> Figure:
     panels = figure.subplots(1, 2)
     titles = ("over all contents", "within one content")
     for axes, matrices, title in zip(panels, (correlations.overall, correlations.within), titles, strict=True):
-        image = _draw_matrix(axes, matrices)
+        names = [str(name) for name in matrices["variable"].to_numpy()]
+        below = np.tri(len(names), dtype=np.bool_)
+        values = np.where(below, matrices["pearson"].to_numpy(), matrices["spearman"].to_numpy())
+        axes.set_facecolor(PALE)
+        image = axes.imshow(values, cmap="RdBu_r", vmin=-1, vmax=1)
+        axes.grid(visible=False)
+        for (row, column), value in np.ndenumerate(values):
+            if row != column:
+                text = f"{value:.2f}".replace("-", "\N{MINUS SIGN}") if np.isfinite(value) else "\N{EN DASH}"
+                colour = "white" if abs(value) > 0.6 else BLACK  # readable on dark red and blue
+                axes.text(column, row, text, ha="center", va="center", fontsize=6.2, color=colour)
+        labels = [_symbol(name) for name in names]
+        axes.set_xticks(range(len(names)), labels, fontsize=8)
+        axes.set_yticks(range(len(names)), labels, fontsize=8)
+        axes.tick_params(length=0, top=False, labeltop=True, bottom=False, labelbottom=False)
+        for spine in axes.spines.values():
+            spine.set_visible(False)
         axes.set_title(f"{title} (n = {int(matrices['n'])})", pad=18)
     letter_panels(panels)
     panels[1].tick_params(labelleft=False)
@@ -66,44 +69,19 @@ def draw_correlations(correlations: Correlations) -> Figure:
     return figure
 
 
-def _draw_matrix(axes: Axes, matrices: xr.Dataset) -> AxesImage:
-    names = [str(name) for name in matrices["variable"].to_numpy()]
-    below = np.tri(len(names), dtype=np.bool_)
-    values = np.where(below, matrices["pearson"].to_numpy(), matrices["spearman"].to_numpy())
-    axes.set_facecolor(PALE)
-    image = axes.imshow(values, cmap=CORRELATION_MAP, vmin=-1, vmax=1)
-    axes.grid(visible=False)
-    for (row, column), value in np.ndenumerate(values):
-        if row != column:
-            text = f"{value:.2f}".replace("-", "\N{MINUS SIGN}") if np.isfinite(value) else "\N{EN DASH}"
-            colour = "white" if abs(value) > _READABLE_ON_DARK else BLACK
-            axes.text(column, row, text, ha="center", va="center", fontsize=6.2, color=colour)
-    labels = [_symbol(name) for name in names]
-    axes.set_xticks(range(len(names)), labels, fontsize=8)
-    axes.set_yticks(range(len(names)), labels, fontsize=8)
-    axes.tick_params(length=0, top=False, labeltop=True, bottom=False, labelbottom=False)
-    for spine in axes.spines.values():
-        spine.set_visible(False)
-    return image
-
-
 @apply_style
-def draw_ratio_scan(scan: RatioScan, published_ratio: float | None = None) -> Figure:
+def draw_ratio_scan(analysis: CampaignAnalysis) -> Figure:
     """Draw the correlation of C_d,n with Vs over the ratio of the weights (Fig. 14), and the published best."""
+    scan = analysis.ratio_scan
     figure, axes, _ = new_panel(height=3.4)
     interval = scan.best_ratio_interval
     axes.axvspan(interval.low, interval.high, color=SKY, alpha=0.3, linewidth=0, label="95 % interval of the best")
     axes.plot(scan.ratios, scan.correlation, color=BLUE)
-    axes.plot(
-        scan.best_ratio,
-        scan.best_correlation,
-        "o",
-        color=BLUE,
-        markersize=6,
-        label=f"best: {scan.best_ratio:.2f} (r = \N{MINUS SIGN}{abs(scan.best_correlation):.3f})",
-    )
-    if published_ratio is not None:
-        axes.axvline(published_ratio, color=VERMILION, linestyle="--", label=f"published best: {published_ratio:g}")
+    best = f"best: {scan.best_ratio:.2f} (r = \N{MINUS SIGN}{abs(scan.best_correlation):.3f})"
+    axes.plot(scan.best_ratio, scan.best_correlation, "o", color=BLUE, markersize=6, label=best)
+    if published_velocities(analysis):
+        ratio = next(law.weights.ratio for law in published_study().laws if law.name == "Monte-Carlo")
+        axes.axvline(ratio, color=VERMILION, linestyle="--", label=f"published best: {ratio:g}")
     axes.set_xlim(0, 1)
     axes.set_xlabel(r"weight ratio $\omega_{LPB}\,/\,\omega_h$")
     axes.set_ylabel("correlation of $C_{d,n}$ with $V_s$")
@@ -112,18 +90,16 @@ def draw_ratio_scan(scan: RatioScan, published_ratio: float | None = None) -> Fi
 
 
 @apply_style
-def draw_laws(
-    laws: Sequence[LawFit],
-    vs: NDArray[np.float64],
-    contents: NDArray[np.float64],
-    published: Sequence[PublishedLaw] = (),
-) -> Figure:
-    """Draw Vs (m/s) against C_d,n with the fitted law, a panel for each choice of weights (Table 4).
+def draw_laws(analysis: CampaignAnalysis) -> Figure:
+    """Draw Vs against C_d,n with the fitted law, a panel for each choice of weights (Table 4).
 
     Published laws are shown in their own range, where C_d,n has the same weights.
     """
+    contents = np.array([sample.content for sample in analysis.samples])
+    laws, vs = (analysis.physical_law, analysis.scanned_law), analysis.sample_vs
+    published = published_study().laws if published_velocities(analysis) else ()
     figure = new_figure(height=4.1, width=7.4)
-    panels = figure.subplots(1, len(laws), squeeze=False, sharey=True)[0]
+    panels = figure.subplots(1, len(laws), sharey=True)
     for axes, law in zip(panels, laws, strict=True):
         points = axes.scatter(
             law.connectivity, vs, c=contents, cmap=CONTENT_MAP, s=7, alpha=0.8, linewidths=0, rasterized=True
@@ -137,15 +113,11 @@ def draw_laws(
         axes.vlines(*_intervals_by_content(law.connectivity, vs, contents).T, **bars, label=label)
         axes.plot(grid, fit.predict(grid), color=BLUE, zorder=4, label=_law_text(fit.a, fit.b, fit.c))
         for other in published:
-            if abs(other.weights.ratio - law.weights.ratio) < _SAME_RATIO:
+            if abs(other.weights.ratio - law.weights.ratio) < 0.02:  # so that values of C_d,n are comparable
                 span = np.linspace(max(other.connectivity_range.low, grid[0]), other.connectivity_range.high, 200)
-                axes.plot(
-                    span,
-                    power_law(span, other.a, other.conclusions_b, other.c),
-                    color=VERMILION,
-                    linestyle="--",
-                    label="published: " + _law_text(other.a, other.conclusions_b, other.c),
-                )
+                label = "published: " + _law_text(other.a, other.conclusions_b, other.c)
+                vs_of_law = power_law(span, other.a, other.conclusions_b, other.c)
+                axes.plot(span, vs_of_law, color=VERMILION, linestyle="--", label=label)
         axes.set_title(f"weights by {law.name}" if law.name != "Monte-Carlo" else "weights by the scan")
         weights = f"$\\omega_h$ = {law.weights.hertz:.3f}, $\\omega_{{LPB}}$ = {law.weights.bond:.3f}"
         axes.set_xlabel(f"$C_{{d,n}}$ with {weights}")
@@ -168,7 +140,7 @@ def _intervals_by_content(
     found = []
     for content in np.unique(contents):
         known = (contents == content) & np.isfinite(vs) & np.isfinite(connectivity)
-        if known.sum() < _SAMPLES_OF_AN_INTERVAL:
+        if known.sum() < 4:  # fewer give no useful interval
             continue
         mean = float(np.mean(connectivity[known]))
         interval = VelocityPredictor.fit(connectivity[known, None], vs[known]).predict([mean]).interval

@@ -1,10 +1,11 @@
 """Figures of samples: cement, transmission of the wave, and preferential paths."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
@@ -13,19 +14,14 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import MeasuredSample
-from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signal_pair
 from calcidem.analysis.figures.style import (
     BLACK,
-    C_CEMENT,
-    CLUSTER_GRAIN,
+    BLUE,
     GREEN,
     GREY,
     MM,
-    P_CEMENT,
-    PICTURE_MARGIN,
     PURPLE,
-    SAND_GRAIN,
     VERMILION,
     apply_style,
     letter_panels,
@@ -35,13 +31,10 @@ from calcidem.analysis.figures.style import (
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.storage.records import C_CONTACT, P_CONTACT, PackingRecord
 
-_RING: dict[str, Any] = {
-    "linestyle": "none",
-    "marker": "o",
-    "markerfacecolor": "white",
-    "markeredgecolor": PURPLE,
-    "markeredgewidth": 1.3,
-}
+COLOURS = {"sand grain": "#d3e0ea", "grain in a C cluster": "#f6c667", "P contact": BLUE, "C contact": "#a63603"}
+"""Colour of each part of a sample, by its name in the legend; grains and cement differ in brightness."""
+
+_RING: dict[str, Any] = {"markerfacecolor": "white", "markeredgecolor": PURPLE, "markeredgewidth": 1.3}
 """Look of an uncemented contact on a path."""
 
 
@@ -63,7 +56,7 @@ def _draw_grains(
     in_cluster = np.zeros(packing.radius.size, dtype=np.bool_)
     if kinds is not None:
         in_cluster[pairs[kinds == C_CONTACT]] = True
-    for members, colour in ((chosen & ~in_cluster, SAND_GRAIN), (chosen & in_cluster, CLUSTER_GRAIN)):
+    for members, name in ((chosen & ~in_cluster, "sand grain"), (chosen & in_cluster, "grain in a C cluster")):
         # Thousands of circles are drawn as pixels in vector files, which keeps these small.
         diameters = 2.0 * packing.radius[members] * MM
         axes.add_collection(
@@ -74,7 +67,7 @@ def _draw_grains(
                 units="xy",
                 offsets=np.column_stack([packing.x[members], packing.y[members]]) * MM,
                 offset_transform=axes.transData,
-                facecolor=colour,
+                facecolor=COLOURS[name],
                 edgecolor="white",
                 linewidth=0.25,
                 rasterized=True,
@@ -82,12 +75,17 @@ def _draw_grains(
         )
     if kinds is not None:
         inside = chosen[pairs].all(axis=1)
-        for kind, colour in ((P_CONTACT, P_CEMENT), (C_CONTACT, C_CEMENT)):
-            _draw_contacts(axes, packing, pairs[inside & (kinds == kind)], colour, cement_width)
+        for kind, name in ((P_CONTACT, "P contact"), (C_CONTACT, "C contact")):
+            ends = pairs[inside & (kinds == kind)].T
+            first, second = (np.column_stack([packing.x[grains], packing.y[grains]]) for grains in ends)
+            # A stroke around each contact point is half as long as the distance of the two centres.
+            strokes = np.stack([0.75 * first + 0.25 * second, 0.25 * first + 0.75 * second], axis=1) * MM
+            look: dict[str, Any] = {"colors": COLOURS[name], "linewidths": cement_width, "rasterized": True}
+            axes.add_collection(LineCollection(list(strokes), **look))
     strip_axes(axes)
     axes.set_aspect("equal")
     bottom, top = max(low, 0.0) * MM, min(high, packing.height) * MM
-    margin = PICTURE_MARGIN * packing.width * MM
+    margin = 0.015 * packing.width * MM  # for the line of the frame
     axes.set_xlim(-margin, packing.width * MM + margin)
     axes.set_ylim(bottom - margin, top + margin)
 
@@ -112,49 +110,12 @@ def draw_bands(axes: Axes, packing: PackingRecord, transmitter: float, receiver:
         )
 
 
-def _draw_path(axes: Axes, sample: PackingGraph, path: PreferentialPath, width: float = 1.6) -> None:
-    """Draw a path through the centres of its grains, with a ring at each of its uncemented contacts."""
-    packing, grains = sample.packing, np.array(path.grains)
-    x, y = packing.x[grains] * MM, packing.y[grains] * MM
-    axes.plot(x, y, color="white", linewidth=width + 1.4, zorder=6, solid_joinstyle="round")
-    axes.plot(x, y, color=BLACK, linewidth=width, zorder=7, solid_joinstyle="round")
-    bare_contacts = ~np.array(path.bonded, dtype=np.bool_)
-    middles = [((ends[:-1] + ends[1:]) / 2)[bare_contacts] for ends in (x, y)]
-    axes.plot(*middles, markersize=4.2, zorder=8, **_RING)
-
-
-def _draw_contacts(axes: Axes, packing: PackingRecord, pairs: NDArray[np.int64], colour: str, width: float) -> None:
-    """Draw a stroke around each contact point, half as long as the distance of the two centres."""
-    first, second = (np.column_stack([packing.x[ends], packing.y[ends]]) for ends in pairs.T)
-    strokes = np.stack([0.75 * first + 0.25 * second, 0.25 * first + 0.75 * second], axis=1) * MM
-    axes.add_collection(LineCollection(list(strokes), colors=colour, linewidths=width, rasterized=True))
-
-
-_BAR_BELOW = 0.04
-"""Distance of a scale bar from its picture, over the width of the picture."""
-
-
-_PANEL_WIDTH = 3.4
-"""Width in inches of a panel with a path; its text is beside it."""
-
-_DETAIL = 8.5
-"""Half of the width of an enlarged part, in mean radii."""
-_AROUND_PATH, _LEAST_HEIGHT = 0.12, 0.3
-"""Displayed part around paths, and to each side of the middle, over the width of the sample."""
-
-_SAND_KEY = Patch(facecolor=SAND_GRAIN, label="sand grain")
-_CLUSTER_KEY = Patch(facecolor=CLUSTER_GRAIN, label="grain in a C cluster")
-_P_KEY = Line2D([], [], color=P_CEMENT, linewidth=2.4, label="P contact")
-_C_KEY = Line2D([], [], color=C_CEMENT, linewidth=2.4, label="C contact")
-_PATH_KEY = Line2D([], [], color=BLACK, linewidth=1.8, label="preferential path")
-_BARE_KEY = Line2D([], [], markersize=4.5, label="uncemented contact on it", **_RING)
-
-
 @apply_style
 def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]) -> Figure:
     """Draw two to four samples of one seed side by side, and below each an enlarged part (Figs. 2c, 2d and 5)."""
     packing = graph.packing
-    middle, half = packing.height / 2, min(_DETAIL * float(packing.radius.mean()), packing.height / 4)
+    # The enlarged part is 17 mean radii wide, so that single contacts are seen.
+    middle, half = packing.height / 2, min(8.5 * float(packing.radius.mean()), packing.height / 4)
     figure = new_figure(height=7.6)
     detail_share = 1.05 * packing.width / packing.height  # of the height of a whole sample, for a square as wide
     grid = figure.subplots(
@@ -178,40 +139,42 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]
     letter_panels(grid.ravel())
     _draw_scale(grid[0][0], 0.0, 0.0, packing.width * MM)
     _draw_scale(grid[1][0], left * MM, (middle - half) * MM, 2 * half * MM)
-    figure.legend(handles=[_SAND_KEY, _CLUSTER_KEY, _P_KEY, _C_KEY], loc="outside lower center", ncols=4)
+    figure.legend(handles=_legend_handles(), loc="outside lower center", ncols=4)
     return figure
 
 
 @apply_style
-def draw_measurement(
-    graph: PackingGraph,
-    *,
-    transmitter_half_width: float,
-    receiver_half_width: float,
-    damped_layer: float,
-    arrival: Arrival | None,
-) -> Figure:
-    """Draw transmitter, receiver and, if given, an example of both signals (Fig. 4); all lengths in m."""
+def draw_measurement(graph: PackingGraph, wave: Mapping[str, Any], arrival: Arrival | None) -> Figure:
+    """Draw transmitter, receiver and, if given, an example of both signals (Fig. 4).
+
+    ``wave`` is the section ``[wave]`` of the configuration, with lengths in m.
+    """
     packing = graph.packing
     width, height = packing.width * MM, packing.height * MM
+    transmitter, receiver = float(wave["transmitter_half_width"]), float(wave["receiver_half_width"])
+    layer = float(wave.get("boundary_thickness", 0.0)) * MM
     figure = new_figure(height=4.4)
     scene, signals = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
     _draw_grains(scene, graph)
-    for bottom in (0.0, height - damped_layer * MM):
-        scene.add_patch(
-            Rectangle((0, bottom), width, damped_layer * MM, facecolor=GREY, alpha=0.45, linewidth=0, zorder=3)
-        )
-        place = (width / 2, bottom + damped_layer * MM / 2)
-        scene.text(*place, "strongly damped", ha="center", va="center", fontsize=7, zorder=4)
+    for bottom in (0.0, height - layer):
+        scene.add_patch(Rectangle((0, bottom), width, layer, facecolor=GREY, alpha=0.45, linewidth=0, zorder=3))
+        scene.text(width / 2, bottom + layer / 2, "strongly damped", ha="center", va="center", fontsize=7, zorder=4)
     draw_frame(scene, packing)
-    draw_bands(scene, packing, transmitter_half_width, receiver_half_width)
+    draw_bands(scene, packing, transmitter, receiver)
     scene.set_xlim(-0.32 * width, 1.32 * width)
     arrow = {"arrowstyle": "<->", "color": VERMILION, "linewidth": 1.6}
-    reach = max(transmitter_half_width * MM * 2.2, 0.07 * height)
+    reach = max(transmitter * MM * 2.2, 0.07 * height)
     scene.annotate("", (-0.08 * width, height / 2 + reach), (-0.08 * width, height / 2 - reach), arrowprops=arrow)
     scene.text(-0.14 * width, height / 2, "transmitter", rotation=90, ha="right", va="center", color=VERMILION)
     scene.text(1.07 * width, height / 2, "receiver", rotation=270, ha="left", va="center", color=GREEN)
-    _draw_way(scene, graph, None if arrival is None else arrival.distance)
+    # The path of a velocity lies between the grains at both walls; without one the width is shown.
+    path = width if arrival is None else arrival.distance * MM
+    ends = [((width + side * path) / 2, 0.33 * height) for side in (1.0, -1.0)]
+    arrow = {"arrowstyle": "<->", "color": BLACK, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
+    scene.annotate("", *ends, arrowprops=arrow, zorder=9)
+    label = f"width {width:.3g} mm" if arrival is None else f"L = {path:.3g} mm"
+    box = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5}
+    scene.text(width / 2, 0.335 * height, label, ha="center", va="bottom", zorder=9, bbox=box)
     _draw_scale(scene, 0.0, 0.0, width)
     if arrival is None:
         signals.set_axis_off()
@@ -228,31 +191,26 @@ def draw_measurement(
     return figure
 
 
-def _draw_way(axes: Axes, graph: PackingGraph, distance: float | None) -> None:
-    """Draw the distance of a velocity, between the grains at both walls; if unknown, the width."""
-    width, height = graph.packing.width * MM, graph.packing.height * MM
-    path = width if distance is None else distance * MM
-    left, right = ((width + side * path) / 2 for side in (-1.0, 1.0))
-    arrow = {"arrowstyle": "<->", "color": BLACK, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", (right, 0.33 * height), (left, 0.33 * height), arrowprops=arrow, zorder=9)
-    label = f"width {width:.3g} mm" if distance is None else f"L = {path:.3g} mm"
-    box = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5}
-    axes.text(width / 2, 0.335 * height, label, ha="center", va="bottom", zorder=9, bbox=box)
-
-
 @apply_style
 def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSample]) -> Figure:
     """Draw samples of one content, from slow to fast, with their preferential paths (Fig. 12)."""
     packing = graph.packing
     heights = np.concatenate([packing.y[list(sample.path.grains)] for sample in samples])
-    margin, least = _AROUND_PATH * packing.width, _LEAST_HEIGHT * packing.width
+    # Shown are the paths with 12 % of the width around them, and at least 30 % of it to each side of the middle.
+    margin, least = 0.12 * packing.width, 0.3 * packing.width
     low = max(0.0, min(float(heights.min()) - margin, packing.height / 2 - least))
     high = min(packing.height, max(float(heights.max()) + margin, packing.height / 2 + least))
-    figure = new_figure(height=0.9 + len(samples) * _PANEL_WIDTH * (high - low) / packing.width)
+    figure = new_figure(height=0.9 + len(samples) * 3.4 * (high - low) / packing.width)  # 3.4 inches wide, text beside
     panels = figure.subplots(len(samples), 1, squeeze=False)[:, 0]
     for axes, sample in zip(panels, samples, strict=True):
         _draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.2)
-        _draw_path(axes, graph, sample.path)
+        grains = np.array(sample.path.grains)
+        x, y = packing.x[grains] * MM, packing.y[grains] * MM
+        axes.plot(x, y, color="white", linewidth=3.0, zorder=6, solid_joinstyle="round")
+        axes.plot(x, y, color=BLACK, linewidth=1.6, zorder=7, solid_joinstyle="round")
+        bare = ~np.array(sample.path.bonded, dtype=np.bool_)
+        middles = [((ends[:-1] + ends[1:]) / 2)[bare] for ends in (x, y)]
+        axes.plot(*middles, "o", markersize=4.2, zorder=8, **_RING)
         axes.set_anchor("W")
         features = sample.features
         velocity = f"{sample.vs:.0f} m/s" if math.isfinite(sample.vs) else "no velocity"
@@ -267,16 +225,24 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
         axes.text(1.02, 0.98, "\n".join(lines), transform=axes.transAxes, va="top", linespacing=1.5)
     letter_panels(panels)
     _draw_scale(panels[-1], 0.0, low * MM, packing.width * MM)
-    figure.legend(
-        handles=[_SAND_KEY, _CLUSTER_KEY, _P_KEY, _C_KEY, _PATH_KEY, _BARE_KEY], loc="outside lower center", ncols=3
-    )
+    line = Line2D([], [], color=BLACK, linewidth=1.8, label="preferential path")
+    ring = Line2D([], [], linestyle="none", marker="o", markersize=4.5, label="uncemented contact on it", **_RING)
+    figure.legend(handles=[*_legend_handles(), line, ring], loc="outside lower center", ncols=3)
     return figure
+
+
+def _legend_handles() -> list[Artist]:
+    """Return patches for the grains and lines for the cement."""
+    return [
+        Patch(facecolor=colour, label=name) if "grain" in name else Line2D([], [], color=colour, lw=2.4, label=name)
+        for name, colour in COLOURS.items()
+    ]
 
 
 def _draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
     """Draw a scale bar below a picture of this width with this lower left corner; all in mm, the unit of the data."""
     length = _round_length(width)
-    y = low - _BAR_BELOW * width
+    y = low - 0.04 * width
     axes.plot([left, left + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
     axes.annotate(
         f"{length:g} mm",

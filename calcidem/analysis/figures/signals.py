@@ -1,7 +1,8 @@
-"""Figures of transmitted and received signals."""
+"""Figures of transmitted and received signals, and of the dispersion that they show."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -9,19 +10,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.dispersion import ContentDispersion
 from calcidem.analysis.figures.style import (
+    BLACK,
     BLUE,
     GREEN,
     GREY,
+    KHZ,
     MS,
     ORANGE,
     VERMILION,
     apply_style,
     letter_panels,
     new_figure,
+    pick_evenly,
 )
+from calcidem.storage.errors import UnknownCellError
+from calcidem.storage.records import CellResult
 
-_POINTING = 0.14
 METHOD_STYLES = {
     "peak": ("peak to peak", VERMILION, "v"),
     "first_arrival": ("first arrival", GREEN, "o"),
@@ -46,8 +53,6 @@ class Arrival:
     """Distance between transmitter and receiver, m."""
     velocities: Mapping[str, float]
     """Velocity in m/s for the methods of `METHOD_STYLES` that have one."""
-    onset: float
-    """Level of the first arrival, relative to the peak."""
 
     @property
     def transmitted_peak(self) -> float:
@@ -56,9 +61,9 @@ class Arrival:
 
     @property
     def transmitted_onset(self) -> float:
-        """Time at which the transmitted pulse rises to the onset level, s."""
+        """Time at which the transmitted pulse rises to a tenth of its peak, the level of the first arrival, s."""
         peak = int(np.argmax(self.transmitted))
-        below = int(np.flatnonzero(self.transmitted[: peak + 1] < self.onset * self.transmitted[peak])[-1])
+        below = int(np.flatnonzero(self.transmitted[: peak + 1] < 0.1 * self.transmitted[peak])[-1])
         return float(self.time[below + 1])
 
     def arrival_time(self, method: str) -> float:
@@ -70,43 +75,52 @@ class Arrival:
         return began + self.distance / self.velocities[method]
 
 
+def load_arrival(analysis: CampaignAnalysis, seed: int, content: float) -> Arrival:
+    """Return the signals of a sample and their arrivals; `UnavailableError` if it or its section is not stored."""
+    try:
+        return read_arrival(analysis, analysis.cell(seed, content))
+    except UnknownCellError as error:
+        raise UnavailableError(str(error)) from error
+
+
+def read_arrival(analysis: CampaignAnalysis, cell: CellResult) -> Arrival:
+    """Return the signals of a cell and their arrivals; `UnavailableError` if no section is stored."""
+    section = cell.section
+    if section is None:
+        raise UnavailableError(f"no section is stored for seed {cell.key.seed} at {cell.key.content:g} %")
+    velocities = {name: getattr(cell, f"vs_{name}") for name in METHOD_STYLES}
+    return Arrival(
+        seed=cell.key.seed,
+        content=cell.key.content,
+        time=section.time,
+        transmitted=section.transmitted,
+        received=section.received,
+        # A cell whose path is the whole width has no distance.
+        distance=cell.distance or analysis.store.packing(cell.packing_index).width,
+        velocities={name: value for name, value in velocities.items() if value is not None},
+    )
+
+
 def draw_signal_pair(axes: Axes, arrival: Arrival) -> None:
     """Draw both signals of a sample, each over its own peak, and mark the arrivals."""
     time = arrival.time * MS
     axes.axhline(0, color=GREY, linewidth=0.6)
     pulse = arrival.transmitted / np.max(arrival.transmitted)
     axes.fill_between(time, pulse, color=GREY, alpha=0.35, linewidth=0, label="transmitted")
-    end = _received_peak_index(arrival)
-    largest = np.abs(arrival.received[: end + 1]).max()
+    seen = np.searchsorted(arrival.time, arrival.arrival_time("peak")) if "peak" in arrival.velocities else time.size
+    largest = np.abs(arrival.received[: seen + 1]).max()
     axes.plot(time, arrival.received / largest, color=BLUE, label="received")
     for method, (label, colour, marker) in METHOD_STYLES.items():
         if method not in arrival.velocities:
             continue
         moment = arrival.arrival_time(method)
         # A peak is marked from above, so that the other marks do not hide it.
-        level = np.interp(moment, arrival.time, arrival.received / largest) + (_POINTING if method == "peak" else 0)
-        axes.plot(
-            moment * MS,
-            level,
-            linestyle="none",
-            marker=marker,
-            markersize=6,
-            color=colour,
-            markeredgecolor="white",
-            markeredgewidth=0.7,
-            zorder=5,
-            label=label,
-        )
+        level = np.interp(moment, arrival.time, arrival.received / largest) + (0.14 if method == "peak" else 0.0)
+        look: dict[str, Any] = {"markersize": 6, "color": colour, "markeredgecolor": "white", "markeredgewidth": 0.7}
+        axes.plot(moment * MS, level, marker, zorder=5, label=label, **look)
     axes.set_xlim(0, time[-1])
     axes.set_ylim(min(-0.6, 1.1 * float(arrival.received.min()) / largest), 1.35)
     axes.set_ylabel("signal / its peak")
-
-
-def _received_peak_index(arrival: Arrival) -> int:
-    """Index of the received peak; of the last sample without one."""
-    if "peak" not in arrival.velocities:
-        return len(arrival.time) - 1
-    return int(np.searchsorted(arrival.time, arrival.arrival_time("peak")))
 
 
 @apply_style
@@ -127,3 +141,63 @@ def draw_signals(arrivals: Sequence[Arrival]) -> Figure:
     panels[-1].set_xlabel("time (ms)")
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=len(handles))
     return figure
+
+
+@apply_style
+def draw_dispersion(contents: Sequence[ContentDispersion]) -> Figure:
+    """Draw power over frequency and phase velocity, the phase velocity with its error, and the long-wave limit.
+
+    At most six contents are shown.
+    """
+    contents = pick_evenly(contents, 6)
+    lines = -(-len(contents) // 2)
+    figure = new_figure(height=0.7 + 2.1 * lines)
+    panels = figure.subplots(lines, 2, squeeze=False).ravel()
+    for axes, shown in zip(panels, contents, strict=False):
+        _draw_content_dispersion(axes, shown)
+    letter_panels(panels[: len(contents)])
+    for axes in panels[len(contents) :]:
+        axes.set_axis_off()
+    figure.supxlabel("frequency (kHz)", fontsize=9)
+    figure.supylabel("phase velocity (m/s)", fontsize=9)
+    labelled = max((axes.get_legend_handles_labels() for axes in panels), key=lambda found: len(found[1]))
+    figure.legend(*labelled, loc="outside upper center", ncols=2)
+    return figure
+
+
+def _draw_content_dispersion(axes: Axes, shown: ContentDispersion) -> None:
+    """Draw the spectrum of one content and its dispersion."""
+    found = shown.found
+    axes.grid(visible=False)
+    axes.pcolormesh(
+        found.frequency * KHZ, found.velocity, found.power.T, cmap="Blues", vmin=0.0, vmax=1.0, rasterized=True
+    )
+    axes.errorbar(
+        found.frequency * KHZ,
+        found.phase_velocity,
+        yerr=found.standard_error,
+        fmt="o-",
+        color=BLACK,
+        markersize=2.5,
+        linewidth=0.8,
+        label="phase velocity and its standard error",
+    )
+    axes.errorbar(
+        [0.0],
+        [found.long_wave],
+        yerr=[found.long_wave_error],
+        fmt="D",
+        color=VERMILION,
+        markersize=4.5,
+        capsize=2,
+        clip_on=False,
+        zorder=5,
+        label="long-wave limit",
+    )
+    axes.axhline(shown.vs, color=VERMILION, linewidth=0.9, linestyle=":", label="median Vs")
+    if np.isfinite(shown.static):
+        axes.axhline(shown.static, color=GREEN, linewidth=0.9, linestyle="--", label="static speed (median)")
+    reached = [*found.phase_velocity, found.long_wave, shown.vs]
+    axes.set_ylim(min(0.45 * shown.vs, 0.9 * min(reached)), max(2.2 * shown.vs, 1.1 * max(reached)))
+    axes.set_xlim(0.0, found.frequency[-1] * KHZ)
+    axes.set_title(f"{shown.content:g} % ({found.samples} samples)")

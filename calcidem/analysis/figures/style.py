@@ -1,21 +1,24 @@
 """Common style of all figures: colours, sizes, units, and output to files."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import wraps
 from io import BytesIO
 from pathlib import Path
 from string import ascii_lowercase
-from typing import Any, ParamSpec, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
-import matplotlib as mpl
+import matplotlib.style
+import numpy as np
 from cycler import cycler
 from matplotlib.axes import Axes
+from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
 from PIL import Image
 
 P = ParamSpec("P")
+T = TypeVar("T")
 
 # Okabe and Ito (2008), distinguishable with every kind of colour vision.
 BLACK = "#1a1a1a"
@@ -32,17 +35,8 @@ MM = MS = 1e3
 KHZ = 1e-3
 """Millimetres in a metre, milliseconds in a second, kilohertz in a hertz."""
 
-PICTURE_MARGIN = 0.015
-"""Margin around a picture of a sample, over the width of the sample."""
-
-SAND_GRAIN = "#d3e0ea"
-CLUSTER_GRAIN = "#f6c667"
-P_CEMENT = BLUE
-C_CEMENT = "#a63603"
-
 SEQUENCE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 CONTENT_MAP = "viridis"
-CORRELATION_MAP = "RdBu_r"
 
 FIGURE_WIDTH = 6.2
 """Width of a figure in inches: a column of the report, readable on a phone."""
@@ -88,12 +82,25 @@ _STYLE: dict[Any, Any] = {
 }
 
 
+class _StyledFigure(Figure):
+    """Figure that every canvas draws in this style.
+
+    matplotlib creates texts of ticks only when a canvas draws. With the settings of a user's matplotlibrc, such as
+    ``text.usetex`` without LaTeX, a figure would fail there.
+    """
+
+    def draw(self, renderer: RendererBase) -> None:
+        """Draw all artists."""
+        with matplotlib.style.context(_STYLE, after_reset=True):
+            super().draw(renderer)
+
+
 def apply_style(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     """Make a function draw in this style, independent of the caller's settings of matplotlib."""
 
     @wraps(draw)
     def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with mpl.rc_context(_STYLE):
+        with matplotlib.style.context(_STYLE, after_reset=True):
             return draw(*args, **kwargs).figure  # the whole figure if only a part was drawn
 
     return inner
@@ -122,7 +129,7 @@ def drawn_in(place: Axes | None) -> Iterator[None]:
 def new_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     """Return an empty figure of a size in inches, without a window, or a part of the caller's figure."""
     if (place := _CALLERS_AXES.get()) is None:
-        return Figure(figsize=(width, height), layout="constrained")
+        return _StyledFigure(figsize=(width, height), layout="constrained")
     if (cell := place.get_subplotspec()) is None:
         raise ValueError("ax is not of a grid, and this figure has several panels: make it with plt.subplots.")
     owner = place.figure
@@ -136,6 +143,12 @@ def new_panel(height: float, width: float = FIGURE_WIDTH) -> tuple[Figure, Axes,
         figure = new_figure(height, width)
         return figure, figure.subplots(), False
     return place.figure.figure, place, True  # the figure of a part, or the figure itself
+
+
+def pick_evenly(items: Sequence[T], count: int) -> list[T]:
+    """Return at most `count` items from the first to the last, evenly spaced in their order."""
+    places = np.unique(np.linspace(0, len(items) - 1, count).round().astype(int))
+    return [items[place] for place in places]
 
 
 def letter_panels(panels: Iterable[Axes], **look: Any) -> None:  # noqa: ANN401 - of a text of matplotlib
@@ -160,13 +173,11 @@ def render(figure: Figure, file_format: str, colours: int | None = None) -> byte
     """Return the bytes of a figure as "png" (150 dpi), "svg" or "pdf"; equal figures give equal bytes."""
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(file_format, {})
     buffer = BytesIO()
-    with mpl.rc_context(_STYLE):
+    with matplotlib.style.context(_STYLE, after_reset=True):
         if (layout := figure.get_layout_engine()) is not None:
             layout.execute(figure)
             figure.set_layout_engine(None)  # with a layout engine `savefig` draws and lays out twice
-        options: dict[str, Any] = (
-            {} if colours is None else {"pil_kwargs": {"compress_level": 0}}
-        )  # compressed later with its palette
+        options: dict[str, Any] = {} if colours is None else {"pil_kwargs": {"compress_level": 0}}  # compressed below
         figure.savefig(buffer, format=file_format, metadata=metadata, **options)
     return buffer.getvalue() if colours is None else reduce_colours(buffer.getvalue(), colours)
 

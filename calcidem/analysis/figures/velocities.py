@@ -1,7 +1,7 @@
 """Pictures of the velocities of a campaign: range, distribution, methods, and Monte-Carlo error."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import ContentDistribution, Distribution
 from calcidem.analysis.figures.signals import METHOD_STYLES
 from calcidem.analysis.figures.style import (
@@ -28,20 +29,21 @@ from calcidem.analysis.figures.style import (
     letter_panels,
     new_figure,
     new_panel,
+    pick_evenly,
 )
 from calcidem.analysis.measured import Target
-from calcidem.analysis.published import PublishedVelocity
+from calcidem.analysis.planning import narrowing
+from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.storage.records.error_budget import NORMAL_95, departs
 
-_LOW_CONTENT = 0.7
-"""Contents up to this are so close together that they are also drawn enlarged."""
-_HISTOGRAM_COLUMNS = 4
-_MANY = 30
-"""Number of samples above which marks are pixels in vector files, which keeps these small."""
-_SIDE_BY_SIDE = 0.006
-"""Offset of the first and last sample of a content, over the range of contents."""
-_PUBLISHED_ASIDE = 0.012
-"""Offset of published means from their content, over the range of contents."""
+
+def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
+    """Return the published rows for a campaign with the published sand; empty if fewer than two contents match."""
+    if not published_study().has_sand_of(analysis.config):
+        return []
+    contents = analysis.vs["content"].to_numpy()
+    rows = [row for row in published_study().velocities if np.isclose(contents, row[0], atol=1e-6).any()]
+    return rows if len(rows) > 1 else []
 
 
 @apply_style
@@ -53,13 +55,15 @@ def draw_range(
 ) -> Figure:
     """Draw Vs against content with its intervals (Fig. 10), published velocities and laboratory samples.
 
-    ``cells`` has vs (m/s), vs_error and path_departure along (seed, content), NaN where missing.
+    ``cells`` has vs (m/s), vs_error and path_departure along (seed, content), NaN where missing. `UnavailableError` if
+    no content has a velocity.
     """
-    rows = [row for row in distributions if row.vs.n]
+    rows = _rows_with_velocity(distributions)
     figure, axes, placed = new_panel(height=4.6)
-    low = [row for row in rows if row.content <= _LOW_CONTENT]
-    enlarged = not placed and len(low) > 2 and rows[-1].content > 4 * _LOW_CONTENT  # fewer need no second picture
-    _draw_range(axes, cells, rows, [row for row in published if not enlarged or row[0] > _LOW_CONTENT])
+    close = 0.7  # %; contents up to this are so close together that they are also drawn enlarged
+    low = [row for row in rows if row.content <= close]
+    enlarged = not placed and len(low) > 2 and rows[-1].content > 4 * close  # fewer need no second picture
+    _draw_range(axes, cells, rows, [row for row in published if not enlarged or row[0] > close])
     _draw_measured(axes, measured)
     axes.set_xlabel(CONTENT_LABEL)
     axes.set_ylabel(VS_LABEL)
@@ -69,11 +73,17 @@ def draw_range(
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3 if published else 2)
     if enlarged:
         inset = axes.inset_axes((0.08, 0.58, 0.36, 0.4))
-        _draw_range(inset, cells, low, [row for row in published if row[0] <= _LOW_CONTENT])
-        _draw_measured(inset, [target for target in measured if target.content <= _LOW_CONTENT])
+        _draw_range(inset, cells, low, [row for row in published if row[0] <= close])
+        _draw_measured(inset, [target for target in measured if target.content <= close])
         inset.set_title(f"up to {low[-1].content:g} %", fontsize=8, fontweight="normal")
         inset.tick_params(labelsize=7)
     return figure
+
+
+def _rows_with_velocity(distributions: Sequence[ContentDistribution]) -> list[ContentDistribution]:
+    if found := [row for row in distributions if row.vs.n]:
+        return found
+    raise UnavailableError("no sample has a velocity")
 
 
 def _draw_range(
@@ -83,20 +93,13 @@ def _draw_range(
     published: Sequence[tuple[float, PublishedVelocity]],
 ) -> None:
     content = np.array([row.content for row in rows])
-    means = np.array([row.vs.mean for row in rows])
-
-    def band(name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        intervals = [getattr(row.vs, name) for row in rows]
+    for intervals, label, colour, alpha in (
+        ([row.vs.prediction_interval for row in rows], "95 % of new samples", SKY, 0.25),
+        ([row.vs.mean_interval for row in rows], "95 % interval of the mean", BLUE, 0.45),
+    ):
         low, high = np.array([(interval.low, interval.high) for interval in intervals]).T
-        return low, high
-
-    axes.fill_between(
-        content, *band("prediction_interval"), color=SKY, alpha=0.25, linewidth=0, label="95 % of new samples"
-    )
-    axes.fill_between(
-        content, *band("mean_interval"), color=BLUE, alpha=0.45, linewidth=0, label="95 % interval of the mean"
-    )
-    abreast = _SIDE_BY_SIDE * (content[-1] - content[0])  # so that bars of samples are visible
+        axes.fill_between(content, low, high, color=colour, alpha=alpha, linewidth=0, label=label)
+    abreast = 0.006 * (content[-1] - content[0])  # so that bars of samples are visible
     apart: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
     for row in rows:
         of_content = cells.sel(content=row.content)
@@ -112,7 +115,7 @@ def _draw_range(
             markeredgewidth=0,
             elinewidth=0.4,
             label="one sample and its\n95 % interval" if row is rows[0] else None,
-            rasterized=values.size > _MANY,
+            rasterized=values.size > 30,  # which keeps vector files small
         )
         differ = departs(of_content["path_departure"].to_numpy())
         apart.append((at[differ], values[differ]))
@@ -120,9 +123,9 @@ def _draw_range(
     if marked.size:
         label = "vs and path_vs differ"
         axes.plot(marked, speeds, "o", markersize=5.5, markerfacecolor="none", color=ORANGE, label=label)
-    axes.plot(content, means, color=BLUE, marker="o", markersize=3, label="mean")
+    axes.plot(content, [row.vs.mean for row in rows], color=BLUE, marker="o", markersize=3, label="mean")
     if published:
-        aside = _PUBLISHED_ASIDE * (content[-1] - content[0])  # so that neither hides the other
+        aside = 0.012 * (content[-1] - content[0])  # so that neither hides the other
         axes.errorbar(
             [at + aside for at, _ in published],
             [row.mean for _, row in published],
@@ -161,9 +164,12 @@ def _draw_measured(axes: Axes, measured: Sequence[Target]) -> None:
 def draw_histograms(
     vs: xr.DataArray, distributions: Sequence[ContentDistribution], measured: Sequence[Target] = ()
 ) -> Figure:
-    """Draw the distribution of Vs (m/s) at each content with its normal fit (Fig. 11), and laboratory means."""
-    rows = [row for row in distributions if row.vs.n]
-    columns = min(_HISTOGRAM_COLUMNS, len(rows))
+    """Draw the distribution of Vs (m/s) at up to 24 contents with its normal fit (Fig. 11), and laboratory means.
+
+    `UnavailableError` if no content has a velocity.
+    """
+    rows = pick_evenly(_rows_with_velocity(distributions), 24)
+    columns = min(4, len(rows))
     lines = math.ceil(len(rows) / columns)
     figure = new_figure(height=0.45 + 1.5 * lines)
     panels = figure.subplots(lines, columns, squeeze=False).ravel()
@@ -203,10 +209,10 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
     axes.hist(values, bins="auto", density=True, color=SKY, alpha=0.75, edgecolor="white", linewidth=0.5)
     reach = 3.4 * row.standard_deviation
     grid = np.linspace(min(values.min(), row.mean - reach), max(values.max(), row.mean + reach), 200)
-    axes.plot(grid, row.normal_fit.density(grid), color=VERMILION, linewidth=1.2)
+    axes.plot(grid, row.normal_density(grid), color=VERMILION, linewidth=1.2)
     floor = np.zeros_like(values)
-    axes.plot(values, floor, "|", color=BLACK, ms=4, mew=0.5, clip_on=False, rasterized=values.size > _MANY)
-    p_value = row.normality.p_small_sample
+    axes.plot(values, floor, "|", color=BLACK, ms=4, mew=0.5, clip_on=False, rasterized=values.size > 30)
+    p_value = row.p_small_sample
     p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"  # two digits
     text = f"n = {row.n}, S = {row.skewness:.2f}, K = {row.kurtosis:.2f}\n{p_text}".replace("-", "\N{MINUS SIGN}")
     colour = BLACK if p_value >= 0.05 else VERMILION  # the usual level
@@ -216,7 +222,12 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
 
 @apply_style
 def draw_methods(cells: xr.Dataset, measured: Sequence[Target] = ()) -> Figure:
-    """Draw mean Vs (m/s) by three methods of reading against content (compare Fig. 6), and laboratory means."""
+    """Draw mean Vs (m/s) by three methods of reading against content (compare Fig. 6), and laboratory means.
+
+    `UnavailableError` if no cell has a velocity from peak to peak.
+    """
+    if not bool(np.isfinite(cells["vs_peak"]).any()):
+        raise UnavailableError("no sample has a velocity from peak to peak")
     figure = new_figure(height=4.6)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.6, 1.0])
     content = cells["content"].to_numpy()
@@ -244,8 +255,10 @@ def draw_methods(cells: xr.Dataset, measured: Sequence[Target] = ()) -> Figure:
 
 
 @apply_style
-def draw_narrowing(narrowings: Mapping[float, xr.Dataset]) -> Figure:
-    """Draw the 95 % intervals against the number of seeds for each content, see `planning.narrowing`."""
+def draw_narrowing(vs: xr.DataArray, contents: Sequence[float]) -> Figure:
+    """Draw the 95 % intervals against the number of seeds for each content, see `planning.narrowing`; Vs in m/s."""
+    counts = tuple(int(count) for count in np.unique(np.geomspace(4, 512, 15).round()))
+    narrowings = {content: narrowing(vs.sel(content=content).to_numpy(), counts) for content in contents}
     figure = new_figure(height=3.1)
     panels = figure.subplots(1, 3)
     colours = mpl.colormaps[CONTENT_MAP](np.linspace(0.05, 0.85, len(narrowings)))

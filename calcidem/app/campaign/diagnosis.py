@@ -17,12 +17,11 @@ import numpy as np
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.patterns import section_of, stored_experiment
 from calcidem.app.campaign.status import UNREAD
-from calcidem.app.config.reference import written
+from calcidem.dem.engine.fields import written
 from calcidem.dem.sample.judgement import judge_disks
 from calcidem.dem.sample.settling import SettlingError
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.first_look import WAVELENGTHS, suitable_frequency
-from calcidem.dem.wave.measurement import LARGEST_BOUND, Interpretation, Outcome, measure
+from calcidem.dem.wave.experiment import WAVELENGTHS, Experiment, suitable_frequency
+from calcidem.dem.wave.measurement import LARGEST_BOUND, measure
 from calcidem.dem.wave.reading import (
     LEAST_COHERENCE,
     SILENCE,
@@ -31,7 +30,6 @@ from calcidem.dem.wave.reading import (
     Verdict,
     find_candidates,
     read_section,
-    reading_error_parts,
 )
 from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.dem.wave.static_speed import static_speed
@@ -90,8 +88,8 @@ class Diagnosis:
     """Values of the configuration that together give a velocity, and this velocity, m/s; empty and None without any."""
     experiment: Experiment
     section: Section
-    reading: Reading
-    """Experiment, section and reading of the cell."""
+    reading: Reading | Verdict
+    """Experiment, section and reading of the cell, or why there is none."""
     expected: tuple[float, float]
     """Slowest and fastest S wave expected from the static stiffness of the sample, m/s."""
 
@@ -131,7 +129,7 @@ def _diagnose(cell: CellResult, experiment: Experiment, others_are_read: bool) -
     """Diagnose one cell; ``others_are_read`` if its content has velocities."""
     if (stored := cell.section) is None:
         (found,) = measure(experiment, cell.key.content, [cell.key.seed])
-    section = found.record.section if stored is None else section_of(stored)
+    section = found.section if stored is None else section_of(stored)
     reading, finding = read_section(section, experiment.pick), []
     if not others_are_read:
         finding.append(f"All cells failed. Look at the packing first: {_judged_packing(experiment)}")
@@ -159,38 +157,40 @@ def _find_remedies(
     """Compare Vs of all trial values with the static speed (m/s); return a text, Vs (m/s) and fewest values."""
 
     @cache
-    def attempt(*values: tuple[str, Any]) -> Interpretation:
+    def attempt(*values: tuple[str, Any]) -> tuple[float | None, str]:
         try:
             (found,) = measure(_experiment_with(experiment, dict(values)), cell.key.content, [cell.key.seed])
         except (ValueError, SettlingError) as error:
-            return Interpretation(Outcome.NO_ARRIVAL, str(error))
-        return found.result
+            return None, str(error)
+        return found.vs, found.reason
 
     values = _named_value(experiment, {}, cell.reason) | _trial_values(experiment, section, speed)
-    damped, best = {"wave.damping": _two_digits(0.5 * experiment.wave.damping)}, attempt(*values.items())
+    damped, (best, reason) = {"wave.damping": _two_digits(0.5 * experiment.wave.damping)}, attempt(*values.items())
     for _ in range(_MOST_NAMED):
-        if best.vs is not None:
+        if best is not None:
             break
-        values = values | (_named_value(experiment, values, best.reason) or damped)
-        best = attempt(*values.items())
-    text, wanted = f"All trial values together give no velocity: {best.reason}.", [expected]
-    if best.vs is not None:
-        ratio = f", {best.vs / speed:.2f} times the static speed" if speed > 0.0 else ""
-        text = f"All trial values together give {best.vs:.0f} m/s{ratio}."
-        if 1.0 / _OTHER_WAVE < best.vs / speed < _OTHER_WAVE:
-            wanted.append((best.vs / _AGREES, best.vs * _AGREES))
+        values = values | (_named_value(experiment, values, reason) or damped)
+        best, reason = attempt(*values.items())
+    text, wanted = f"All trial values together give no velocity: {reason}.", [expected]
+    if best is not None:
+        ratio = f", {best / speed:.2f} times the static speed" if speed > 0.0 else ""
+        text = f"All trial values together give {best:.0f} m/s{ratio}."
+        if 1.0 / _OTHER_WAVE < best / speed < _OTHER_WAVE:
+            wanted.append((best / _AGREES, best * _AGREES))
     if fewest := _fewest_values(attempt, values, wanted):
-        return text, attempt(*fewest.items()).vs, fewest
-    read = ", ".join(f"{found.vs:.0f} m/s" for found in map(attempt, values.items()) if found.vs is not None)
+        return text, attempt(*fewest.items())[0], fewest
+    read = ", ".join(f"{vs:.0f} m/s" for vs, _ in map(attempt, values.items()) if vs is not None)
     tried = ", ".join(f"{name} = {written(value)}" for name, value in values.items())
     return f"{text} They are {tried}. Velocities with one of them: {read or 'none'}.", None, {}
 
 
-def _fewest_values(attempt: Callable[..., Interpretation], values: _NewValues, wanted: list[_Range]) -> _NewValues:
+def _fewest_values(
+    attempt: Callable[..., tuple[float | None, str]], values: _NewValues, wanted: list[_Range]
+) -> _NewValues:
     """One value, else several without superfluous ones, with which Vs is in a wanted range, m/s; empty without any."""
 
     def gives(chosen: Iterable[tuple[str, Any]], ranges: list[_Range]) -> bool:
-        vs = attempt(*chosen).vs
+        vs, _ = attempt(*chosen)
         return vs is not None and any(low <= vs <= high for low, high in ranges)
 
     items = list(values.items())
@@ -254,24 +254,22 @@ def _judged_packing(experiment: Experiment) -> str:
     return " ".join([text, *(f"packing.{fault.text}." for fault in judge_disks(packing, experiment.sand))])
 
 
-def _explain_refusal(experiment: Experiment, section: Section, reading: Reading, bound: float | None) -> str:
+def _explain_refusal(experiment: Experiment, section: Section, reading: Reading | Verdict, bound: float | None) -> str:
     """Return a sentence with the value that caused the refusal; ``bound`` is that of the numerical error."""
     pick, ms, candidates = experiment.pick, 1e3 * section.duration, find_candidates(section, experiment.pick.smoothing)
-    if reading.verdict is Verdict.SILENT:
+    if reading is Verdict.SILENT:
         largest = float(np.abs(section.across[:, -1]).max(initial=0)) * RESOLUTION
         return f"In {ms:.3g} ms the receiver reaches {largest:.2%} of v0, with no peak above {SILENCE:.1%}."
-    if reading.verdict is Verdict.TOO_SHORT:
+    if reading is Verdict.TOO_SHORT:
         late = min(one.decided for one in candidates if one.decided > section.duration)
         return f"A peak is decided at {1e3 * late:.3g} ms; the record ends at {ms:.3g} ms."
-    if reading.verdict is Verdict.NO_LINE:
+    if reading is Verdict.NO_LINE:
         best = max(candidates, key=lambda candidate: candidate.coherence)
         text = f"The best of {len(candidates)} peaks, {section.distance / best.travel_time:.0f} m/s, has a coherence of"
         return f"{text} {best.coherence:.3f}; {max(best.rival, LEAST_COHERENCE):.3f} is needed."
-    if reading.arrival is not None and reading.error is not None and reading.error > pick.largest_error:
-        parts = reading_error_parts(reading.arrival, section.frequency)
-        part = max(parts._fields, key=lambda field: getattr(parts, field)).replace("_", " ")
+    if isinstance(reading, Reading) and reading.error > pick.largest_error:
         text = f"The standard error of the reading is {reading.error:.1%}; {pick.largest_error:.1%} is allowed"
-        return f"{text} (pick.largest_error). Its largest part is '{part}'."
+        return f"{text} (pick.largest_error)."
     if bound is not None and bound > LARGEST_BOUND:
         return f"The bound of the numerical error is {bound:.1%}; {LARGEST_BOUND:.0%} is allowed."
     return f"The {pick.method.replace('_', ' ')} is more than a quarter of a period from the stacked arrival."

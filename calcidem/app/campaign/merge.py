@@ -9,17 +9,14 @@ from pathlib import Path
 from typing import TypeAlias
 
 from calcidem.app.campaign.identity import physics_version
-from calcidem.app.campaign.stored_packing import content_hash_of
-from calcidem.storage.errors import CampaignMismatchError, StoreError
-from calcidem.storage.files import write_atomically
+from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError, StoreError
 from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
+from calcidem.storage.sql.engine import Address
+from calcidem.storage.sql.lease import replace_database
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import first_of
-
-_OUTCOMES_AT_ONCE = 200
-"""Number of outcomes written in one transaction; with sections they take a few megabytes of memory."""
 
 _Values: TypeAlias = tuple[float | None, ...] | None
 """`EXACT_QUANTITIES` of a done cell, else None."""
@@ -48,6 +45,8 @@ class _Conflict:
 class Merged:
     """Outcome of a merge."""
 
+    sources: tuple[str, ...]
+    """Databases that were merged; the last is the target if it existed."""
     settled: int
     """Number of cells with an outcome."""
     missing: tuple[CellKey, ...]
@@ -60,15 +59,13 @@ class Merged:
     """Number of cells that are done in one source and failed in another."""
     conflicts: tuple[_Conflict, ...]
     """Done cells with different values. With any and without a preferred source, nothing was written."""
-    lacking: tuple[str, ...]
-    """Quantities of done cells that some source lacks, since it may be older."""
 
-    def conflict_lines(self, sources: list[str]) -> list[str]:
+    def conflict_lines(self) -> list[str]:
         """One line for each conflict, up to a number."""
         lines = [
             f"{conflict.key}: "
             + ", ".join(
-                f"Vs {velocity:.9g} m/s in {sources[source]}" for source, velocity in conflict.velocities.items()
+                f"Vs {velocity:.9g} m/s in {self.sources[source]}" for source, velocity in conflict.velocities.items()
             )
             + f" (different: {', '.join(conflict.quantities)})"
             for conflict in self.conflicts
@@ -88,26 +85,30 @@ class Merged:
 
 
 def merge_databases(
-    sources: list[str], out: Path, prefer: str | None = None, campaign_name: str | None = None
+    sources: Sequence[str], out: Path, prefer: str | None = None, campaign_name: str | None = None
 ) -> Merged:
-    """Merge the campaign of some databases or URLs into a new file, which appears only once it is complete.
+    """Merge the campaign of some databases or URLs into a file, which is new or has the same campaign.
 
-    The sources are only read. ``prefer`` is the source whose values count where done cells differ. `FileExistsError` if
-    the file exists, `MergeConflictError` if done cells differ and no source is preferred, `CampaignMismatchError` if
-    configurations or packings differ, other `StoreError` if a database cannot be read.
+    It changes only once all is complete, and no run may be writing it. The sources are only read. ``prefer`` is the
+    source whose values count where done cells differ. `FileExistsError` if the file has several campaigns,
+    `MergeConflictError` if done cells differ and no source is preferred, `CampaignMismatchError` if configurations or
+    packings differ, `LeaseHeldError` if the file is being written, other `StoreError` if a database cannot be read.
     """
-    if out.exists():
-        raise FileExistsError(f"{out} exists already; give another file name for the merged database.")
+    target = Address.parse(out).path or out
+    names = list(sources)
     with ExitStack() as stack:
-        campaigns = [stack.enter_context(read_campaign(source, campaign_name)) for source in sources]
-        temporary = stack.enter_context(write_atomically(out))
+        temporary = stack.enter_context(replace_database(target))
+        if target.exists() and target.stat().st_size and target not in [Address.parse(name).path for name in names]:
+            names.append(str(out))
+        campaigns = [stack.enter_context(read_campaign(name, campaign_name)) for name in names]
+        for campaign in campaigns:
+            if campaign.address.path == target:
+                _refuse_other_uses(campaign)
         with Store(temporary) as store:
-            merged = _merge_campaigns(campaigns, store, None if prefer is None else sources.index(prefer))
+            merged = _merge_campaigns(campaigns, store, names, None if prefer is None else names.index(prefer))
         if merged.conflicts and prefer is None:
             raise MergeConflictError(
-                "\n".join(
-                    [f"{len(merged.conflicts)} done cells have different values:", *merged.conflict_lines(sources)]
-                )
+                "\n".join([f"{len(merged.conflicts)} done cells have different values:", *merged.conflict_lines()])
                 + "\n",
                 "Nothing was written. Such values come from a changed file or another version of calcidem; "
                 "give --prefer with the database to take.",
@@ -115,41 +116,48 @@ def merge_databases(
     return merged
 
 
-def _merge_campaigns(sources: Sequence[Store], target: Store, prefer: int | None) -> Merged:
+def _refuse_other_uses(target: Store) -> None:
+    """Refuse to replace a database with several campaigns, or one that is being written."""
+    if len(target.campaigns()) > 1:
+        raise FileExistsError(f"{target.address} has several campaigns; give another file for the merged database.")
+    if (holder := target.lease_holder()) is not None and holder.may_live():
+        raise LeaseHeldError(
+            f"{target.address} is being written by process {holder.pid} on {holder.host}.", "Wait until it has ended."
+        )
+
+
+def _merge_campaigns(sources: Sequence[Store], target: Store, names: Sequence[str], prefer: int | None) -> Merged:
     """Write the union of some campaigns of one configuration into an empty store, see `merge_databases`.
 
-    A done outcome replaces any other; that of the preferred source replaces other done ones. Otherwise the outcome with
-    the most quantities is taken, the first of equal ones. Attempts of a cell are sorted by time and numbered again.
-    Runs and attempts that occur in several sources, since one is a copy of another, are copied once.
+    A done outcome replaces any other; that of the preferred source replaces other done ones. Of equal ones the first is
+    taken. Attempts of a cell are sorted by time and numbered again. Runs and attempts that occur in several sources,
+    since one is a copy of another, are copied once.
     """
     _refuse_other_campaigns(sources)
     packings = _join_packings(sources)
     choice: dict[CellKey, int] = {}
     conflicts: list[_Conflict] = []
-    lacking: set[str] = set()
     shared = overruled = 0
     for key, found in sorted(_settled_cells(sources).items()):
         done = {source: values for source, values in found.items() if values is not None}
         candidates = done or found
-        fullest = min(candidates, key=lambda source: (candidates[source] or ()).count(None))
-        choice[key] = prefer if prefer is not None and prefer in candidates else fullest
+        choice[key] = prefer if prefer is not None and prefer in candidates else min(candidates)
         overruled += 0 < len(done) < len(found)
-        quantities = {name: set(values) for name, *values in zip(EXACT_QUANTITIES, *done.values(), strict=False)}
-        lacking |= {name for name, values in quantities.items() if None in values and len(values) > 1}
-        if different := tuple(name for name, values in quantities.items() if len(values - {None}) > 1):
+        quantities = zip(EXACT_QUANTITIES, *done.values(), strict=False)
+        if different := tuple(name for name, *values in quantities if len(set(values)) > 1):
             conflicts.append(
                 _Conflict(key, {source: values[0] or math.nan for source, values in done.items()}, different)
             )
         else:
             shared += len(done) > 1
     merged = Merged(
+        sources=tuple(names),
         settled=len(choice),
         missing=tuple(sorted(set().union(*(source.statuses() for source in sources)) - choice.keys())),
         taken=tuple(list(choice.values()).count(source) for source in range(len(sources))),
         shared=shared,
         overruled=overruled,
         conflicts=tuple(conflicts),
-        lacking=tuple(name for name in EXACT_QUANTITIES if name in lacking),
     )
     if conflicts and prefer is None:
         return merged
@@ -191,8 +199,7 @@ def _join_packings(sources: Sequence[Store]) -> list[PackingRecord]:
                 "Whether it is the packing of the other cells cannot be checked; leave this database out.",
             )
         for index in indices:
-            record = source.packing(index)
-            packing = replace(record, content_hash=content_hash_of(record))
+            packing = source.packing(index)
             other, other_place = first.setdefault(index, (packing, place))
             other.refuse_other(packing, (other_place, place))
     return [packing for packing, _ in first.values()]
@@ -204,7 +211,7 @@ def _settled_cells(sources: Sequence[Store]) -> dict[CellKey, dict[int, _Values]
     for position, source in enumerate(sources):
         columns = source.table(("seed", "content", "status", *EXACT_QUANTITIES))
         for seed, content, status, *values in zip(*(column.tolist() for column in columns.values()), strict=True):
-            if status not in {CellStatus.PENDING, CellStatus.DAMAGED}:
+            if status != CellStatus.PENDING:
                 known = tuple(None if math.isnan(value) else value for value in values)
                 settled[CellKey(int(seed), content)][position] = known if status == CellStatus.DONE else None
     return settled
@@ -248,5 +255,5 @@ def _copy_outcomes(
         for result in source.results(with_arrays=True)
         if choice.get(result.key) == position and (position, result.key, result.attempt) in numbers
     )
-    for block in chunks(chosen, _OUTCOMES_AT_ONCE):
+    for block in chunks(chosen, 200):
         target.record_results(block)

@@ -32,7 +32,6 @@ from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
 from calcidem.app.campaign.prediction import draw_pattern, predict_velocity
-from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -253,7 +252,6 @@ class Campaign(Closable):
     def recorded_section(self, *, seed: int, content: float) -> RecordedSection:
         """Return the stored section of a cell; `UnknownCellError` if it was not stored."""
         found = self.store.cell(seed=seed, content=content)
-        found.refuse_damage()
         if found.section is None:
             raise UnknownCellError(
                 f"No section is stored for seed {seed} and content {content} %.",
@@ -479,12 +477,12 @@ class Campaign(Closable):
         """
         return tuple(diagnose(self.store, Selection(seed, content)))
 
-    def content_hash(self, packing_index: int = 0) -> str | None:
-        """Return the content hash of a packing; None if it is old and its state damaged.
+    def content_hash(self, packing_index: int = 0) -> str:
+        """Return the content hash of a packing.
 
         All cells with this packing were computed on the same bits of disks and forces.
         """
-        return content_hash_of(self.packing(packing_index))
+        return self.packing(packing_index).content_hash
 
     @cached_property
     def plot(self) -> "CampaignPlots":
@@ -514,7 +512,6 @@ class Campaign(Closable):
     def _cement(self, seed: int, content: float) -> tuple[int, CementPattern]:
         """Return the index of a cell's packing, and its cement."""
         cell = self.cell(seed=seed, content=content)
-        cell.refuse_damage()
         if cell.cement is None:
             raise UnknownCellError(
                 f"The cement of seed {seed} and content {content} % is not stored, and cannot be drawn again.",

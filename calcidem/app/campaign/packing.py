@@ -9,7 +9,6 @@ from calcidem.app.campaign.stored_packing import (
     DamagedPackingError,
     cache_folder,
     packing_from_bytes,
-    packing_record,
     packing_to_bytes,
     stored_packing,
 )
@@ -19,7 +18,7 @@ from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import PACKING_METHOD, Packing, PackingFileError, PackingStage
 from calcidem.dem.sample.packing_file import packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
-from calcidem.storage.errors import DamagedStoreError, OutputRefusedError
+from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.sql.store import Store
 
@@ -35,28 +34,16 @@ def provide_packing(
 ) -> Packing:
     """Packing of a campaign: from its database, from calcidem itself, or from the cache; made only if none has it.
 
-    A damaged stored packing is replaced only by one of the same content hash. While a packing is made, ``check`` is
-    called every fraction of a second and may raise to end it, and ``watch`` receives the progress. `PackingError` if it
-    has to be made and does not come to rest, `CampaignMismatchError` if the stored one is damaged and the found or new
-    one differs.
+    While a packing is made, ``check`` is called every fraction of a second and may raise to end it, and ``watch``
+    receives the progress. `PackingError` if it has to be made and does not come to rest, `DamagedStoreError` if the
+    stored one is damaged.
     """
-    damaged = None
     if store is not None and 0 in store.packing_indices():
-        try:
-            packing = stored_packing(store.packing())
-        except DamagedStoreError as error:
-            damaged = store
-            tell(f"Packing: {error.problem}")
-        else:
-            return packing
+        return stored_packing(store.packing())
     kept = kept_packing(configuration.packing_hash, tell)
     packing = kept or new_packing(configuration, tell, check, watch)
     if kept is None:
         _write_cache(cache_folder() / _cached_name(configuration.packing_hash), packing, tell)
-    if damaged is not None:
-        record = packing_record(packing, index=0, packing_hash=configuration.packing_hash)
-        damaged.save_packing(record, replace_state=True)
-        tell("Packing: it is the same, and the one in the database has been replaced.")
     return packing
 
 

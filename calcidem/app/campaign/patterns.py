@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from calcidem.app.campaign.identity import physics_version
-from calcidem.app.campaign.stored_packing import readable_packing
+from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.sample.cement import CementCapacityError, PlacedCement
 from calcidem.dem.sample.packing import Packing
@@ -20,7 +20,8 @@ from calcidem.storage.sql.store import Store
 
 def stored_experiment(store: Store, packing_index: int = 0) -> Experiment:
     """Experiment of the cells of a packing, as `calcidem.Campaign.experiment`, for modules that `Campaign` imports."""
-    return Configuration.from_physics(store.record.parameters).experiment(readable_packing(store, packing_index))
+    packing = stored_packing(store.packing(packing_index))
+    return Configuration.from_physics(store.record.parameters).experiment(packing)
 
 
 def with_patterns(store: Store, outcomes: Iterable[CellResult]) -> Iterator[CellResult]:

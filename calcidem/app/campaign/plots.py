@@ -16,16 +16,16 @@ from matplotlib.figure import Figure
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.film import draw_film, movie_writer, write_movie
-from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, load_arrival, read_arrival
+from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
-from calcidem.analysis.figures.signals import draw_signals
+from calcidem.analysis.figures.signals import draw_signals, load_arrival, read_arrival
 from calcidem.analysis.figures.style import MM, MS, drawn_in
 from calcidem.app.campaign.diagnosis import Diagnosis
 from calcidem.app.campaign.patterns import stored_section
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.film import film_wave
-from calcidem.dem.wave.reading import LEAST_COHERENCE, find_candidates, prepare, velocity_spectrum
+from calcidem.dem.wave.propagation import film_wave
+from calcidem.dem.wave.reading import LEAST_COHERENCE, Reading, find_candidates, prepare, velocity_spectrum
 from calcidem.dem.wave.section import Section
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CellResult
@@ -208,7 +208,7 @@ class CampaignPlots:
             samples=None if cell.section is None else len(cell.section.across),
             watch=lambda done, count: watch(done, 2 * count),
         )
-        shown = replace(cell, section=stored_section(film.record.section))
+        shown = replace(cell, section=stored_section(film.section))
         moving = film.times, film.velocity
         figure = draw_film(
             self.analysis.store.packing(cell.packing_index),
@@ -233,7 +233,7 @@ class CampaignPlots:
 def draw_diagnosis(one: Diagnosis) -> Figure:
     """Draw the traces at their places with the line of each candidate, and below the stack against velocity."""
     section, smoothing, expected = one.section, one.experiment.pick.smoothing, one.expected
-    arrival = None if one.reading.arrival is None else one.reading.arrival.index
+    arrival = one.reading.index if isinstance(one.reading, Reading) else None
     said = f"No velocity: {one.reason}.", one.finding, *one.describe_remedies()
     lines = [line for text in said for line in textwrap.wrap(text, _CHARACTERS)]
     heights = (3.6, 1.5, 0.1 + 0.17 * len(lines))

@@ -14,17 +14,17 @@ from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.parts import planned_batches, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
-from calcidem.app.campaign.stored_packing import readable_packing
-from calcidem.app.config.calibrated import calibration_note
+from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.app.config.checks import (
     check_against_packing,
     cutoff_estimate,
     disks_in_box,
     limit_of_mean_disks,
 )
+from calcidem.app.config.reference import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.first_look import WAVELENGTHS, expected_speed
+from calcidem.dem.wave.experiment import WAVELENGTHS, expected_speed
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
@@ -99,7 +99,7 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
             settled = {key for key in own if statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING}
             widths = _expected_half_widths(store, configuration)
             if store.packing_indices():
-                packing = readable_packing(store, 0)
+                packing = stored_packing(store.packing())
     packing = packing or kept_packing(configuration.packing_hash, lambda _: None)
     cells = len(plan.seed_numbers) * len(plan.contents)
     yield (

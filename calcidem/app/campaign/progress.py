@@ -11,6 +11,7 @@ from typing import Any, Self
 from rich.console import Console
 from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bars
+from rich.table import Column
 from rich.text import Text
 
 from calcidem.app.campaign.status import CampaignStatus
@@ -113,12 +114,12 @@ class ProgressDisplay:
         self._shows_progress = (shows_progress and console is not None) or callback is not None
         self._bars: Bars | None = None
         if shows_progress and console is not None and console.is_terminal and not console.is_jupyter:
-            columns = (
+            columns = [
                 SpinnerColumn("line"),
-                TextColumn("{task.description}"),
-                BarColumn(20),
+                TextColumn("{task.description}", table_column=Column(min_width=9, no_wrap=True)),
+                *([BarColumn(min(20, console.width - 65))] if console.width >= 75 else []),  # the text comes first
                 TextColumn("{task.fields[text]}"),
-            )
+            ]
             self._bars = Bars(*columns, console=console, transient=True, refresh_per_second=4)
             self._task = self._bars.add_task("", total=None, text="", visible=False)
         self._stage: RunStage | None = None
@@ -207,13 +208,11 @@ class ProgressReporter(Progress):
         """Report the progress of the packing."""
         step, steps = packing.expansion_step, packing.expansion_steps
         part = f"radius step {step} of {steps}" if step <= steps else "pressed by the lid"
-        ratio = "" if packing.unbalanced_ratio is None else f", unbalanced-force ratio {packing.unbalanced_ratio:.1e}"
-        self._display.show(RunProgress(RunStage.PACKING, f"{part}{ratio}", packing.fraction or None))
+        self._display.show(RunProgress(RunStage.PACKING, part, packing.fraction or None))
 
     def on_compiling(self, kernel: str, function: str, functions: int) -> None:
         """Report the function of a kernel that is compiled, and the number of finished ones."""
-        done = pluralize(functions, "function")
-        self._display.show(RunProgress(RunStage.COMPILING, f"kernel for {kernel}, {done} finished, now {function}"))
+        self._display.show(RunProgress(RunStage.COMPILING, f"{kernel}, function {functions + 1}, {function}"))
 
     def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
         """Report the number of cells."""

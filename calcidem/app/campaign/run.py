@@ -1,7 +1,6 @@
 """One campaign from its configuration to its database, in one process or by the workers of an executor."""
 
 import os
-import socket
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -20,7 +19,7 @@ from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, Ru
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
 from calcidem.app.campaign.store_sink import StoreSink
-from calcidem.app.campaign.stored_packing import packing_record, readable_packing
+from calcidem.app.campaign.stored_packing import packing_record, stored_packing
 from calcidem.app.campaign.task import CellComputation, kernel_compilations
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
@@ -267,7 +266,7 @@ class CampaignRun:
     def compute(self, executor: Executor | None, reporter: ProgressReporter, stop_request: StopRequest) -> SweepEnd:
         """Have the missing cells computed and store the outcomes; None computes in this process.
 
-        `StoreError` if the database is no longer there: then nothing is complete.
+        `StoreError` if the database is no longer there, or was damaged meanwhile: then nothing is complete.
         """
         workers = getattr(executor, "num_workers", None)
         self.store.begin_run(describe_run(1 if workers is None else workers + 1))
@@ -289,6 +288,7 @@ class CampaignRun:
                 more=self._more,
             )
             self.store.renew_lease()
+            self.store.refuse_damaged()
         except KeyboardInterrupt:
             self.end = SweepEnd(SweepState.STOPPED, "interrupted")
             raise
@@ -384,7 +384,7 @@ def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> tuple
             return store.acquire_lease()
         except LeaseHeldError:
             holder = store.lease_holder()
-            if holder is None or holder.host == socket.gethostname() or holder != (first or holder):
+            if holder is None or holder.is_here() or holder != (first or holder):
                 raise
         if first is None:
             tell(
@@ -408,7 +408,7 @@ def _refuse_before_writing(configuration: Configuration) -> None:
     # An empty database is refused for reading, and new for writing.
     with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as store:
         if choose_campaign(store, configuration) and store.packing_indices():
-            check_against_packing(configuration, readable_packing(store, 0))
+            check_against_packing(configuration, stored_packing(store.packing()))
 
 
 def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) -> tuple[CellKey, ...]:
@@ -416,7 +416,7 @@ def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) 
 
     Their history is kept, but workers that were lost to them no longer count against them. `LeaseHeldError` while a run
     writes the campaign, since it would not notice; `StoreUnavailableError` if the database or the campaign does not
-    exist; `CampaignMismatchError` if it is another one; `DamagedStoreError` if nothing can be changed in the file.
+    exist; `CampaignMismatchError` if it is another one.
     """
     cure = "There is nothing to retry; leave --retry out."
     if not _exists(configuration.database):
@@ -429,14 +429,7 @@ def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) 
         plan = configuration.campaign
         found = store.statuses(Selection(plan.seed_numbers))
         planned = [key for key in found if key.content in plan.contents]
-        settled = [outcome for outcome in outcomes if outcome is not CellStatus.DAMAGED]
-        pending = list(store.retry(settled, planned)) if settled else []
-        if CellStatus.DAMAGED in outcomes:
-            found_damaged, _ = store.integrity()
-            damaged = [key for key in found_damaged if key in set(planned)]
-            store.retry_damaged(damaged)
-            pending += damaged
-    return tuple(pending)
+        return store.retry(outcomes, planned)
 
 
 def _exists(database: str) -> bool:

@@ -22,8 +22,7 @@ STATUS_QUANTITIES = ("seed", "content", "status", "seconds", *BUDGET_QUANTITIES)
 """Quantities of each cell that the status needs."""
 
 _TROUBLES = (
-    *(CellStatus.DAMAGED, CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT),
-    *(CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL),
+    *(CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL),
 )
 """Outcomes other than done, the most severe first."""
 
@@ -91,7 +90,7 @@ class CampaignStatus:
 
     name: str
     hash: str
-    content_hashes: Mapping[int, str | None]
+    content_hashes: Mapping[int, str]
     """Content hashes of its packings, by index; None if unknown."""
     seeds: tuple[int, ...]
     contents: tuple[ContentStatus, ...]
@@ -174,7 +173,7 @@ class CampaignStatus:
         return cls(
             name=store.record.name,
             hash=store.record.hash,
-            content_hashes=_content_hashes(store),
+            content_hashes=store.content_hashes(),
             seeds=store.record.seeds,
             contents=statuses,
             counts=counts,
@@ -217,16 +216,6 @@ def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArr
     if np.count_nonzero(places) == len(found):  # otherwise cells were planned meanwhile
         seconds[places] = found
     return seconds
-
-
-def _content_hashes(store: Store) -> dict[int, str | None]:
-    """Content hash of each packing, by index; None if unknown."""
-    known = store.content_hashes()
-    if None in known.values():  # an earlier calcidem stored it
-        from calcidem.app.campaign.stored_packing import content_hash_of  # noqa: PLC0415 - loads parts of the engine
-
-        return {index: found or content_hash_of(store.packing(index)) for index, found in known.items()}
-    return known
 
 
 def _content_status(
@@ -283,10 +272,7 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
         keys = map(CellKey, found["seed"].tolist(), found["content"].tolist())
         return {key: str(text or "").partition("\n")[0] for key, text in zip(keys, found[quantity], strict=True)}
 
-    reasons = texts("reason", Selection(statuses=_TROUBLES[1:]))
-    if CellStatus.DAMAGED in statuses.values():  # finding all damage takes long
-        damaged = texts("reason", Selection(statuses=CellStatus.DAMAGED)).items()
-        reasons |= {key: why for key, why in damaged if statuses.get(key) is CellStatus.DAMAGED}
+    reasons = texts("reason", Selection(statuses=_TROUBLES))
     retries = texts("retry", Selection(where="retry is not None"))
     attempts = store.attempt_counts()
     attempts |= store.attempt_counts((statuses.keys() | retries.keys()) - attempts.keys())
@@ -299,7 +285,7 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
             statuses[key],
             count.attempts,
             count.losses,
-            reasons.get(key, "its attempt is damaged" if statuses[key] in _TROUBLES else ""),
+            reasons.get(key, ""),
             retries.get(key, ""),
         )
         for key, count in attempts.items()

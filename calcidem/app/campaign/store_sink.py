@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from calcidem.app.campaign.packing import Tell
 from calcidem.storage.errors import StoreLockedError
-from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult
+from calcidem.storage.records import AttemptCount, CellKey, CellResult, PackedResult
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.outcome import BatchOutcome
@@ -101,10 +101,10 @@ class StoreSink:
     def _results(self, outcome: BatchOutcome[Cell, PackedResult]) -> list[PackedResult]:
         found = list(outcome.results or ())
         if outcome.failure is not None:
-            status, seconds = CellStatus(outcome.failure.kind.value), outcome.seconds / len(outcome.batch.cells)
+            seconds = outcome.seconds / len(outcome.batch.cells)
             reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
             keys = [CellKey(*cell) for cell in outcome.batch.cells]
-            found = [CellResult(key, status, reason, seconds=seconds).packed() for key in keys]
+            found = [CellResult(key, outcome.failure.kind, reason, seconds=seconds).packed() for key in keys]
         origin = {"rank": outcome.place.rank, "host": outcome.place.host}
         return [
             replace(result, columns=result.columns | origin | {"attempt": self._attempt_of(result.key)})

@@ -3,19 +3,16 @@
 import io
 import json
 import os
-from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.config.presets import preset_packings
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport
 from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.records import PackingRecord
-from calcidem.storage.sql.store import Store
 
 CACHE_VARIABLE = "CALCIDEM_CACHE"
 """Variable with the folder of the cache, instead of ``$XDG_CACHE_HOME/calcidem``."""
@@ -32,24 +29,6 @@ def cache_folder() -> Path:
     """Folder of packings for later campaigns; it may not exist yet."""
     own, shared = os.environ.get(CACHE_VARIABLE), os.environ.get("XDG_CACHE_HOME")
     return Path(own) if own else Path(shared or Path.home() / ".cache") / "calcidem"
-
-
-def readable_packing(store: Store, index: int) -> Packing:
-    """Stored packing; if it is damaged, the one with the same content hash from calcidem or the cache.
-
-    `DamagedStoreError` if neither has it, `UnknownCellError` if none is stored under that index.
-    """
-    try:
-        return stored_packing(store.packing(index))
-    except DamagedStoreError:
-        content_hash = store.content_hashes().get(index)
-        cached = sorted(cache_folder().glob("packing-*.npz"))
-        for archive in (*preset_packings().values(), *cached):
-            with suppress(OSError, DamagedPackingError):
-                found = packing_from_bytes(archive.read_bytes())
-                if found.content_hash == content_hash:
-                    return found
-        raise
 
 
 def packing_to_bytes(packing: Packing) -> bytes:
@@ -130,7 +109,7 @@ def stored_packing(record: PackingRecord) -> Packing:
     except DamagedPackingError as error:
         raise DamagedStoreError(
             f"The stored state of packing {record.index} can't be used: {error}.",
-            "Samples can't be rebuilt from it; the results can be read as before.",
+            "The results can be read as before. 'calcidem import' of an earlier export gets it back.",
         ) from error
     return packing
 
@@ -140,17 +119,5 @@ def _check_record(record: PackingRecord, packing: Packing) -> None:
     for name in ("x", "y", "radius", "width", "height"):
         if not np.array_equal(getattr(packing, name), getattr(record, name)):
             raise DamagedPackingError(f"its {name} is not that of the record")
-    if record.content_hash not in {None, packing.content_hash}:
+    if record.content_hash != packing.content_hash:
         raise DamagedPackingError(f"its content hash is {packing.content_hash}, not {record.content_hash}")
-
-
-def identify_packing(record: PackingRecord) -> PackingRecord:
-    """Record with the content hash, which an earlier calcidem did not store; checked as by `stored_packing`."""
-    return replace(record, content_hash=stored_packing(record).content_hash) if record.state else record
-
-
-def content_hash_of(record: PackingRecord) -> str | None:
-    """Content hash of a stored packing, also of an earlier calcidem; None if unknown."""
-    with suppress(DamagedStoreError):
-        record = identify_packing(record)
-    return record.content_hash

@@ -26,12 +26,10 @@ from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
-from calcidem.dem.wave.reading import Reading
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.records import (
     CellKey,
     CellResult,
-    CellStatus,
     CementPattern,
     GrainPath,
     GraphSummary,
@@ -45,16 +43,6 @@ from calcidem.version import __version__
 
 if sys.platform != "win32":
     import fcntl
-
-_SEEDS_REMEMBERED = 64
-"""Number of seeds whose cement is kept for the next contents, 0.3 MB each; batches of the same seeds follow each other.
-"""
-
-_AFTER_FIRST_CHUNK = 2
-"""Number of calls of the check after which the kernel has run once; one more if samples settle first."""
-
-_AT_REST_AT_ONCE = 1e300
-"""Unbalanced-force ratio above that of every sample."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +88,8 @@ class CellComputation:
 
     @cached_property
     def _ordering(self) -> Callable[[int], CementOrdering]:
-        return lru_cache(_SEEDS_REMEMBERED)(self._experiment.ordering)
+        # Batches of the same seeds follow each other; a seed has 0.3 MB.
+        return lru_cache(64)(self._experiment.ordering)
 
     @cached_property
     def _graph(self) -> PackingGraph:
@@ -151,47 +140,44 @@ def cell_result(
     Without a ``graph`` of the packing, as in `verify`, path features and graph summary are left out. So no quantity
     that `is_exact` may need it.
     """
-    cement, record, result = measurement.cement, measurement.record, measurement.result
+    cement, section, reading = measurement.cement, measurement.section, measurement.reading
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
     path, features, summary = (None, None, None) if graph is None else _describe_graph(graph, pattern)
-    on_path, over_d50 = wavelengths(
-        result.vs, measurement.frequency, record.section.distance, _median_diameter(packing)
-    )
-    reading, error = result.reading or Reading(None), result.error
+    on_path, over_d50 = wavelengths(measurement.vs, section.frequency, section.distance, _median_diameter(packing))
     return CellResult(
         key=CellKey(measurement.seed, measurement.content),
-        status=CellStatus(result.outcome.value),
-        reason=result.reason,
-        vs=result.vs,
-        vs_peak=reading.peak,
-        vs_first_arrival=reading.first_arrival,
-        vs_cross_correlation=reading.cross_correlation,
-        coherence=reading.arrival.coherence if reading.arrival else None,
-        reading_error=reading.error,
-        path_vs=reading.path,
-        path_error=reading.path_error,
-        frequency=measurement.frequency,
-        distance=record.section.distance,
+        status=measurement.status,
+        reason=measurement.reason,
+        vs=measurement.vs,
+        vs_peak=reading and reading.peak,
+        vs_first_arrival=reading and reading.first_arrival,
+        vs_cross_correlation=reading and reading.cross_correlation,
+        coherence=reading and reading.coherence,
+        reading_error=reading and reading.error,
+        path_vs=reading and reading.path,
+        path_error=reading and reading.path_error,
+        frequency=section.frequency,
+        distance=section.distance,
         wavelengths_on_path=on_path,
         wavelength_over_d50=over_d50,
-        time_step=record.time_step,
-        stability_limit=record.stability_limit,
-        steps=record.steps,
-        expected_error=error and error.expected,
-        error_bound=error and error.bound,
+        time_step=section.time_step,
+        stability_limit=section.stability_limit,
+        steps=section.steps,
+        expected_error=measurement.expected_error,
+        error_bound=measurement.error_bound,
         content_reached=cement.content_reached,
         content_of_contacts=content_of_contacts(packing, experiment.cement_rule, cement.kind),
         p_contacts=cement.p_contacts,
         c_contacts=cement.c_contacts,
         clusters=cement.clusters,
         bonded_contacts=int(np.count_nonzero(cement.bonded)),
-        broken_bonds=record.broken_bonds,
-        retry=record.retry,
+        broken_bonds=section.broken_bonds,
+        retry=section.retry,
         seconds=measurement.seconds,
         features=features,
         graph=summary,
         path=path,
-        section=stored_section(record.section) if store_sections else None,
+        section=stored_section(section) if store_sections else None,
         cement=pattern,
     )
 
@@ -270,7 +256,7 @@ def kernel_compilations(
     """
     experiment = configuration.experiment(packing)
     # Samples settle at the first check, so that the kernel of their wave is also compiled.
-    experiment = replace(experiment, wave=replace(experiment.wave, unbalanced_force_ratio=_AT_REST_AT_ONCE))
+    experiment = replace(experiment, wave=replace(experiment.wave, unbalanced_force_ratio=1e300))
     seed, lanes = configuration.campaign.seed_numbers[0], configuration.run.lanes
     contents = configuration.campaign.contents
     kernels = [("samples with cement", max(contents))] if max(contents) > 0.0 else []
@@ -292,7 +278,7 @@ def _run_first_chunk(
     def check() -> None:
         nonlocal calls
         calls += 1
-        if calls == _AFTER_FIRST_CHUNK + settles:
+        if calls == 2 + settles:  # then the kernel of the wave has run once
             raise _EnoughSeen
 
     with contextlib.suppress(_EnoughSeen), watch_compiling(tell):

@@ -35,7 +35,11 @@ class SeedDemand:
 
     def take_in(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> list[Cell]:
         """Add outcomes; return unknown cells that are needed only now."""
-        known = _outcome_velocities(outcomes)
+        known: dict[Cell, float] = {}
+        for outcome in outcomes:
+            for place, cell in enumerate(outcome.batch.cells):
+                vs = None if outcome.results is None else outcome.results[place].columns.get("vs")
+                known[cell] = np.nan if vs is None else float(vs)
         self._known |= known
         found: list[Cell] = []
         for content in sorted({content for _, content in known} & self._counts.keys()):
@@ -81,12 +85,3 @@ class SeedDemand:
         return cls(
             plan, {cell: vs for cell, vs in zip(cells, columns["vs"].tolist(), strict=True) if cell not in pending}
         )
-
-
-def _outcome_velocities(outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> dict[Cell, float]:
-    found = {}
-    for outcome in outcomes:
-        for place, cell in enumerate(outcome.batch.cells):
-            vs = None if outcome.results is None else outcome.results[place].columns.get("vs")
-            found[cell] = np.nan if vs is None else float(vs)
-    return found

@@ -34,15 +34,6 @@ EXIT_ROUNDING = 3
 
 _BAD_INPUT = (ConfigurationError, LaunchError, PackingFileError, StoreError, OSError)
 
-_CIRCUMSTANCES = (DiskError, InvalidRecordError, LeaseHeldError, LeaseLostError, StoreLockedError)
-"""Errors of the store that other input would not remedy."""
-
-_NO_THREAD = "can't start new thread"
-"""Text of Python's RuntimeError without memory for the stack of a thread."""
-
-_NO_EXCEPTION = "without setting an exception"
-"""Text of Python's SystemError if a function has no memory for its MemoryError."""
-
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 _CURE_OF_ERRNO = {
@@ -63,13 +54,18 @@ def _exit_code_of(error: BaseException) -> int:
         return EXIT_RESUMABLE
     if isinstance(error, OSError):
         return _EXIT_BAD_INPUT if error.errno in {None, *_CURE_OF_ERRNO} - {*_FULL} else EXIT_ERROR
-    is_input = isinstance(error, _BAD_INPUT) and not isinstance(error, _CIRCUMSTANCES) and type(error) is not StoreError
+    # Other input would not remedy these.
+    circumstances = DiskError, InvalidRecordError, LeaseHeldError, LeaseLostError, StoreLockedError
+    is_input = isinstance(error, _BAD_INPUT) and not isinstance(error, circumstances) and type(error) is not StoreError
     return _EXIT_BAD_INPUT if is_input else EXIT_ERROR
 
 
 def tell_error(error: Exception) -> int:
     """Write the cause and the remedy, or the place of the traceback of an unexpected error; return the exit code."""
-    if isinstance(error, MemoryError) or str(error) == _NO_THREAD or str(error).endswith(_NO_EXCEPTION):
+    # Without memory for the stack of a thread, Python raises a RuntimeError; without memory for the MemoryError of a
+    # function, it raises a SystemError.
+    no_memory = str(error) == "can't start new thread" or str(error).endswith("without setting an exception")
+    if no_memory or isinstance(error, MemoryError):
         text = (
             f"memory, or the number of processes, has reached its limit ({str(error) or type(error).__name__}): use "
             "fewer ranks, or raise the limit (ulimit -v, ulimit -u); what was stored before is safe."

@@ -67,21 +67,21 @@ def import_command(
 
 def _import_campaign(file: Path, database: str) -> None:
     """Rebuild a campaign's database from its exported file."""
-    from calcidem.app.campaign.stored_packing import identify_packing
-    from calcidem.storage.files import write_atomically
+    from calcidem.app.campaign.stored_packing import stored_packing
     from calcidem.storage.netcdf.import_netcdf import import_netcdf
     from calcidem.storage.sql.engine import Address
+    from calcidem.storage.sql.lease import replace_database
     from calcidem.storage.sql.store import Store
 
     path = Address.parse(database).path
     with told_as_damage(file):
         if path is None:  # opening a server's database creates tables, which would remain after a refusal
             with TemporaryDirectory() as folder, Store(Path(folder) / "trial.db") as trial:
-                import_netcdf(file, trial, identify_packing)
+                import_netcdf(file, trial, stored_packing)
         is_new = path is not None and (not path.exists() or (path.is_file() and path.stat().st_size == 0))
-        place = write_atomically(path) if path and is_new else nullcontext(database)
+        place = replace_database(path) if path and is_new else nullcontext(database)
         with place as target, Store(target) as store:
-            campaign = import_netcdf(file, store, identify_packing)
+            campaign = import_netcdf(file, store, stored_packing)
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
     typer.echo(printable(f"Wrote {database}: campaign '{campaign.name}', {cells}"))
 

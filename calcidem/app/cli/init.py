@@ -10,7 +10,6 @@ from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, refuse_options
 from calcidem.app.config.presets import PRESETS, preset_text
 
 Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})  # type: ignore[misc]  # not literal
-_FIRST = next(iter(Preset))
 
 
 def init_command(
@@ -45,17 +44,22 @@ def init_command(
     ] = None,
 ) -> None:
     """Write a configuration to start from: an example, or one for your own sand."""
+    chosen = preset or next(iter(Preset))
     if grain_size is None and disks is None:
         of_a_sand = {"--stress": stress, "--mineral": mineral, "--contents": contents}
         refuse_options("give --grain-size or --disks, too: it is for a sand of your own", of_a_sand)
-        text = _example_text(preset or _FIRST, full=full)
+        text = preset_text(chosen)
+        if full:
+            from calcidem.app.config.reference import full_text  # the reader of configurations takes a second to load
+
+            text = full_text(chosen)
     elif preset is not None or full:
         hint = "--grain-size" if disks is None else "--disks"
         raise typer.BadParameter("leave --preset and --full out: they are for examples", param_hint=hint)
     elif grain_size is not None and disks is not None:
         raise typer.BadParameter("leave it out: the disks have their sizes", param_hint="--grain-size")
     else:
-        from calcidem.app.config.own_sand import OwnSand  # the reader of configurations takes a second to load
+        from calcidem.app.config.own_sand import OwnSand  # as above
 
         size = disks or str(grain_size)
         own = OwnSand.of_words(size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent)
@@ -69,15 +73,6 @@ def init_command(
         problem = f"{file} exists and was left unchanged; run it with 'calcidem run {file}', or "
         if grain_size is not None or disks is not None:
             raise typer.BadParameter(f"{problem}give another name") from None
-        other, chosen = file.with_stem(f"{file.stem}-{preset or _FIRST}"), preset or _FIRST
+        other = file.with_stem(f"{file.stem}-{chosen}")
         raise typer.BadParameter(f"{problem}write another with 'calcidem init {other} --preset {chosen}'") from None
     typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
-
-
-def _example_text(preset: Preset, *, full: bool) -> str:
-    """Text of an example."""
-    if not full:
-        return preset_text(preset)
-    from calcidem.app.config.reference import full_text  # as above
-
-    return full_text(preset)

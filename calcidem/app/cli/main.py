@@ -52,7 +52,7 @@ PANELS = {
     "Check the method": {
         "verify": "Compute stored cells again and compare; check for damage.",
         "accuracy": "Error against run time of every setting, and what is left out.",
-        "stability": "Extreme scenes: which are stable, refused or detected.",
+        "stability": "Extreme values: which are stable, refused or stopped.",
     },
 }
 """Short help of each command."""

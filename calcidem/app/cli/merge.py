@@ -14,14 +14,14 @@ if TYPE_CHECKING:  # loaded by the command itself, not by its help
 
 def merge_command(
     sources: Annotated[list[str], typer.Argument(metavar="A.db B.db ...", help="Databases of the same campaign.")],
-    out: Annotated[Path, typer.Option(metavar="C.db", help="SQLite file to write; must not exist yet.")],
+    out: Annotated[Path, typer.Option(metavar="C.db", help="SQLite file to write; new, or of the same campaign.")],
     prefer: Annotated[
         str | None,
         typer.Option(metavar="A.db", help="Database to take where values differ."),
     ] = None,
     campaign: CampaignName = None,
 ) -> None:
-    """Merge databases of one campaign, such as those of `calcidem run --part`, into a new one.
+    """Merge databases of one campaign, such as those of `calcidem run --part`, into one.
 
     A done cell replaces any other. Different values of a done cell are refused unless --prefer chooses.
     """
@@ -30,25 +30,23 @@ def merge_command(
     if prefer is not None and prefer not in sources:
         raise typer.BadParameter(f"{prefer} is none of {', '.join(sources)}.", param_hint="--prefer")
     merged = merge_databases(sources, out, prefer, campaign)
-    typer.echo(printable("\n".join(_merge_lines(merged, sources, out))))
+    typer.echo(printable("\n".join(_merge_lines(merged, out))))
 
 
-def _merge_lines(merged: "Merged", sources: list[str], out: Path) -> list[str]:
+def _merge_lines(merged: "Merged", out: Path) -> list[str]:
     """Describe the merge."""
-    taken = [f"  {number} cells from {source}" for source, number in zip(sources, merged.taken, strict=True)]
+    taken = [f"  {number} cells from {source}" for source, number in zip(merged.sources, merged.taken, strict=True)]
     lines = [
         f"Wrote {out}: {merged.settled} of {merged.settled + len(merged.missing)} planned cells are finished",
         *taken,
     ]
     if merged.shared:
         lines.append(f"  {merged.shared} cells were in several databases with the same values")
-    if merged.lacking:
-        lines.append(f"  Quantities that a database lacks were not compared: {', '.join(merged.lacking)}")
     if merged.overruled:
         lines.append(f"  {merged.overruled} cells that went wrong in one database are done in another")
     if merged.conflicts:
         lines.append(f"  {len(merged.conflicts)} done cells had different values, resolved by --prefer:")
-        lines += ["  " + line for line in merged.conflict_lines(sources)]
+        lines += ["  " + line for line in merged.conflict_lines()]
     if merged.missing:
         lines += ["Missing:", *merged.missing_lines()]
         lines.append(f"'calcidem run CONFIG --db {out}' computes them.")

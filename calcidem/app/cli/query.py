@@ -20,9 +20,6 @@ from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import pluralize
 
-_FORMAT_OF_ENDING = {f".{layout}": layout for layout in Format if layout is not Format.TABLE}
-_DEFAULT_COLUMNS = ("seed", "content", "status", "vs", "vs_error", "seconds")
-
 Columns = Mapping[str, NDArray[Any]]
 """Columns of equal length by name of their quantity, as from `StoreReader.table`."""
 
@@ -59,14 +56,16 @@ def query_command(
         rows, remark = _feature_rows(database, selection, campaign)
         headings = {name: name != "feature" for name in rows[0]}
     else:
-        names = _DEFAULT_COLUMNS if columns is None else tuple(dict.fromkeys(_split_list(columns)))
+        names = tuple(
+            dict.fromkeys(_split_list("seed,content,status,vs,vs_error,seconds" if columns is None else columns))
+        )
         names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
         with read_campaign(database, campaign) as store:
             rows = as_rows(store.table(names, selection, sort=_split_list(sort), limit=limit))
         headings = _headings(names)
         remark = pluralize(len(rows), "cell")
     if layout is Format.TABLE and out is not None:
-        layout = _FORMAT_OF_ENDING.get(out.suffix.lower(), layout)
+        layout = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET}.get(out.suffix.lower(), layout)
     if layout is not Format.TABLE:
         tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
     elif out is None:
@@ -100,8 +99,18 @@ def _split_list(text: str) -> list[str]:
 
 
 def as_rows(columns: Columns) -> RecordRows:
-    """Columns as rows."""
-    values = (_plain_values(name, column) for name, column in columns.items())
+    """Columns as rows of Python objects; missing real numbers are NaN, other missing values None."""
+    from calcidem.storage.records import QUANTITY_BY_NAME
+
+    values: list[list[Any]] = []
+    for name, column in columns.items():
+        kind = QUANTITY_BY_NAME[name].kind
+        if kind == "text":
+            values.append(list(column))
+        elif kind == "whole":
+            values.append([None if math.isnan(value) else int(value) for value in column.tolist()])
+        else:
+            values.append([float(value) for value in column.tolist()])
     return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
 
 
@@ -116,18 +125,6 @@ def _headings(names: Sequence[str]) -> dict[str, bool]:
         unit = " [-]" if bare else f" [{quantity.unit}]" if quantity.unit not in {"", "1"} else ""
         headings[f"{name}{unit}"] = quantity.kind != "text"
     return headings
-
-
-def _plain_values(name: str, values: NDArray[Any]) -> list[Any]:
-    """Values of a column as Python objects; missing real numbers are NaN, other missing values None."""
-    from calcidem.storage.records import QUANTITY_BY_NAME
-
-    kind = QUANTITY_BY_NAME[name].kind
-    if kind == "text":
-        return list(values)
-    if kind == "whole":
-        return [None if math.isnan(value) else int(value) for value in values.tolist()]
-    return [float(value) for value in values.tolist()]
 
 
 def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str) -> str:

@@ -14,7 +14,7 @@ from calcidem.app.campaign.status import STATUS_QUANTITIES, UNREAD, CampaignStat
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import format_number, make_console, make_table, marks_of, remarks_on
 from calcidem.app.cli.terminal import IS_QUIET, printable
-from calcidem.app.config.calibrated import calibration_note
+from calcidem.app.config.reference import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.storage.records import CellStatus

@@ -26,7 +26,6 @@ _STATUS_CHARACTERS = {
     CellStatus.FAILED: ("F", "bold red"),
     CellStatus.TIMED_OUT: ("T", "bold red"),
     CellStatus.QUARANTINED: ("Q", "bold white on red"),
-    CellStatus.DAMAGED: ("D", "bold white on red"),
 }
 """Character and style of each status of a cell; the characters differ, so colours are not needed."""
 
@@ -60,7 +59,7 @@ def _head_lines(status: CampaignStatus) -> Iterator[str]:
     """Campaign, its progress, and its last run."""
     yield (
         f"Campaign {status.name}: {len(status.seeds)} seeds x {len(status.contents)} contents, hash {status.hash[:12]}"
-        + "".join(f", packing {(found or 'unknown')[:12]}" for found in status.content_hashes.values())
+        + "".join(f", packing {found[:12]}" for found in status.content_hashes.values())
     )
     total = sum(status.counts.values())
     finished = total - status.pending

@@ -8,7 +8,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from calcidem.analysis.doubt import is_in_doubt
+from calcidem.analysis.intervals import is_in_doubt
 from calcidem.storage.records import CellStatus
 from calcidem.storage.records.error_budget import MOST_DEPARTURE
 from calcidem.sweep.environment import launcher
@@ -41,10 +41,10 @@ def format_number(value: float | None, form: str = "{:.1f}") -> str:
 def marks_of(counts: Mapping[CellStatus, int], departing: int) -> str:
     """Marks beside the number of cells of a content, if failed ones may bias the mean, or if two velocities differ.
 
-    `calcidem.analysis.doubt` explains the first; ``departing`` is the number of cells with the second.
+    `calcidem.analysis.intervals.is_in_doubt` explains the first; ``departing`` is the number of cells with the second.
     """
     done = counts.get(CellStatus.DONE, 0)
-    failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0) - counts.get(CellStatus.DAMAGED, 0)
+    failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0)
     return f"{' !' if is_in_doubt(done, failed) else ''}{' ~' if departing else ''}"
 
 

@@ -28,7 +28,7 @@ def verify_command(
         typer.Option(min=0, metavar="SEED", help="Seed of their random choice."),
     ] = None,
     integrity: Annotated[
-        bool, typer.Option("--integrity", help="Compute nothing: compare all stored data with their checksums.")
+        bool, typer.Option("--integrity", help="Compute nothing: let SQLite check the whole file.")
     ] = False,
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
@@ -36,7 +36,7 @@ def verify_command(
     """Compute random cells of a campaign again, on its own packing, and compare them with the stored ones.
 
     Status, readings, step, cement and stored sections are compared; of a crate also configuration and packing.
-    --integrity names all damaged cells; exit code 1 if there are any.
+    --integrity names the damage that SQLite finds in the file; exit code 1 if there is any.
 
     Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 not comparable,
     such as cells of another physics version.
@@ -46,7 +46,7 @@ def verify_command(
 
     with _open_any(database, campaign) as opened:
         if integrity:
-            _verify_integrity(database, opened, layout)
+            _verify_integrity(opened, layout)
             return
         keys = random_cells(opened.store, cells, choice)
         found = []
@@ -58,8 +58,6 @@ def verify_command(
     if layout is Format.TABLE:
         verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
         typer.echo(f"{pluralize(len(found), 'cell')}: {verdicts}.")
-        if lacking := dict.fromkeys(name for verification in found for name in verification.lacking):
-            typer.echo(f"Quantities that stored cells lack were not compared: {', '.join(lacking)}.")
     else:
         tell_rows([_verification_row(verification) for verification in found], layout)
     codes = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
@@ -86,29 +84,18 @@ def _open_any(path: str, campaign_name: str | None) -> Iterator["Campaign"]:
         yield campaign
 
 
-def _verify_integrity(database: str, opened: "Campaign", layout: Format) -> None:
-    """Name all changed data; exit code 1 if there are any."""
-    damaged, others = opened.store.integrity()
-    cells = len(opened.store.statuses())
+def _verify_integrity(opened: "Campaign", layout: Format) -> None:
+    """Name all damage of the file; exit code 1 if there is any."""
+    from calcidem.storage.sql.engine import DAMAGE_REMEDY
+
+    damage = opened.store.damage()
     if layout is not Format.TABLE:
-        rows: list[dict[str, Any]] = [
-            {"seed": key.seed, "content": key.content, "damage": text} for key, text in damaged.items()
-        ]
-        rows += [{"seed": None, "content": None, "damage": text} for text in others]
-        tell_rows(rows, layout, names=("seed", "content", "damage"))
-        raise typer.Exit(EXIT_ERROR if rows else 0)
-    for key, damage in damaged.items():
-        typer.echo(printable(f"{key}: {damage}"))
-    for sentence in others:
-        typer.echo(printable(sentence))
-    typer.echo(f"{pluralize(cells, 'cell')}: {len(damaged)} damaged, {len(others)} other damages.")
-    if damaged:
-        typer.echo("'calcidem run CONFIG --retry damaged' computes the damaged cells again.")
-    if others:
-        typer.echo(
-            f"'calcidem export {database} OUT.nc' saves undamaged cells; 'calcidem import' makes a database of them."
-        )
-    if damaged or others:
+        tell_rows([{"damage": text} for text in damage], layout, names=("damage",))
+    elif damage:
+        typer.echo(printable("\n".join((*damage, DAMAGE_REMEDY))))
+    else:
+        typer.echo("No damage was found.")
+    if damage:
         raise typer.Exit(EXIT_ERROR)
 
 
@@ -123,7 +110,6 @@ def _verification_row(verification: "Verification") -> dict[str, Any]:
         "most_different": name,
         "relative_difference": size,
         "differences": dict(verification.differences),
-        "lacking": list(verification.lacking),
     }
 
 

@@ -5,13 +5,13 @@ grains under the stress. So all sands with the same ratio of stress to modulus g
 with the same readings; docs/your-sand.md has the formulas.
 """
 
-import json
 import math
 import os
 import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Self
 
@@ -19,48 +19,35 @@ import numpy as np
 
 from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.reader import read_configuration
+from calcidem.dem.engine.fields import quote
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.judgement import expected_overlap
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.sample.packing_file import checked_disks
-from calcidem.dem.wave.first_look import WAVELENGTHS
+from calcidem.dem.wave.experiment import WAVELENGTHS
 from calcidem.dem.wave.pulse import cutoff_frequency
 
-_CALCITE = Sand(shear_modulus=32e9, poisson_ratio=0.32, density=2710.0)
-_MINERALS = {
+MINERALS = {
     "quartz": Sand(shear_modulus=44e9, poisson_ratio=0.08, density=2650.0),
-    "carbonate": _CALCITE,
-    "calcite": _CALCITE,
+    "carbonate": Sand(shear_modulus=32e9, poisson_ratio=0.32, density=2710.0),
+    "calcite": Sand(shear_modulus=32e9, poisson_ratio=0.32, density=2710.0),
 }
 """Materials of the grains: Mavko, Mukerji and Dvorkin (2009), The Rock Physics Handbook, doi:10.1017/CBO9780511626753,
 tables of mineral moduli.
 """
 
-_UNIT_FACTORS = {
-    "grain size": {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0},
-    "stress": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6},
-}
-_LIMITS = {"grain size": (1e-6, 1.0), "stress": (1.0, 1e9)}  # beyond these limits a material is not sand
-_EXAMPLES = {"grain size": "0.3mm", "stress": "100kPa"}
 
-# In mean diameters, from the paper's sand: 0.1 m, 12 mm, 1.06 mm and 1.33 mm over 2.56 mm, and its sizes.
-_SIZES = (0.83, 1.17)
-_CLUSTER, _P_WIDTH, _C_WIDTH = 4.7, 0.41, 0.52
-# A width of 30 holds 2.5 wavelengths of 11 grains, with little dispersion and scattering. The side walls, with
-# transmitter and receiver, are wider than the path.
-_BOX = (30.0, 50.0)
-_LISTENING, _LAYER = 4.0, 5.0
-_SOLID = 0.8  # area of disks at rest over area of their box
-# Over the height of the box.
-_TRANSMITTING, _RECEIVING = 0.45, 0.25
+class _Multiple(float):
+    """A number that is written multiplied: ``{d:0.41}`` is 0.41 d with four significant digits."""
 
-_REAL_OVER_LATTICE = 0.5  # velocity without cement: 0.48 to 0.53 from 20 kPa to 1 MPa, for both minerals
-_GENTLE = 0.01  # stroke of the pulse over the overlap
+    def __format__(self, factor: str) -> str:
+        """Write so many times the number."""
+        return _short(float(factor) * self)
 
 
 @dataclass(frozen=True, slots=True)
-class _OwnDisks:
+class OwnDisks:
     """Disks in a file, which replace the packing."""
 
     file: str
@@ -78,7 +65,8 @@ class _OwnDisks:
         """Read disks for a configuration in a folder; `PackingFileError`, naming the line, for an invalid file."""
         x, y, radius = checked_disks(file)
         width = float(f"{np.max(x + radius):.6g}")
-        at_rest = float(np.pi * np.sum(radius**2)) / (_SOLID * width)  # below the lid, which compresses loose disks
+        # Below the lid, which compresses loose disks: at rest they cover 0.8 of their box.
+        at_rest = float(np.pi * np.sum(radius**2)) / (0.8 * width)
         return cls(
             file=os.path.relpath(file, folder),
             width=width,
@@ -97,10 +85,10 @@ class OwnSand:
     stress: float
     """Vertical confining stress, Pa."""
     mineral: str
-    """Key of `_MINERALS`."""
+    """Key of `MINERALS`."""
     contents: Sequence[float]
     """Calcite contents, percent of the sand's mass."""
-    disks: _OwnDisks | None = None
+    disks: OwnDisks | None = None
     """Disks, if given."""
 
     @classmethod
@@ -114,16 +102,16 @@ class OwnSand:
 
         def quantity(option: str, name: str, text: str) -> float:
             try:
-                return _parse_quantity(name, text)
+                return parse_quantity(name, text)
             except ValueError as error:
                 problems.append(Problem(f"{option}: {error}"))
                 return math.nan
 
-        disks = _OwnDisks.read(size, folder) if isinstance(size, Path) else None
+        disks = OwnDisks.read(size, folder) if isinstance(size, Path) else None
         diameter = float(f"{disks.diameters[1]:.3g}") if disks else quantity("--grain-size", "grain size", str(size))
         pressure = quantity("--stress", "stress", stress)
-        if mineral not in _MINERALS:
-            known = ", ".join(_MINERALS)
+        if mineral not in MINERALS:
+            known = ", ".join(MINERALS)
             problems.append(Problem(f"--mineral {mineral}: give one of {known}, and change [sand] for another"))
         try:
             percentages = [float(part) for part in contents.split(",")]
@@ -137,10 +125,14 @@ class OwnSand:
 
     @property
     def box(self) -> tuple[float, float]:
-        """Width and height, m."""
+        """Width and height, m.
+
+        A width of 30 holds 2.5 wavelengths of 11 grains, with little dispersion and scattering. The side walls, with
+        transmitter and receiver, are wider than the path.
+        """
         if self.disks is not None:
             return self.disks.width, self.disks.height
-        return _BOX[0] * self.grain_size, _BOX[1] * self.grain_size
+        return 30.0 * self.grain_size, 50.0 * self.grain_size
 
     @property
     def sand(self) -> Sand:
@@ -149,7 +141,7 @@ class OwnSand:
         A disk stands for a row of 1 m / d grains. Each of its contacts is as many contacts of spheres in parallel,
         which multiplies the modulus. So the overlap over the radius is that of grains under the stress.
         """
-        mineral = _MINERALS[self.mineral]
+        mineral = MINERALS[self.mineral]
         return Sand(mineral.shear_modulus / self.grain_size, mineral.poisson_ratio, mineral.density)
 
     @property
@@ -162,45 +154,100 @@ class OwnSand:
         """Modulus of a bond as stiff as a row of grains welded over the width of the cement, Pa.
 
         ``k_n = 4 G b / (1 - nu)`` for two spheres welded over the radius b: Digby (1981), The effective elastic moduli
-        of porous granular rocks, J. Appl. Mech. 48, 803, doi:10.1115/1.3157738. With b = width / 2 and 1 m / d grains.
+        of porous granular rocks, J. Appl. Mech. 48, 803, doi:10.1115/1.3157738. With b = width / 2, a width of
+        0.41 d, and 1 m / d grains.
         """
-        mineral = _MINERALS[self.mineral]
-        return 2.0 * mineral.shear_modulus * _P_WIDTH / (1.0 - mineral.poisson_ratio)
+        mineral = MINERALS[self.mineral]
+        return 2.0 * mineral.shear_modulus * 0.41 / (1.0 - mineral.poisson_ratio)
 
     @property
     def velocity(self) -> float:
         """Expected shear-wave velocity without cement, m/s.
 
         Half of that of the hexagonal lattice of such disks, ``V^2 = 3/8 (k_n + k_s) d^2 / m``, since random packings
-        have fewer contacts and are softer. It increases with the power 1/6 of the stress, and does not depend on the
-        grain size.
+        have fewer contacts and are softer: 0.48 to 0.53 from 20 kPa to 1 MPa, for both minerals. It increases with the
+        power 1/6 of the stress, and does not depend on the grain size.
         """
         tangent = 1.5 * self.stress * self.grain_size / (0.5 * self.overlap * self.grain_size)
         mass = 0.25 * math.pi * self.sand.density * self.grain_size * self.grain_size
         stiffness = 3.0 / 8.0 * tangent * (1.0 + self.sand.shear_ratio)
-        return _REAL_OVER_LATTICE * math.pi * self.grain_size * cutoff_frequency(stiffness, mass)
+        return 0.5 * math.pi * self.grain_size * cutoff_frequency(stiffness, mass)
 
     def text(self) -> str:
         """Text of the configuration of a sand, with the reason for each number.
 
         `ConfigurationError` if such a sand cannot be computed.
         """
-        if problems := _content_problems(self):
+        most = CementRule(sand_density=self.sand.density).pore_content(PackingRule().porosity)
+        problems = [
+            Problem(f"contents = {content:g}: calcite fills the pores at {most:.3g} %; leave it out")
+            for content in self.contents
+            if content > most
+        ]
+        if problems:
             raise ConfigurationError("the sand", problems)
-        text = _commented(self)
+        mineral, d, (width, height) = MINERALS[self.mineral], self.grain_size, self.box
+        waves = WAVELENGTHS * self.velocity / (width - 2.0 * d)  # frequency, over half of the listening depth of 4 d
+        template = files("calcidem.app.config").joinpath("own_sand.toml").read_text(encoding="utf-8")
+        text = template.format(
+            d=_Multiple(d),
+            height=_Multiple(height),
+            row=1.0 / d,
+            mineral=self.mineral,
+            grains=self.mineral.capitalize(),
+            size=f"{d * 1e3:g} mm",
+            stress=f"{self.stress / 1e3:g} kPa",
+            name=f"{self.mineral}-{d * 1e3:g}mm-{self.stress / 1e3:g}kPa",
+            contents=sorted(map(float, self.contents)),
+            packing=self._packing(),
+            pressure=_Multiple(self.stress),
+            modulus=_Multiple(self.sand.shear_modulus),
+            gigapascals=mineral.shear_modulus / 1e9,
+            overlap=self.overlap,
+            poisson_ratio=mineral.poisson_ratio,
+            density=mineral.density,
+            bond_modulus=_Multiple(self.bond_modulus),
+            stiffness_ratio=_Multiple(1.0 / self.sand.shear_ratio),
+            wavelengths=WAVELENGTHS,
+            amplitude=_short(0.01 * 0.5 * self.overlap * d * waves, 1),
+            slowest=_short(0.5 * self.velocity, 2),
+            velocity=self.velocity,
+        )
+        text = re.sub(r"(?m)^(\S.*)  # ", lambda found: f"{found[1]:<40}# ", text)
         if self.disks is None:  # 'run --check' reports further problems of disks in a file
             read_configuration(tomllib.loads(text), "the sand")  # refuses a stress that would crush the grains
         return text
 
+    def _packing(self) -> str:
+        """Lines about box and disks, with their reasons."""
+        d, (width, height), disks = _Multiple(self.grain_size), self.box, self.disks
+        if disks is not None:
+            smallest, _, largest = (1e3 * size for size in disks.diameters)
+            return (
+                f"file = {quote(disks.file)}  # {disks.count} disks of {smallest:.3g} to {largest:.3g} mm\n"
+                f"width = {width!r}  # {width / d:.0f} d, and {height / d:.0f} d high at rest; 30 d x 50 d are good"
+            )
+        low, high = 0.83, 1.17  # over the mean diameter, as in the paper's sand
+        mean_square = (low * low + low * high + high * high) / 3.0
+        count = round((1.0 - PackingRule().porosity) * width * height / (0.25 * math.pi * d * d * mean_square), -1)
+        return (
+            f"width = {d:30}  # 30 d: {WAVELENGTHS:g} wavelengths of path, each of 11 grains\n"
+            f"height = {d:50}  # 50 d: side walls wider than the path; some {count:.0f} disks in all\n"
+            f"diameter = [{d:0.83}, {d:1.17}]  # {low} d to {high} d: equal disks would form a crystal"
+        )
 
-def _parse_quantity(quantity: str, text: str) -> float:
+
+def parse_quantity(quantity: str, text: str) -> float:
     """Read a ``grain size`` or a ``stress`` with its unit, such as 0.3mm or 100 kPa; return SI units.
 
     `ValueError` without a known unit, or for an impossible value.
     """
-    units, (low, high) = _UNIT_FACTORS[quantity], _LIMITS[quantity]
+    if quantity == "stress":
+        units, unit, low, high, example = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6}, "Pa", 1.0, 1e9, "100kPa"
+    else:  # beyond these limits a material is not sand
+        units, unit, low, high, example = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}, "m", 1e-6, 1.0, "0.3mm"
     found = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z]+)\s*", text, re.ASCII)
-    cure = f"give a number with one of the units {', '.join(units)}, such as {_EXAMPLES[quantity]}"
+    cure = f"give a number with one of the units {', '.join(units)}, such as {example}"
     if found is None or found[2] not in units:
         raise ValueError(f"'{text}' is not a {quantity}: {cure}")
     try:
@@ -208,112 +255,8 @@ def _parse_quantity(quantity: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not low <= value <= high:
-        unit = next(iter(units)) if quantity == "stress" else "m"
         raise ValueError(f"'{text}' is not between {low:g} {unit} and {high:g} {unit}: {cure}")
     return value
-
-
-def _content_problems(own: OwnSand) -> list[Problem]:
-    """Problems of the contents, which no section can detect."""
-    most = CementRule(sand_density=own.sand.density).pore_content(PackingRule().porosity)
-    return [
-        Problem(f"contents = {content:g}: calcite fills the pores at {most:.3g} %; leave it out")
-        for content in own.contents
-        if content > most
-    ]
-
-
-def _commented(own: OwnSand) -> str:
-    """The text, without checks."""
-    mineral, d = _MINERALS[own.mineral], own.grain_size
-    gigapascals, (width, height) = mineral.shear_modulus / 1e9, own.box
-    waves = WAVELENGTHS * own.velocity / (width - 0.5 * _LISTENING * d)
-    size, stress = f"{d * 1e3:g} mm", f"{own.stress / 1e3:g} kPa"
-    rows = (
-        f"# {own.mineral.capitalize()} grains of {size} under {stress}, written by 'calcidem init'; see",
-        "# docs/your-sand.md for formulas and sources.",
-        f"# d = {_short(d)} m is the mean diameter. A disk is 1 m thick: a row of 1 m / d = {1.0 / d:.4g} grains.",
-        "# SI units; contents in percent of the sand's mass. Keys that are left out have their defaults.",
-        "",
-        "[campaign]",
-        (f'name = "{own.mineral}-{d * 1e3:g}mm-{own.stress / 1e3:g}kPa"', "also of the database"),
-        ("seeds = 4", "for a first look; raise it for the scatter: computed cells are kept"),
-        (f"contents = {sorted(map(float, own.contents))}", ""),
-        "",
-        "[packing]",
-        *_packing_rows(own),
-        (f"stress = {_short(own.stress)}", f"{stress} on the lid"),
-        "",
-        "[sand]",
-        (
-            f"shear_modulus = {_short(own.sand.shear_modulus)}",
-            f"G / d x 1 m, G = {gigapascals:g} GPa: the overlap is {own.overlap:.1e} of a radius, as of spheres",
-        ),
-        (f"poisson_ratio = {mineral.poisson_ratio:g}", f"of {own.mineral}"),
-        (f"density = {mineral.density:g}", f"of {own.mineral}, kg/m3"),
-        "",
-        "[cement]",
-        (f"bond_modulus = {_short(own.bond_modulus)}", "2 G / (1 - nu) x width / d: grains welded over the P width"),
-        (
-            f"bond_stiffness_ratio = {_short(1.0 / own.sand.shear_ratio)}",
-            "(2 - nu) / (2 - 2 nu): the same weld, sheared",
-        ),
-        "",
-        "[pattern]",
-        (f"p_diameter = {_short(_P_WIDTH * d)}", f"{_P_WIDTH:g} d: width of the cement at single contacts (P)"),
-        (f"c_diameter = {_short(_C_WIDTH * d)}", f"{_C_WIDTH:g} d: the same at contacts in clusters (C)"),
-        (f"cluster_diameter = {_short(_CLUSTER * d)}", f"{_CLUSTER:g} d; above 0.66 % calcite comes in clusters"),
-        "",
-        "[wave]",
-        (
-            'frequency = "auto"',
-            f"about {WAVELENGTHS:g} wavelengths of path at each content; 'run --check' lists them",
-        ),
-        (
-            f"amplitude = {_short(_GENTLE * 0.5 * own.overlap * d * waves, 1)}",
-            f"moves the grains by {_GENTLE:g} overlaps, so that none slips",
-        ),
-        ('transmitter = "driven"', "moves the grains at the left wall: nothing slips"),
-        (
-            f"transmitter_half_width = {_short(_TRANSMITTING * height)}",
-            f"{_TRANSMITTING:g} of the height: a nearly plane wave",
-        ),
-        (
-            f"receiver_half_width = {_short(_RECEIVING * height)}",
-            f"{_RECEIVING:g} of the height: away from the damped layers",
-        ),
-        (f"listening_depth = {_short(_LISTENING * d)}", f"{_LISTENING:g} d: enough grains for a mean"),
-        (f"boundary_thickness = {_short(_LAYER * d)}", f"{_LAYER:g} d at floor and lid absorb reflections"),
-        (
-            f"slowest = {_short(0.5 * own.velocity, 2)}",
-            f"half of the {own.velocity:.2g} m/s that are expected without cement",
-        ),
-    )
-    lines = (row if isinstance(row, str) else f"{row[0]:<40}# {row[1]}" if row[1] else row[0] for row in rows)
-    return "\n".join((*lines, ""))
-
-
-def _packing_rows(own: OwnSand) -> tuple[tuple[str, str], ...]:
-    """Lines about box and disks, with their reasons."""
-    d, (width, height) = own.grain_size, own.box
-    if own.disks is not None:
-        good = " x ".join(f"{length:g} d" for length in _BOX)
-        sizes = " to ".join(f"{size * 1e3:.3g}" for size in own.disks.diameters[::2])
-        return (
-            (f"file = {json.dumps(own.disks.file, ensure_ascii=False)}", f"{own.disks.count} disks of {sizes} mm"),
-            (f"width = {width!r}", f"{width / d:.0f} d, and {height / d:.0f} d high at rest; {good} are good"),
-        )
-    low, high = _SIZES
-    mean_square = (low * low + low * high + high * high) / 3.0  # of the diameters over the square of their mean
-    disks = round((1.0 - PackingRule().porosity) * width * height / (0.25 * math.pi * d * d * mean_square), -1)
-    return (
-        (f"width = {_short(width)}", f"{_BOX[0]:g} d: {WAVELENGTHS:g} wavelengths of path, each of 11 grains"),
-        (f"height = {_short(height)}", f"{_BOX[1]:g} d: side walls wider than the path; some {disks:.0f} disks in all"),
-        (
-            f"diameter = [{_short(_SIZES[0] * d)}, {_short(_SIZES[1] * d)}]",
-            f"{_SIZES[0]:g} d to {_SIZES[1]:g} d: equal disks would form a crystal",
-        ),
-    )
 
 
 def _short(value: float, digits: int = 4) -> str:

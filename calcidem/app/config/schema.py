@@ -4,27 +4,24 @@ Each section of the file corresponds to one or two dataclasses, whose fields are
 `calcidem.dem` and the other has additional keys of campaigns.
 """
 
-import itertools
 import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from annotated_types import Interval, Predicate, Unit
 
-from calcidem.app.config.errors import quote
-from calcidem.dem.engine.fields import Positive, require, require_fields
+from calcidem.dem.engine.fields import Positive, checked, field_hints, quote, require, table_of
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.kernels.features import LANE_COUNTS
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.first_look import suitable_frequency
+from calcidem.dem.wave.experiment import Experiment, suitable_frequency
 from calcidem.dem.wave.pulse import EXCITATION
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
@@ -36,36 +33,16 @@ from calcidem.storage.sql.engine import Address
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
 
-Section = TypeVar("Section", bound="DataclassInstance")
-
-_MOST_SEEDS = 1_000_000
-
-_FEWEST_SEEDS_UNTIL = 8
-"""Number of seeds below which a standard deviation is too uncertain to determine further seeds."""
-
-_LONGEST_NAME = 200
-"""Largest length in bytes; file systems allow 255, of which endings and temporary names need some."""
-
 PHYSICS_VERSION = 4
 """Part of the campaign's hash; increase it with each change of results or defaults."""
 
 
 def _is_file_name(name: str) -> bool:
-    """Whether this is a possible file name."""
-    is_plain = name.strip() == name != "" and not set(name) & set("/\\\0\n")
-    return is_plain and len(name.encode()) <= _LONGEST_NAME
+    """Whether this is a possible file name; of the 255 bytes of file systems, endings need some."""
+    return name.strip() == name != "" and not set(name) & set("/\\\0\n") and len(name.encode()) <= 200
 
 
-def _are_seeds(seeds: tuple[int, ...]) -> bool:
-    """Whether a list has seeds, without repetition and not too many."""
-    return 0 < len(seeds) == len(set(seeds)) <= _MOST_SEEDS
-
-
-def _are_contents(contents: tuple[float, ...]) -> bool:
-    """Whether a list has contents, all different in the store."""
-    return 0 < len(contents) == len({canonical_content(content) for content in contents})
-
-
+@checked
 @dataclass(frozen=True, slots=True)
 class WantedIntervals:
     """Table ``until`` of section ``[campaign]``: relative half-widths of 95 % intervals.
@@ -81,11 +58,11 @@ class WantedIntervals:
 
     def __post_init__(self) -> None:
         """Refuse a table without a value."""
-        require_fields(self)
         asked = self.mean is not None or self.sd is not None
         require(asked, "mean", self.mean, "give mean or sd, for instance mean = 0.02", "sd")
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class CampaignPlan:
     """Section ``[campaign]``: cells to compute.
@@ -107,33 +84,37 @@ class CampaignPlan:
         Most seeds of a content then.
     """
 
-    name: Annotated[
-        str, Predicate(_is_file_name), f"a name that can be part of a file name, of at most {_LONGEST_NAME} bytes"
-    ] = "campaign"
+    name: Annotated[str, Predicate(_is_file_name), "a name that can be part of a file name, of at most 200 bytes"] = (
+        "campaign"
+    )
     seeds: Annotated[
-        Annotated[int, Interval(ge=1, le=_MOST_SEEDS)]
-        | Annotated[tuple[Annotated[int, Interval(ge=0, le=LARGEST_SEED)], ...], Predicate(_are_seeds)],
+        Annotated[int, Interval(ge=1, le=1_000_000)]
+        | Annotated[
+            tuple[Annotated[int, Interval(ge=0, le=LARGEST_SEED)], ...],
+            Predicate(lambda seeds: 0 < len(seeds) == len(set(seeds)) <= 1_000_000),
+        ],
         "a number n for the seeds 1 to n, or a list such as [1, 2, 5] that has every seed once; "
-        f"at most {_MOST_SEEDS} seeds of 0 to 2^63 - 1",
+        "at most 1000000 seeds of 0 to 2^63 - 1",
     ] = 4
     contents: Annotated[
         tuple[Annotated[float, Interval(ge=0.0, le=100.0)], ...],
-        Predicate(_are_contents),
+        Predicate(lambda contents: 0 < len(contents) == len(set(map(canonical_content, contents)))),  # as stored
         Unit("percent"),
         "a list of percentages of 0 to 100 such as [0.0, 0.66, 5.0] that has every content once",
     ] = tuple(content for content, _ in EXCITATION)
     root_seed: Annotated[int, Interval(ge=0)] = 0
-    until: (
-        Annotated[WantedIntervals, "a table { mean = 0.02, sd = 0.10 } of one or both, or leave the key out"] | None
-    ) = None
-    most_seeds: Annotated[int, Interval(ge=1, le=_MOST_SEEDS)] = 1000
+    until: Annotated[
+        WantedIntervals | None,
+        table_of(WantedIntervals),
+        "a table { mean = 0.02, sd = 0.10 } of one or both, or leave the key out",
+    ] = None
+    most_seeds: Annotated[int, Interval(ge=1, le=1_000_000)] = 1000
 
     def __post_init__(self) -> None:
-        """Refuse empty, repeated and negative entries."""
-        require_fields(self)
+        """Refuse a list of seeds with `until`, and fewer than 8: their standard deviation is too uncertain."""
         if self.until is not None:
-            cure = f"give a number of {_FEWEST_SEEDS_UNTIL} to campaign.most_seeds, {self.most_seeds}: until adds to it"
-            fits = isinstance(self.seeds, int) and _FEWEST_SEEDS_UNTIL <= self.seeds <= self.most_seeds
+            cure = f"give a number of 8 to campaign.most_seeds, {self.most_seeds}: until adds to it"
+            fits = isinstance(self.seeds, int) and 8 <= self.seeds <= self.most_seeds
             require(fits, "seeds", quote(self.seeds), cure, "until", "most_seeds")
 
     @property
@@ -142,6 +123,7 @@ class CampaignPlan:
         return tuple(range(1, self.seeds + 1)) if isinstance(self.seeds, int) else self.seeds
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class PackingDraw:
     """Further keys of section ``[packing]``: seed of the packing, or the user's file of disks.
@@ -161,15 +143,12 @@ class PackingDraw:
     file: Annotated[str, Predicate(bool), "the name of a CSV file, or leave the key out"] | None = None
     file_sha256: str | None = None
 
-    def __post_init__(self) -> None:
-        """Refuse a negative seed and a file without name."""
-        require_fields(self)
-
 
 SETTLED_BY_FILE = ("seed", "height", "diameter", "porosity", "expansion_steps")
 """Keys of ``[packing]`` without meaning if the disks are in a file."""
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class Calibration:
     """Further keys of section ``[sand]``.
@@ -182,11 +161,8 @@ class Calibration:
 
     wave_stiffness_factor: Annotated[Positive, "a positive factor, 1 for none"] = 1.0
 
-    def __post_init__(self) -> None:
-        """Refuse impossible factors."""
-        require_fields(self)
 
-
+@checked
 @dataclass(frozen=True, slots=True)
 class Bonding:
     """Further keys of section ``[cement]``.
@@ -199,16 +175,8 @@ class Bonding:
 
     installation: Installation = "preserve"
 
-    def __post_init__(self) -> None:
-        """Refuse unknown choices."""
-        require_fields(self)
 
-
-def _are_rising(contents: tuple[float, ...]) -> bool:
-    """Whether a list has increasing contents."""
-    return bool(contents) and all(low < high for low, high in itertools.pairwise(contents))
-
-
+@checked
 @dataclass(frozen=True, slots=True)
 class FrequencyTable:
     """Section ``[wave.frequency]``: excitation frequencies, linear between the contents given.
@@ -221,12 +189,16 @@ class FrequencyTable:
         One for each content, Hz.
     """
 
-    content: Annotated[tuple[float, ...], Predicate(_are_rising), Unit("percent"), "increasing contents in percent"]
+    content: Annotated[
+        tuple[float, ...],
+        Predicate(lambda content: () != content == tuple(sorted(set(content)))),
+        Unit("percent"),
+        "increasing contents in percent",
+    ]
     frequency: Annotated[tuple[Positive, ...], Unit("Hz"), "a list of positive frequencies in Hz"]
 
     def __post_init__(self) -> None:
         """Refuse tables that cannot be interpolated."""
-        require_fields(self)
         cure = f"give one positive frequency in Hz for each of the {len(self.content)} contents"
         require(len(self.frequency) == len(self.content), "frequency", quote(self.frequency), cure, "content")
 
@@ -239,6 +211,7 @@ class FrequencyTable:
         return float(np.interp(content, self.content, self.frequency))
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class Excitation:
     """Further keys of section ``[wave]``.
@@ -252,13 +225,10 @@ class Excitation:
 
     frequency: Annotated[
         Positive | FrequencyTable | Literal["auto"] | None,
+        table_of(FrequencyTable),
         Unit("Hz"),
         'a positive frequency in Hz, a table { content = [...], frequency = [...] }, or "auto"',
     ] = None
-
-    def __post_init__(self) -> None:
-        """Refuse invalid frequencies."""
-        require_fields(self)
 
     @property
     def table(self) -> FrequencyTable | None:
@@ -273,12 +243,13 @@ class Excitation:
         return FrequencyTable((0.0, 100.0), (self.frequency, self.frequency))
 
 
-def _is_part(value: object) -> bool:
+def _is_part(text: str) -> bool:
     """Whether a text has the form K/N of a part's number and the number of parts."""
-    found = re.fullmatch("([0-9]{1,6})/([0-9]{1,6})", value, re.ASCII) if isinstance(value, str) else None
+    found = re.fullmatch("([0-9]{1,6})/([0-9]{1,6})", text)
     return found is not None and 1 <= int(found[1]) <= int(found[2])
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class RunOptions:
     """Section ``[run]``: settings that do not change the physics.
@@ -330,14 +301,11 @@ class RunOptions:
         number, _, parts = (self.part or "1/1").partition("/")
         return int(number), int(parts)
 
-    def __post_init__(self) -> None:
-        """Refuse values that kernel or file system cannot use."""
-        require_fields(self)
 
-
+@checked
 @dataclass(frozen=True)
 class Configuration:
-    """Configuration of a campaign, checked as a whole; `calcidem.app.config.reader` reads it.
+    """Configuration of a campaign; `calcidem.app.config.reader` reads it.
 
     Attributes
     ----------
@@ -354,9 +322,6 @@ class Configuration:
     pick, velocity_choice
         Criteria of the arrival, and method for Vs.
     """
-
-    # Settings for pydantic to read this class and its parts; a plain mapping, so that workers do not import pydantic.
-    __pydantic_config__: ClassVar[dict[str, object]] = {"strict": True, "allow_inf_nan": False, "extra": "forbid"}
 
     campaign: CampaignPlan = field(default_factory=CampaignPlan)
     packing: PackingRule = field(default_factory=PackingRule)
@@ -377,26 +342,18 @@ class Configuration:
 
         `StoreError` if a section of `physics` is missing, `ValueError` if this version refuses a value.
         """
-        sections = ("root_seed", "sand", "cement", "pattern", "wave", "pick")
-        if missing := [name for name in sections if name not in physics]:
+        sections = ("sand", "cement", "pattern", "wave", "pick")
+        if missing := [name for name in ("root_seed", *sections) if name not in physics]:
             raise StoreError(
                 f"The stored configuration lacks {', '.join(missing)}: its cells can't be computed again.",
                 "Only campaigns that 'calcidem run' made have a complete one.",
             )
-        root_seed, sand, cement, pattern, wave, pick = (physics[name] for name in sections)
-        return cls(
-            campaign=CampaignPlan(root_seed=root_seed),
-            sand=_from_stored(Sand, sand),
-            calibration=_from_stored(Calibration, sand),
-            cement=_from_stored(Cement, cement),
-            bonding=_from_stored(Bonding, cement),
-            pattern=_from_stored(CementRule, pattern),
-            wave=_from_stored(WaveRule, wave),
-            excitation=Excitation(
-                "auto" if wave["frequency"] == "auto" else _from_stored(FrequencyTable, wave["frequency"])
-            ),
-            pick=_from_stored(PickRule, pick),
-        )
+        parts: dict[str, Any] = {
+            part: kind(**{name: physics[section][name] for name in field_hints(kind) if name in physics[section]})
+            for section in sections
+            for part, kind in SECTIONS[section].items()
+        }
+        return cls(CampaignPlan(root_seed=physics["root_seed"]), **parts)
 
     @cached_property
     def physics(self) -> dict[str, Any]:
@@ -406,8 +363,8 @@ class Configuration:
             "physics_version": PHYSICS_VERSION,
             "root_seed": self.campaign.root_seed,
             "packing": self.packing_origin,
-            "sand": _to_stored(self.sand) | _to_stored(self.calibration),
-            "cement": _to_stored(self.cement) | _to_stored(self.bonding),
+            "sand": _to_stored(self.sand, self.calibration),
+            "cement": _to_stored(self.cement, self.bonding),
             "pattern": _to_stored(self.pattern),
             "wave": _to_stored(self.wave) | {"frequency": "auto" if table is None else _to_stored(table)},
             "pick": _to_stored(self.pick),
@@ -416,7 +373,7 @@ class Configuration:
     @property
     def packing_origin(self) -> dict[str, Any]:
         """Settings that determine the packing, ready for JSON, without irrelevant keys and file names."""
-        values = _to_stored(self.packing) | _to_stored(self.packing_draw)
+        values = _to_stored(self.packing, self.packing_draw)
         left_out = ("file", *(SETTLED_BY_FILE if values["file"] is not None else ()))
         return {name: value for name, value in values.items() if name not in left_out and value is not None}
 
@@ -500,12 +457,23 @@ def _departures(values: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[
     return found
 
 
-def _to_stored(section: "DataclassInstance") -> dict[str, Any]:
+def _to_stored(*parts: "DataclassInstance") -> dict[str, Any]:
     """Keys and values of a section for stored configurations, ready for JSON."""
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(section).items()}
+    values = {name: value for part in parts for name, value in asdict(part).items()}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
 
 
-def _from_stored(kind: type[Section], stored: Mapping[str, Any]) -> Section:
-    """Make a section from the result of `_to_stored`; other keys are ignored."""
-    values = {field.name: stored[field.name] for field in fields(kind) if field.name in stored}
-    return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+SECTIONS: dict[str, dict[str, type["DataclassInstance"]]] = {
+    "campaign": {"campaign": CampaignPlan},
+    "packing": {"packing": PackingRule, "packing_draw": PackingDraw},
+    "sand": {"sand": Sand, "calibration": Calibration},
+    "cement": {"cement": Cement, "bonding": Bonding},
+    "pattern": {"pattern": CementRule},
+    "wave": {"wave": WaveRule, "excitation": Excitation},
+    "pick": {"pick": PickRule},
+    "run": {"run": RunOptions},
+}
+"""Sections of the file, with the attributes of `Configuration` from each, and their types."""
+
+TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
+"""Keys that files do not have, since another key has the same meaning."""

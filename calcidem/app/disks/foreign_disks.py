@@ -4,6 +4,7 @@ import csv
 import gzip
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,32 +14,8 @@ from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import PackingFileError
 from calcidem.dem.sample.packing_file import FARTHEST
 
-_ATOM_STYLES = {
-    "sphere": ("id", "type", "diameter", "density", "x", "y", "z"),
-    "bpm/sphere": ("id", "molecule", "type", "diameter", "density", "x", "y", "z"),
-}
-"""Columns of the LAMMPS atom styles with sizes (manual, command read_data)."""
-
-_ATOMS_LINE = r"\s*\d+\s+atoms\b"
-_IMAGE_FLAGS = 3
-_UNIT_STYLES = {"si": "m", "cgs": "cm", "micro": "um", "nano": "nm"}
-"""Unit of length of LAMMPS unit styles that suit a packing (manual, command units)."""
-
-_PLACE = re.compile(
-    r"(?:ball)?(?:pos(?:ition)?|coord(?:inate)?|cent(?:er|re)|centroid|c)?([xyz])(?:u|pos(?:ition)?|cent(?:er|re))?"
-)
-_SCALED = re.compile(r"([xyz])su?")
-_NAMES_OF = {
-    "radius": {"r", "rad", "radius", "ballradius"},
-    "diameter": {"d", "dia", "diam", "diameter"},
-    "type": {"type", "mat", "matid", "material", "group", "clumpid"},
-    "id": {"id", "ballid"},
-}
 _UNIT_IN_NAME = re.compile(r"[\[(_]\s*(m|cm|mm|um|µm|nm)\s*[\])]?$", re.IGNORECASE)
-_DELIMITERS = ("\t", ";", "|", ",")
-_NUMBERS_OF_A_DISK = 3
-_LONGEST_SHOWN_LINE = 60
-_MOST_SHOWN_STEPS = 12
+"""Unit of length at the end of a column's name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +86,7 @@ def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int |
     head = next((line for line in lines if line.strip()), "")
     if head.startswith("ITEM:"):
         return _read_dump
-    if _find_line(lines, _ATOMS_LINE) is not None and _find_line(lines, r"\s*Atoms\b") is not None:
+    if _find_line(lines, r"\s*\d+\s+atoms\b") is not None and _find_line(lines, r"\s*Atoms\b") is not None:
         return _read_data
     if not head:
         raise PackingFileError(f"{file} is empty; give a file with disks")
@@ -136,27 +113,24 @@ def _read_data(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
             entries.append((number, words))
     named = re.match(r"\s*Atoms\s*#\s*(\S+)", lines[begin])
     style, count = named[1] if named else "sphere", len(entries[0][1]) if entries else 0
-    wanted = len(_ATOM_STYLES.get(style, ()))
-    if not entries or count not in {wanted, wanted + _IMAGE_FLAGS}:
+    columns = {  # of the atom styles with sizes (manual, command read_data)
+        "sphere": ("id", "type", "diameter", "density", "x", "y", "z"),
+        "bpm/sphere": ("id", "molecule", "type", "diameter", "density", "x", "y", "z"),
+    }.get(style, ())
+    if not entries or count not in {len(columns), len(columns) + 3}:  # with or without image flags
         raise PackingFileError(
             f"{file}, line {begin + 1}: '{lines[begin].strip()}' with {count} columns has no sizes of disks; write it "
             "with atom_style sphere or bpm/sphere, or write a dump with the columns id type x y z radius"
         )
-    _refuse_missing(file, lines[_find_line(lines, _ATOMS_LINE) or 0], entries)
+    _refuse_missing(file, lines[_find_line(lines, r"\s*\d+\s+atoms\b") or 0], entries)
     said = "" if named else "; no atom style is named, and sphere taken"
     bounds = [_find_line(lines[:begin], rf".*\b{axis}lo\s+{axis}hi") for axis in "xyz"]
     box = None
     if None not in bounds:
         box = np.array([[float(word) for word in lines[index or 0].split()[:2]] for index in bounds])
-    units = re.search(r"units\s*=\s*(\w+)", lines[0])
-    return _Rows(
-        "LAMMPS data file",
-        f"line {begin + 1} is '{lines[begin].strip()}'{said}",
-        _ATOM_STYLES[style],
-        entries,
-        box,
-        _UNIT_STYLES.get(units[1], "") if units else "",
-    )
+    evidence = f"line {begin + 1} is '{lines[begin].strip()}'{said}"
+    unit = _unit_of_style(r"units\s*=\s*(\w+)", lines[0])
+    return _Rows("LAMMPS data file", evidence, columns, entries, box, unit)
 
 
 def _read_dump(file: Path, lines: list[str], timestep: int | None) -> _Rows:
@@ -164,7 +138,7 @@ def _read_dump(file: Path, lines: list[str], timestep: int | None) -> _Rows:
     starts = [index for index, line in enumerate(lines) if line.startswith("ITEM: TIMESTEP")]
     steps = [lines[index + 1].strip() for index in starts if index + 1 < len(lines)]
     if timestep is not None and str(timestep) not in steps:
-        shown = ", ".join(steps) if len(steps) <= _MOST_SHOWN_STEPS else f"{steps[0]}, {steps[1]}, ... {steps[-1]}"
+        shown = ", ".join(steps) if len(steps) <= 12 else f"{steps[0]}, {steps[1]}, ... {steps[-1]}"
         raise PackingFileError(f"{file}: timestep = {timestep} is none of its snapshots; choose of {shown}")
     chosen = len(steps) - 1 if timestep is None else steps.index(str(timestep))
     begin = starts[chosen]
@@ -180,15 +154,15 @@ def _read_dump(file: Path, lines: list[str], timestep: int | None) -> _Rows:
         (number, line.split()) for number, line in enumerate(lines[items["ATOMS"] + 1 : end], items["ATOMS"] + 2)
     ]
     _refuse_missing(file, lines[items["NUMBER"] + 1], entries)
-    units = re.search(r"ITEM: UNITS\n(\w+)", "\n".join(lines[: items["ATOMS"]]))
-    return _Rows(
-        "LAMMPS dump",
-        f"line 1 is '{lines[0].strip()}'; timestep {steps[chosen]}, one of {len(steps)}",
-        lines[items["ATOMS"]].split()[2:],
-        entries,
-        box,
-        _UNIT_STYLES.get(units[1], "") if units else "",
-    )
+    evidence = f"line 1 is '{lines[0].strip()}'; timestep {steps[chosen]}, one of {len(steps)}"
+    unit = _unit_of_style(r"ITEM: UNITS\n(\w+)", "\n".join(lines[: items["ATOMS"]]))
+    return _Rows("LAMMPS dump", evidence, lines[items["ATOMS"]].split()[2:], entries, box, unit)
+
+
+def _unit_of_style(pattern: str, text: str) -> str:
+    """Unit of length of a unit style that suits a packing (LAMMPS manual, command units); empty for another."""
+    found = re.search(pattern, text)
+    return {"si": "m", "cgs": "cm", "micro": "um", "nano": "nm"}.get(found[1], "") if found else ""
 
 
 def _refuse_missing(file: Path, line: str, entries: list[tuple[int, list[str]]]) -> None:
@@ -239,7 +213,7 @@ def _read_table(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
 
 def _delimiter_of(line: str) -> str:
     """Delimiter of the entries of a line; empty for white space."""
-    return "" if "(" in line else next((mark for mark in _DELIMITERS if mark in line), "")
+    return "" if "(" in line else next((mark for mark in "\t;|," if mark in line), "")
 
 
 def _cut(line: str, delimiter: str | None = None) -> list[str]:
@@ -267,29 +241,32 @@ def _names(line: str, delimiter: str, count: int) -> list[str]:
     return names
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 def _has_numbers(words: list[str]) -> bool:
     """Whether a line can be a disk: at least three numbers, which are at least half of its entries."""
-    count = sum(map(_is_number, words))
-    return count >= _NUMBERS_OF_A_DISK and 2 * count >= len(words)
+    count = 0
+    for word in words:
+        with suppress(ValueError):
+            float(word)
+            count += 1
+    return count >= 3 and 2 * count >= len(words)
 
 
 def _meaning_of(name: str) -> str:
     """Meaning of a column of that name; the name itself if unknown."""
     plain = re.sub(r"[^a-z0-9]", "", _UNIT_IN_NAME.sub("", name.strip()).lower())
-    place = _PLACE.fullmatch(plain)
-    if place:
+    centre = "cent(?:er|re)"
+    before = f"(?:ball)?(?:pos(?:ition)?|coord(?:inate)?|{centre}|centroid|c)?"
+    if place := re.fullmatch(rf"{before}([xyz])(?:u|pos(?:ition)?|{centre})?", plain):
         return place[1]
-    if _SCALED.fullmatch(plain):
+    if re.fullmatch("[xyz]su?", plain):
         return f"scaled {plain[0]}"
-    return next((quantity for quantity, names in _NAMES_OF.items() if plain in names), name)
+    known = {
+        "radius": {"r", "rad", "radius", "ballradius"},
+        "diameter": {"d", "dia", "diam", "diameter"},
+        "type": {"type", "mat", "matid", "material", "group", "clumpid"},
+        "id": {"id", "ballid"},
+    }
+    return next((quantity for quantity, names in known.items() if plain in names), name)
 
 
 def _disks_of(file: Path, rows: _Rows) -> ForeignDisks:
@@ -341,10 +318,8 @@ def _numbers_of(file: Path, rows: _Rows, columns: list[tuple[str, int]]) -> dict
         except (ValueError, IndexError):
             wrong = True
         if wrong:
-            shown = " ".join(words)
-            shown = f"{shown[:_LONGEST_SHOWN_LINE]}{'...' * (len(shown) > _LONGEST_SHOWN_LINE)}"
             wanted = ", ".join(f"{name} in column {place + 1}" for name, place in columns)
             raise PackingFileError(
-                f"{file}, line {number}: '{shown}' is not a disk; {wanted} have to be finite numbers"
+                f"{file}, line {number}: '{' '.join(words)[:60]}' is not a disk; {wanted} have to be finite numbers"
             )
     return dict(zip((name for name, _ in columns), found.T, strict=True))

@@ -15,19 +15,6 @@ from calcidem.dem.sample.packing import PackingFileError
 from calcidem.dem.sample.packing_file import FEWEST_DISKS, overlapping_pairs, refuse_deep_overlaps, write_disks_csv
 from calcidem.storage.files import write_atomically
 
-_LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
-"""Metres in each unit."""
-
-_OUT_OF_PLANE = 0.1
-"""Distance over its radius, above which a disk does not belong to the plane of the others."""
-_WALL_OVERLAP = 0.01
-"""Overlap with a wall over the smallest radius; a wall as near to a round number is placed there."""
-_LARGEST_SAND = 0.02
-_SMALLEST_SAND = 2e-5
-"""m; mean diameters beyond these are reported, since the unit may be wrong."""
-_LOOSE = 1.0
-"""Touching pairs over disks below which a note is given; below 1.5 a packing is unstable."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedPacking:
@@ -65,21 +52,19 @@ class ImportedPacking:
 
     def __str__(self) -> str:
         """Report in lines."""
-        return "\n".join(self._lines())
-
-    def _lines(self) -> Iterator[str]:
         smallest, largest, mean = (2e3 * float(f(self.radius)) for f in (np.min, np.max, np.mean))
-        yield f"Read {self.source}: {self.form} ({self.evidence})"
-        yield from (f"  left out: {sentence}" for sentence in self.left_out)
-        yield f"  {len(self.radius)} disks, diameters {smallest:.4g} to {largest:.4g} mm, mean {mean:.4g} mm"
         left, floor = self.origin
         moved = f"left wall and floor were at ({left:.6g}, {floor:.6g}) m" if left or floor else "origin kept"
-        yield f"  box {self.width:.6g} m x {self.height:.6g} m, porosity {self.porosity:.4f}; {moved}"
-        yield (
-            f"  {self.pairs} touching pairs, overlaps: mean {self.mean_overlap:.3g} m, "
-            f"largest {self.largest_overlap:.3g} m"
+        overlaps = f"mean {self.mean_overlap:.3g} m, largest {self.largest_overlap:.3g} m"
+        lines = (
+            f"Read {self.source}: {self.form} ({self.evidence})",
+            *(f"  left out: {sentence}" for sentence in self.left_out),
+            f"  {len(self.radius)} disks, diameters {smallest:.4g} to {largest:.4g} mm, mean {mean:.4g} mm",
+            f"  box {self.width:.6g} m x {self.height:.6g} m, porosity {self.porosity:.4f}; {moved}",
+            f"  {self.pairs} touching pairs, overlaps: {overlaps}",
+            *(f"  {sentence}" for sentence in self.remarks),
         )
-        yield from (f"  {sentence}" for sentence in self.remarks)
+        return "\n".join(lines)
 
 
 def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
@@ -174,18 +159,19 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
 
 def _metres(found: ForeignDisks, unit: str | None) -> tuple[float, list[str]]:
     """Source's unit in metres, and its origin."""
-    if unit is not None and unit not in _LENGTH_UNITS:
-        raise PackingFileError(f"unit = '{unit}' is none of {', '.join(_LENGTH_UNITS)}; give one of them")
+    metres = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
+    if unit is not None and unit not in metres:
+        raise PackingFileError(f"unit = '{unit}' is none of {', '.join(metres)}; give one of them")
     if unit is not None:
-        return _LENGTH_UNITS[unit], [f"unit {unit}, as given"]
+        return metres[unit], [f"unit {unit}, as given"]
     if found.unit:
-        return _LENGTH_UNITS[found.unit], [f"unit {found.unit}, as in the file"]
+        return metres[found.unit], [f"unit {found.unit}, as in the file"]
     return 1.0, ["unit m, since the file has none"]
 
 
 def _axes(plane: str) -> list[int]:
     """Numbers of the axes that become x, y and z."""
-    if len(set(plane)) != len("xy") or not set(plane) <= set("xyz"):
+    if len(set(plane)) != 2 or not set(plane) <= set("xyz"):
         raise PackingFileError(f"plane = '{plane}' is not a pair of axes; give xy, xz or yz")
     first, second = ("xyz".index(axis) for axis in plane)
     return [first, second, 3 - first - second]
@@ -213,7 +199,7 @@ def _choose_disks(
     left_out += [f"{sizeless.sum()} points without a size"] * bool(sizeless.any())
     kept &= ~sizeless
     if kept.any():
-        aside = kept & (np.abs(place[:, 2] - np.median(place[kept, 2])) > _OUT_OF_PLANE * radius)
+        aside = kept & (np.abs(place[:, 2] - np.median(place[kept, 2])) > 0.1 * radius)
         if 2 * aside.sum() > kept.sum():
             extents = ", ".join(f"{axis} {np.ptp(found.place[kept, number]):.3g}" for number, axis in enumerate("xyz"))
             raise PackingFileError(
@@ -236,7 +222,7 @@ def _box_of(place: Floats, radius: Floats, bounds: Floats | None, given: Floats 
     touched = np.stack([(place - radius[:, None]).min(axis=0), (place + radius[:, None]).max(axis=0)], axis=1)
     step = 10.0 ** np.floor(np.log10(LARGEST_OVERLAP * radius.min()))
     rounded = np.round(touched / step) / np.round(1.0 / step) + 0.0  # no -0
-    box = np.where(np.abs(rounded - touched) <= _WALL_OVERLAP * radius.min(), rounded, touched)
+    box = np.where(np.abs(rounded - touched) <= 0.01 * radius.min(), rounded, touched)  # a round number nearby
     said = "the outermost disks"
     if bounds is not None:
         fits = np.abs(bounds - touched) <= LARGEST_OVERLAP * radius.min()
@@ -254,9 +240,9 @@ def _reach_beyond(place: Floats, radius: Floats, box: Floats) -> Flags:
 def _suspicions(radius: Floats, pairs: int, deepest: float) -> Iterator[str]:
     """Notes about suspicious values."""
     mean = 2.0 * float(radius.mean())
-    if not _SMALLEST_SAND <= mean <= _LARGEST_SAND:
+    if not 2e-5 <= mean <= 0.02:  # m
         yield f"Check the unit: a mean diameter of {mean:.3g} m is not that of a sand."
     if deepest > DEEP_OVERLAP:
         yield f"The largest overlap is {deepest:.1%} of a radius; above {LARGEST_OVERLAP:.0%} disks are refused."
-    if pairs < _LOOSE * len(radius):
+    if pairs < len(radius):  # below 1.5 pairs for each disk a packing is unstable
         yield "Few disks touch: the lid will compress them. Check whether the sizes are radii or diameters."

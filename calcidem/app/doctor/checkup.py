@@ -22,8 +22,8 @@ from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder
 from calcidem.app.campaign.workers import PORTABLE_ARCHITECTURES, describe_worker
 from calcidem.app.config.checks import can_make_files
 from calcidem.storage.errors import StoreError
+from calcidem.storage.files import filesystem_type, is_network_filesystem
 from calcidem.storage.sql.engine import measure_commits
-from calcidem.storage.sql.filesystem import filesystem_type, is_network_filesystem
 from calcidem.storage.sql.lease import Lease
 from calcidem.sweep.environment import (
     LAUNCHER_VARIABLES,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
-from calcidem.analysis.figures.registry import read_arrival
+from calcidem.analysis.figures.signals import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.patterns import section_of
 from calcidem.app.report.wording import EXCEPTIONAL, readable_unit

@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from calcidem.app.campaign.opened import Campaign
-from calcidem.app.campaign.stored_packing import identify_packing, readable_packing
+from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.reference import stored_text
@@ -91,7 +91,7 @@ def write_crate(
         folder.mkdir()
         export_netcdf(store, folder / _NETCDF)
         (folder / _CONFIGURATION).write_text(stored_text(store.record, _DISKS), encoding="utf-8")
-        write_packing_csv(readable_packing(store, 0), folder / _DISKS)
+        write_packing_csv(stored_packing(store.packing()), folder / _DISKS)
         write_report(database, folder / _REPORT, campaign_name=store.record.name, watch=watch)
         _describe_crate(folder, store, licence, authors)
         if is_zip:
@@ -187,7 +187,7 @@ def open_crate(path: str | os.PathLike[str]) -> Iterator[Campaign]:
         folder = Path(name)
         _copy_files(crate, folder)
         with Store(folder / "campaign.db") as store:
-            record = import_netcdf(folder / _NETCDF, store, identify_packing)
+            record = import_netcdf(folder / _NETCDF, store, stored_packing)
             store.use_campaign(record.name)
             _check_configuration(crate, folder, store)
             yield Campaign(store)
@@ -229,7 +229,7 @@ def _content_of_file(crate: Path, name: str) -> bytes:
 
 def _check_configuration(crate: Path, folder: Path, store: Store) -> None:
     """Refuse a configuration or a packing other than that of the NetCDF file."""
-    write_packing_csv(readable_packing(store, 0), folder / "stored.csv")
+    write_packing_csv(stored_packing(store.packing()), folder / "stored.csv")
     if (folder / "stored.csv").read_bytes() != (folder / _DISKS).read_bytes():
         raise DamagedStoreError(f"{crate}: {_DISKS} is not the packing of {_NETCDF}.", _GET_IT_AGAIN)
     try:

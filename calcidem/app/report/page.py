@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import tabulate
-from calcidem.analysis.doubt import is_in_doubt
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render, save
+from calcidem.analysis.intervals import is_in_doubt
 from calcidem.analysis.measured import Target
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack

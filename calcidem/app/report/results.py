@@ -41,7 +41,7 @@ def _velocity_table(analysis: CampaignAnalysis) -> Table:
             bounds(row.vs.prediction_interval),
             decimal(row.vs.skewness, 2),
             decimal(row.vs.kurtosis, 2),
-            probability(row.vs.normality.p_small_sample),
+            probability(row.vs.p_small_sample),
             str(row.missing),
             str(row.failed),
         )
@@ -162,11 +162,11 @@ def _growth_table(analysis: CampaignAnalysis) -> Table | None:
     published = {stage.name: stage.rate for stage in published_study().stages}
     rows = tuple(
         (
-            growth.stage.name,
+            growth.stage,
             f"{growth.contents[0]:g} to {growth.contents[-1]:g}",
             decimal(growth.end_point_slope, 1),
             decimal(growth.least_squares_slope, 1),
-            decimal(published[growth.stage.name], 1),
+            decimal(published[growth.stage], 1),
         )
         for growth in analysis.stages
         if len(growth.contents) > 1
@@ -194,14 +194,14 @@ def _feature_table(analysis: CampaignAnalysis) -> Table:
 
     rows = tuple(
         (
-            feature.symbol,
-            feature.definition,
-            coefficient(matrices.overall, feature.name),
-            decimal(float(matrices.overall["spearman"].sel(variable=feature.name, other="vs")), 2),
-            coefficient(matrices.within, feature.name),
-            probability(float(tests["p_corrected"].sel(variable=feature.name))),
+            symbol,
+            definition,
+            coefficient(matrices.overall, name),
+            decimal(float(matrices.overall["spearman"].sel(variable=name, other="vs")), 2),
+            coefficient(matrices.within, name),
+            probability(float(tests["p_corrected"].sel(variable=name))),
         )
-        for feature in FEATURES
+        for name, (symbol, definition) in FEATURES.items()
     )
     return Table(
         "Features of the preferential path and Pearson's correlation with Vs, with 95 % intervals. Over all "

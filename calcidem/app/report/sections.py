@@ -9,16 +9,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+import numpy as np
 from scipy import stats
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import Distribution
-from calcidem.analysis.figures.registry import published_velocities
+from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import misfits, root_mean_square_misfit
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
 from calcidem.analysis.shear_wave import median_diameter_by_mass
-from calcidem.app.campaign.stored_packing import content_hash_of
 from calcidem.app.report.results import RESULT_TABLES
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
 from calcidem.storage.records import RunRecord
@@ -61,7 +61,7 @@ def _published_table(analysis: CampaignAnalysis) -> Table | None:
     marked: set[int] = set()
     for content, row in published:
         vs = here[round(content, 6)]
-        p_value = vs.normality.p_small_sample
+        p_value = vs.p_small_sample
         if _differs(vs, row):
             marked.add(len(rows))
         rows.append(
@@ -260,7 +260,11 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
                 lambda g: decimal(1e3 * median_diameter_by_mass(g.packing.radius), 3),
                 "d50",
             ),
-            ("median diameter by count (mm)", lambda g: decimal(1e3 * g.scale.median_diameter, 3), "d50 of Eq. 9 here"),
+            (
+                "median diameter by count (mm)",
+                lambda g: decimal(2e3 * float(np.median(g.packing.radius)), 3),
+                "d50 of Eq. 9 here",
+            ),
             *_stresses(graphs[0]),
             ("mean overlap / diameter", lambda g: significant(g.packing.mean_relative_overlap), ""),
             ("largest overlap / diameter", lambda g: significant(g.packing.largest_relative_overlap), ""),
@@ -272,7 +276,7 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
             ),
             (
                 "content hash",
-                lambda g: content_hash_of(g.packing) or _UNKNOWN,
+                lambda g: g.packing.content_hash,
                 "of all bits of disks, walls and forces",
             ),
             ("time to make", lambda g: duration(g.packing.seconds), ""),

@@ -30,7 +30,7 @@ from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection, StoreMark
 
 _CELLS_AT_ONCE = 1000
-"""Number of cells compared with their checksums in one query, which takes a tenth of a second."""
+"""Number of cells read with all quantities in one query, which takes a tenth of a second."""
 
 _STEPS_TOLD = 10
 """Seconds between two messages about the number of compared cells."""
@@ -87,7 +87,7 @@ class CampaignFeed:
 
     @property
     def busy(self) -> bool:
-        """Whether some cells were not yet compared with their checksums."""
+        """Whether some cells were not yet read with all quantities."""
         return bool(self._unchecked)
 
     def refresh(self) -> list[Event]:
@@ -150,7 +150,6 @@ class CampaignFeed:
             self._open()
             analysis = self._analyse()
             found = analysis.cell(seed, content)
-            found.refuse_damage()
             return {
                 "cells": list(describe_cells(analysis, [found], self._graphs(analysis), {})),
                 "sections": describe_sections(analysis, [found]),
@@ -237,7 +236,7 @@ class CampaignFeed:
             self._check_some(store)
 
     def _check_some(self, store: Store) -> None:
-        """Read the next cells with all displayed quantities, compared with their checksums."""
+        """Read the next cells with all displayed quantities."""
         assert self._columns is not None  # noqa: S101 - it is there as soon as there are cells to check
         before = len(self._unchecked)
         seeds = self._unchecked.pop(0)

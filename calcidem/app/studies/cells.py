@@ -18,7 +18,7 @@ from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
-from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.section import Section
 
 ROUNDS = 3
 
@@ -130,12 +130,12 @@ def errors_of_vs(found: CellsFound, exact: CellsFound) -> list[float]:
     return [abs(error) for error in deviations if error is not None]
 
 
-def signal_distance(found: WaveRecord, exact: WaveRecord) -> float:
+def signal_distance(found: Section, exact: Section) -> float:
     """Normalised L2 distance of two received signals, each over its pulse's amplitude, in their common time.
 
     It is ``||a - b|| / ||b||`` at the samples of the coarser record; a cubic spline interpolates the finer one.
     """
-    sections = found.section, exact.section
+    sections = found, exact
     first, second = at_common_times(
         [section.times for section in sections],
         [section.received / section.amplitude for section in sections],

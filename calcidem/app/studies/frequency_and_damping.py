@@ -15,10 +15,9 @@ from calcidem.app.studies.cells import Cells
 from calcidem.app.studies.results import StudyResult, markdown_table, number
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Measurement, interpret_record
+from calcidem.dem.wave.measurement import Measurement, interpret
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Method
-from calcidem.dem.wave.recorder import WaveRecord
 from calcidem.storage.sql.store import read_campaign
 
 _METHODS: tuple[Method, ...] = get_args(Method)
@@ -76,12 +75,12 @@ def _damping_study(
     for row, content in enumerate(contents):
         for column, factor in enumerate(factors):
             damped = replace(experiment, wave=replace(experiment.wave, damping=factor))
-            record = _long_record(damped, content, seed, float(time[row, -1]))
-            if record.problem:
+            found = _long_measurement(damped, content, seed, float(time[row, -1]))
+            if found.section.problem:
                 received[row, column] = np.nan
                 continue
-            received[row, column] = np.interp(time[row], record.section.times, record.section.received)
-            velocity[row, column] = _velocity(damped, "peak", record)
+            received[row, column] = np.interp(time[row], found.section.times, found.section.received)
+            velocity[row, column] = _velocity(damped, "peak", found)
     study = xr.Dataset(
         {"received": (("content", "damping", "sample"), received), "vs_peak": (("content", "damping"), velocity)},
         coords={"content": list(contents), "damping": list(factors), "time": (("content", "sample"), time)},
@@ -93,21 +92,21 @@ def _damping_study(
 
 def _readings(experiment: Experiment, measurement: Measurement) -> dict[str, float]:
     """Return reliable readings of a measurement: vs by each method in m/s, and the received frequency in Hz."""
-    record, frequency = measurement.record, measurement.frequency
-    found = {f"vs_{method}": _velocity(experiment, method, record) for method in _METHODS}
+    section = measurement.section
+    found = {f"vs_{method}": _velocity(experiment, method, measurement) for method in _METHODS}
     if np.isfinite(found["vs_peak"]):
         found["received_frequency"] = _pulse_frequency(
-            record.section.received,
-            record.section.sampling_interval,
-            record.section.distance / found["vs_peak"] + 0.5 / frequency - record.section.start_time,
-            reach=0.1 / frequency,
+            section.received,
+            section.sampling_interval,
+            section.distance / found["vs_peak"] + 0.5 / section.frequency - section.start_time,
+            reach=0.1 / section.frequency,
         )
     return found
 
 
-def _velocity(experiment: Experiment, method: Method, record: WaveRecord) -> float:
+def _velocity(experiment: Experiment, method: Method, measurement: Measurement) -> float:
     """Return the velocity that a campaign with this method would store, m/s; NaN if it would store a reason."""
-    return interpret_record(replace(experiment, pick=replace(experiment.pick, method=method)), record).vs or np.nan
+    return interpret(replace(experiment, pick=replace(experiment.pick, method=method)), measurement).vs or np.nan
 
 
 def _pulse_frequency(signal: Floats, sampling_interval: float, moment: float, reach: float) -> float:
@@ -130,14 +129,14 @@ def _pulse_frequency(signal: Floats, sampling_interval: float, moment: float, re
     return float(1.0 / (2.0 * (ended - began) * sampling_interval))
 
 
-def _long_record(experiment: Experiment, content: float, seed: int, duration: float) -> WaveRecord:
+def _long_measurement(experiment: Experiment, content: float, seed: int, duration: float) -> Measurement:
     """Record one sample for a given time in s, regardless of arrivals."""
     patient = replace(experiment, wave=replace(experiment.wave, slowest=experiment.distance / duration))
-    bonded = [experiment.ordering(seed).at(content).bonded]
-    frequency = experiment.frequency(content)
-    return send_waves(
-        patient, bonded, frequency, stop_when=lambda record: record.section.duration >= duration, lanes=1
-    )[0]
+    cement, frequency = experiment.ordering(seed).at(content), experiment.frequency(content)
+    (section,) = send_waves(
+        patient, [cement.bonded], frequency, stop_when=lambda section: section.duration >= duration, lanes=1
+    )
+    return Measurement(seed, content, cement, section)
 
 
 def _set_units(study: xr.Dataset) -> None:

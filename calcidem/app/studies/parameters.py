@@ -13,8 +13,8 @@ import numpy as np
 
 from calcidem.app.config.checks import cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem
-from calcidem.app.config.reader import SECTIONS, read_configuration
-from calcidem.app.config.schema import Configuration
+from calcidem.app.config.reader import read_configuration
+from calcidem.app.config.schema import SECTIONS, Configuration
 from calcidem.dem.sample.packing import Packing
 
 

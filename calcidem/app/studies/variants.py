@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from calcidem.analysis.sensitivity import Change, paired_changes
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
-from calcidem.app.config.errors import ConfigurationError, Problem, phrase
+from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.reader import parse_file, read_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.app.report.wording import ABSENT
@@ -84,7 +84,10 @@ def read_variants(path: str | os.PathLike[str], database: str) -> tuple[Variant,
     try:
         listed = _ListedPlan.model_validate(parse_file(Path(path)))
     except ValidationError as error:
-        found = ((".".join(map(str, detail["loc"])), phrase(detail)) for detail in error.errors())
+        words = {"missing": "is missing; add it", "extra_forbidden": "is not known; leave it out"}
+        found = (
+            (".".join(map(str, detail["loc"])), words.get(detail["type"], detail["msg"])) for detail in error.errors()
+        )
         raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
     base = parse_file(Path(path).parent / listed.configuration)
     _change(base, "run", {"database": database, "store_sections": False})

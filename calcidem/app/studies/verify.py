@@ -24,12 +24,11 @@ from calcidem.storage.store import Selection
 ExperimentOf = Callable[[int], Experiment]
 """Function that returns the common experiment of a packing's cells by the packing's index."""
 
-_ROUNDING_TOLERANCE = 1e-9
-"""Largest relative difference that counts as rounding.
+_REPEATABLE = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
+"""Outcomes decided by physics; the others depend on the machine."""
 
-The same cell on the same packing differed between processors by up to 1e-10 while its bits still depended on them.
-Chaos, as in slipping contacts or a new packing, causes differences above 1e-6.
-"""
+_SHARES = ("coherence", "reading_error", "path_error", "expected_error", "error_bound")
+"""Numbers that are already relative, so their absolute difference counts."""
 
 _VERIFIED = (*EXACT_QUANTITIES, "expected_error", "error_bound")
 
@@ -51,7 +50,7 @@ class Verification:
     """Both outcomes."""
     differences: Mapping[str, float]
     """Relative differences of quantities whose bits differ: infinite for missing quantities and for differing values
-    that are not numbers. A quantity that the stored cell lacks is not compared.
+    that are not numbers.
     """
 
     @property
@@ -59,21 +58,15 @@ class Verification:
         """Agreement that follows from the differences."""
         if not self.differences:
             return Agreement.SAME_BITS
+        # The same cell on the same packing differed between processors by up to 1e-10 while its bits still depended on
+        # them. Chaos, as in slipping contacts or a new packing, causes differences above 1e-6.
         size = self.differences[self.most_different]
-        return Agreement.ROUNDING if size <= _ROUNDING_TOLERANCE else Agreement.DIFFERENT
+        return Agreement.ROUNDING if size <= 1e-9 else Agreement.DIFFERENT
 
     @property
     def most_different(self) -> str:
         """Name of the quantity that differs most, the first of equal ones; empty if none does."""
         return max(self.differences, key=lambda name: self.differences[name], default="")
-
-    @property
-    def lacking(self) -> tuple[str, ...]:
-        """Quantities of the computed cell that the stored one lacks, since it may be older."""
-        if self.stored.status is not self.computed.status:
-            return ()
-        there = [{n for n in _VERIFIED if getattr(cell, n) is not None} for cell in (self.stored, self.computed)]
-        return tuple(name for name in _VERIFIED if name in there[1] - there[0])
 
 
 def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[CellKey, ...]:
@@ -81,9 +74,7 @@ def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[C
 
     ``choice`` is the seed of the choice; None varies it each time. `UnknownCellError` if no cell can be recomputed.
     """
-    # Outcomes decided by physics; the others depend on the machine.
-    repeatable = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
-    keys = [result.key for result in store.results(Selection(statuses=repeatable))]
+    keys = [result.key for result in store.results(Selection(statuses=_REPEATABLE))]
     if not keys:
         raise UnknownCellError(
             "The campaign has no cell that could be computed again.", "Run it first ('calcidem run')."
@@ -129,15 +120,14 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
     """Yield differing status and numbers with their differences."""
     if stored.status != computed.status:
         yield "status", math.inf
-    relative = {"coherence", "reading_error", "path_error", "expected_error", "error_bound"}
     for name in _VERIFIED:
         one, other = getattr(stored, name), getattr(computed, name)
-        if one is None:
+        if one == other:
             continue
-        if other is None:
+        if one is None or other is None:
             yield name, math.inf
-        elif one != other:
-            yield name, abs(other - one) / (1.0 if name in relative else max(abs(one), abs(other)))
+        else:
+            yield name, abs(other - one) / (1.0 if name in _SHARES else max(abs(one), abs(other)))
 
 
 def _different_arrays(
@@ -148,9 +138,8 @@ def _different_arrays(
         return {name: math.inf}
     pairs = {field.name: (getattr(stored, field.name), getattr(computed, field.name)) for field in fields(stored)}
     arrays = {field: (np.asarray(one), np.asarray(other)) for field, (one, other) in pairs.items()}
-    counted = {"across", "along"}  # velocities in whole counts; rounding may change one by a count
     return {
-        f"{name}.{field}": _array_difference(one, other, is_counted=field in counted)
+        f"{name}.{field}": _array_difference(one, other, is_counted=field in {"across", "along"})
         for field, (one, other) in arrays.items()
         if one.shape != other.shape or one.tobytes() != other.tobytes()
     }

@@ -33,9 +33,6 @@ from calcidem.dem.kernels.layout import (
     Y,
 )
 
-_ALIGNMENT = 64  # bytes: one cache line, and one AVX-512 vector
-_BLOWN_UP = 1e100  # m: far beyond any scene, yet its square does not overflow
-
 
 @dataclass(frozen=True, slots=True)
 class Assembly:
@@ -65,16 +62,10 @@ def aligned_copy(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def _aligned(make: Callable[..., npt.NDArray[Any]], shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     """Array that starts on a cache line, in memory that ``make`` provides."""
     size = prod(shape) * np.dtype(dtype).itemsize
-    raw = make(size + _ALIGNMENT, dtype=np.uint8)
-    start = -raw.ctypes.data % _ALIGNMENT
+    line = 64  # bytes of a cache line, and of an AVX-512 vector
+    raw = make(size + line, dtype=np.uint8)
+    start = -raw.ctypes.data % line
     return raw[start : start + size].view(dtype).reshape(shape)
-
-
-def _memory_order(scene: Scene) -> Integers:
-    """Order of the disks along the longer side of the scene."""
-    x, y = np.asarray(scene.x), np.asarray(scene.y)
-    along, across = (y, x) if np.ptp(y) >= np.ptp(x) else (x, y)
-    return np.lexsort((across, along))
 
 
 def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
@@ -137,14 +128,17 @@ def assemble(
     -------
     Arrays with zero histories.
     """
-    order = _memory_order(scene) if old is None else old.order
+    x, y = np.asarray(scene.x), np.asarray(scene.y)
+    longer = (x, y) if np.ptp(y) >= np.ptp(x) else (y, x)  # the last one sorts first
+    order: Integers = np.lexsort(longer) if old is None else old.order
     radius = np.asarray(scene.radius, dtype=float)[order]
     reference = np.column_stack([scene.x, scene.y])[order]
     cemented = np.zeros(0, dtype=np.int64)
     if scene.bonds is not None and len(scene.bonds.pairs):
         cemented = pair_keys(np.argsort(order)[np.asarray(scene.bonds.pairs)], scene.count)
-    # A sample that has blown up must not disturb the others, so its neighbours are not listed.
-    samples = np.flatnonzero((np.abs(centres) < _BLOWN_UP).all(axis=(0, 1)))
+    # A sample that has blown up must not disturb the others, so its neighbours are not listed. 1e100 m are far beyond
+    # any scene, yet their square does not overflow.
+    samples = np.flatnonzero((np.abs(centres) < 1e100).all(axis=(0, 1)))
     present = centres[order][:, :, samples]
     near = near_pairs(present, radius, skin) if len(samples) else np.zeros((0, 2), dtype=np.int64)
     listed = pair_keys(near, scene.count)
@@ -240,10 +234,13 @@ def _cement_pairs(bare: Pairs, scene: Scene, radius: Floats, places: Integers, l
     bits &= np.uint32(2**lanes - 1)
     linear = np.zeros((len(bits), 3))
     linear[:, :REFERENCE_OVERLAP] = scene.bonds.cement.linear_stiffness(*ends)
+    bond_radius, tensile_strength, cohesion, slope = scene.bonds.cement.strength(*ends).T
+    area = 2.0 * bond_radius
+    strength = np.column_stack([tensile_strength * area, cohesion * area, slope, 3.0 / bond_radius])
     return bare._replace(
         bond=aligned_copy(scene.bonds.cement.bond_stiffness(*ends).astype(dtype)),
         linear=aligned_copy(linear.astype(dtype)),
-        strength=aligned_copy(_breaking_limits(scene.bonds.cement.strength(*ends)).astype(dtype)),
+        strength=aligned_copy(strength.astype(dtype)),
         cemented=bits,
         intact=bits.copy(),
     )
@@ -309,13 +306,6 @@ def wall_pair_overlaps(assembly: Assembly, displacement: Floats) -> Floats:
     away = normal[:, X, None] * moved[:, X] + normal[:, Y, None] * moved[:, Y]
     closer: Floats = walls.motion[wall_pairs.wall, NORMAL_PATH] - away
     return wall_pairs.overlap.astype(float)[:, None] + closer
-
-
-def _breaking_limits(strength: Floats) -> Floats:
-    """(M, 4) as in `layout.Pairs.strength`, from bond radius, tensile strength, cohesion and friction slope."""
-    bond_radius, tensile_strength, cohesion, slope = strength.T
-    area = 2.0 * bond_radius
-    return np.column_stack([tensile_strength * area, cohesion * area, slope, 3.0 / bond_radius])
 
 
 def _near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, moved: Floats) -> Integers:

@@ -1,45 +1,56 @@
-"""Bounds and units of dataclass fields, declared in their annotations and checked from there.
+"""Frozen dataclasses whose values pydantic checks as their annotations say, in Python as in a file.
 
-The vocabulary is that of `annotated_types`, which pydantic also understands: `Interval` and `Predicate` for bounds,
-`Unit` for units. A string in the annotation describes the accepted values where bounds cannot.
+The vocabulary is that of `annotated_types`: `Interval` and `Predicate` for bounds, `Unit` for units. A string in the
+annotation describes the accepted values where bounds cannot. Numbers have to be finite without `pydantic.AllowInfNan`.
 """
 
-import math
-import operator
-from collections.abc import Iterator
-from dataclasses import is_dataclass
-from functools import cache
-from numbers import Real
-from types import NoneType, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+import difflib
+import json
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, wraps
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
-from annotated_types import Interval, Predicate, Unit
+import numpy as np
+from annotated_types import Interval, Unit
+from pydantic import BeforeValidator, TypeAdapter, ValidationError
+from pydantic_core import ArgsKwargs
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
 
-Positive = Annotated[float, Interval(gt=0.0), Predicate(math.isfinite)]
-NotNegative = Annotated[float, Interval(ge=0.0), Predicate(math.isfinite)]
+Settings = TypeVar("Settings", bound="DataclassInstance")
+
+Positive = Annotated[float, Interval(gt=0.0)]
+NotNegative = Annotated[float, Interval(ge=0.0)]
 Part = Annotated[float, Interval(ge=0.0, le=1.0)]
 PositivePart = Annotated[float, Interval(gt=0.0, le=1.0)]
 
 
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One problem of given values."""
+
+    message: str
+    """``field = value: problem; remedy``."""
+    fields: tuple[str, ...] = ()
+    """Fields that it concerns; the message begins with the first."""
+
+    def within(self, place: str) -> "Problem":
+        """Problem of a part of a larger whole, such as a section."""
+        return Problem(f"{place}.{self.message}", tuple(f"{place}.{name}" for name in self.fields))
+
+
 class FieldError(ValueError):
-    """Refused values; the message names field, value and remedy.
+    """Refused values; the message has a sentence with field, value and remedy for each of the ``problems``."""
 
-    Attributes
-    ----------
-    fields
-        Names of the fields that the rule concerns; the message begins with the first.
-    """
-
-    def __init__(self, message: str, *fields: str) -> None:
-        super().__init__(message, *fields)
-        self.fields = fields
+    def __init__(self, *problems: Problem) -> None:
+        super().__init__(*problems)
+        self.problems = problems
 
     def __str__(self) -> str:
-        """The message alone."""
-        return str(self.args[0])
+        """All sentences."""
+        return "\n".join(problem.message for problem in self.problems)
 
 
 def require(condition: bool, name: str, value: object, cure: str, *others: str) -> None:
@@ -53,14 +64,69 @@ def require(condition: bool, name: str, value: object, cure: str, *others: str) 
         Further fields in the condition.
     """
     if not condition:
-        raise FieldError(f"{name} = {value}: {cure}", name, *others)
+        raise FieldError(Problem(f"{name} = {value}: {cure}", (name, *others)))
 
 
-def require_fields(owner: "DataclassInstance") -> None:
-    """Raise a `FieldError` if an annotation does not accept its field's value."""
-    for name, hint in field_hints(type(owner)).items():
-        value = getattr(owner, name)
-        require(_fits(hint, value), name, value, f"give {accepted_values(hint)}")
+def checked(kind: type[Settings]) -> type[Settings]:
+    """Have each value of a dataclass checked against its annotation, before its `__post_init__`.
+
+    Lists and arrays become tuples. A `FieldError` names all values that are refused.
+    """
+    kind.__pydantic_config__ = {"strict": True, "extra": "forbid", "allow_inf_nan": False}  # type: ignore[attr-defined]
+
+    @cache  # made for the first instance, so that an import does not wait for it
+    def adapter() -> TypeAdapter[Settings]:
+        return TypeAdapter(kind)
+
+    @wraps(kind.__init__)
+    def initialise(self: Settings, /, *args: object, **named: object) -> None:
+        hints = field_hints(kind)
+        values = dict(zip(list(hints)[: len(args)], args, strict=True)) | named
+        values = {name: _plain(value) for name, value in values.items()}
+        try:
+            adapter().validator.validate_python(ArgsKwargs((), values), self_instance=self)
+        except ValidationError as error:
+            raise FieldError(*_problems(hints, values, error)) from None
+
+    kind.__init__ = initialise  # type: ignore[method-assign,assignment]
+    return kind
+
+
+def table_of(kind: type["DataclassInstance"]) -> BeforeValidator:
+    """Annotation of a field that accepts a mapping in the place of an instance."""
+    return BeforeValidator(lambda value: kind(**value) if isinstance(value, Mapping) else value)
+
+
+def _plain(value: object) -> object:
+    """A value with tuples instead of lists and arrays, and with numbers of Python."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
+
+
+def _problems(hints: Mapping[str, Any], values: Mapping[str, object], error: ValidationError) -> Iterator[Problem]:
+    """One problem for each refused value, and those that tables and combinations of values have."""
+    seen = set()
+    for detail in error.errors(include_url=False):
+        name, cause = ".".join(map(str, detail["loc"][:1])), detail.get("ctx", {}).get("error")
+        if isinstance(cause, FieldError):
+            for inner in cause.problems:
+                yield replace(whole := inner.within(name), fields=(*whole.fields, name)) if name else inner
+        elif name not in hints:
+            yield Problem(f"{name}: is unknown; {similar(name, hints)}", (name,))
+        elif name not in values:
+            yield Problem(f"{name}: is missing; add it", (name,))
+        elif name not in seen:
+            accepted = accepted_values(hints[name]) or detail["msg"].removeprefix("Input should be ")
+            entry = next((f"entry {place + 1}: " for place in detail["loc"] if isinstance(place, int)), "")
+            yield Problem(f"{name} = {quote(values[name])}: {entry}give {accepted}", (name,))
+        seen.add(name)
+
+
+def similar(name: str, known: Collection[str]) -> str:
+    """Remedy for an unknown name: a known one that is written similarly, or all."""
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f'did you mean "{close[0]}"?' if close else f"there are {', '.join(known)}"
 
 
 @cache
@@ -71,18 +137,23 @@ def field_hints(kind: type["DataclassInstance"]) -> dict[str, Any]:
 
 def accepted_values(hint: Any) -> str:  # noqa: ANN401 - a type hint has no type of its own
     """Values that an annotation accepts, worded to follow "give"; empty if it accepts all values of its type."""
-    notes = tuple(_notes(hint))
-    words = [note for note in notes if isinstance(note, str)]
-    bounds = [note for note in notes if isinstance(note, Interval)]
-    if not words and bounds:
-        unit = unit_of(hint)
-        words = [
-            _in_words(bounds[0], "whole number" if int in get_args(hint) else "number") + (unit and f", in {unit}")
-        ]
+    for note in _notes(hint):
+        if isinstance(note, str):
+            return note
     if get_origin(hint) is Literal:
-        *first, last = (f'"{choice}"' for choice in get_args(hint))
-        words = [f"{', '.join(first)} or {last}"]
-    return words[0] if words else ""
+        *first, last = map(quote, get_args(hint))
+        return f"{', '.join(first)} or {last}"
+    for bounds in _notes(hint):
+        if isinstance(bounds, Interval):
+            number = "whole number" if int in get_args(hint) else "number"
+            low, high = (bounds.gt if bounds.ge is None else bounds.ge), (bounds.lt if bounds.le is None else bounds.le)
+            if high is not None:
+                opened, closed = "(" if bounds.ge is None else "[", ")" if bounds.le is None else "]"
+                words = f"a {number} in {opened}{low:g}, {high:g}{closed}"
+            else:
+                words = f"a positive {number}" if bounds.gt == 0 else f"a {number} of {low:g} or more"
+            return f"{words}, in {unit}" if (unit := unit_of(hint)) else words
+    return ""
 
 
 def unit_of(hint: Any) -> str:  # noqa: ANN401 - as above
@@ -97,36 +168,20 @@ def _notes(hint: Any) -> Iterator[object]:  # noqa: ANN401 - as above
         yield from _notes(inner)
 
 
-def _in_words(bounds: Interval, number: str) -> str:
-    """Describe an interval."""
-    low, high = (bounds.gt if bounds.ge is None else bounds.ge), (bounds.lt if bounds.le is None else bounds.le)
-    if high is not None:
-        return f"a {number} in {'(' if bounds.ge is None else '['}{low:g}, {high:g}{')' if bounds.le is None else ']'}"
-    return f"a positive {number}" if bounds.gt == 0 else f"a {number} of {low:g} or more"
+def quote(value: object) -> str:
+    """Value as in `written`, cut if it is long."""
+    text = written(value)
+    return text if len(text) <= 200 else f"{text[:200]}..."
 
 
-def _fits(hint: Any, value: object) -> bool:  # noqa: ANN401 - as above
-    """Whether an annotation accepts a value; type checkers and pydantic check its type."""
-    arguments = get_args(hint)
-    match get_origin(hint):
-        case origin if origin is Annotated:
-            return _fits(arguments[0], value) and all(_meets(note, value) for note in hint.__metadata__)
-        case origin if origin is Literal:
-            return value in arguments
-        case origin if origin in {Union, UnionType}:
-            return any(_fits(arm, value) for arm in arguments)
-        case origin if origin is tuple and isinstance(value, tuple):
-            items = arguments[:1] * len(value) if ... in arguments else arguments
-            return len(items) == len(value) and all(map(_fits, items, value))
-    is_checked = isinstance(hint, type) and (hint is NoneType or is_dataclass(hint))
-    return not is_checked or isinstance(value, hint)
-
-
-def _meets(note: object, value: Any) -> bool:  # noqa: ANN401 - of any field
-    """Whether a value satisfies one entry of an annotation."""
-    if isinstance(note, Predicate):
-        return bool(note.func(value))
-    if not isinstance(note, Interval):
-        return True
-    ends = ((operator.gt, note.gt), (operator.ge, note.ge), (operator.lt, note.lt), (operator.le, note.le))
-    return isinstance(value, Real) and all(end is None or compare(value, end) for compare, end in ends)
+def written(value: object) -> str:
+    """Value as written in a configuration: numbers with the fewest digits that are exact."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(written, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{name} = {written(inner)}' for name, inner in value.items())} }}"
+    if isinstance(value, bool | str):
+        return json.dumps(value, ensure_ascii=False)
+    if not isinstance(value, float) or float(short := f"{value:g}") != value:
+        return str(value)
+    return short if set(short) & set(".en") else f"{short}.0"

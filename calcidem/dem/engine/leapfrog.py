@@ -26,8 +26,6 @@ from calcidem.dem.kernels.layout import (
 from calcidem.dem.kernels.records import RECORD
 from calcidem.dem.kernels.steps import advance_steps
 
-_REACH = 0.45  # part of the skin a disk may move before relisting; below 1/2, since that step is completed first
-_REACH_TOGETHER = 0.35  # the same with several steps in flight
 _STEPS_TOGETHER = 4
 _SMALLEST_BLOCK = 32
 
@@ -171,8 +169,8 @@ def run_in_place(state: State, steps: int, recording: Recording) -> State:
 
 
 def _reach(state: State) -> float:
-    """Distance that a disk may move before pairs are relisted, m."""
-    return (_REACH if _steps_together(state.features) == 1 else _REACH_TOGETHER) * state.skin
+    """Distance that a disk may move before pairs are relisted, m; steps in flight may take it to half of the skin."""
+    return (0.45 if _steps_together(state.features) == 1 else 0.35) * state.skin
 
 
 def _left_reach(state: State) -> bool:
@@ -185,11 +183,12 @@ def _left_reach(state: State) -> bool:
 
 def run_kernel(state: State, steps: int, recording: Recording) -> int:
     """Run the kernel on a state in place; return the number of completed steps."""
-    assembly = state.assembly
+    assembly, lanes = state.assembly, state.features.lanes
     system = System(
         grains=assembly.grains,
-        motion=Motion(*(_rows(array) for array in state.motion)),
-        pairs=assembly.pairs._replace(bond_force=_rows(assembly.pairs.bond_force)),
+        # Views as rows of lanes, the shape that kernels index fastest.
+        motion=Motion(*(array.reshape(-1, lanes) for array in state.motion)),
+        pairs=assembly.pairs._replace(bond_force=assembly.pairs.bond_force.reshape(-1, lanes)),
         wall_pairs=assembly.wall_pairs,
         walls=assembly.walls,
         front=_make_front(state),
@@ -204,11 +203,6 @@ def run_kernel(state: State, steps: int, recording: Recording) -> int:
     done = advance_steps(state.features, steps, time_step, bundled)
     unbundle(bundled, bundles, system, state.features)
     return done
-
-
-def _rows(array: Floats) -> Floats:
-    """View of an array as rows of lanes, the shape that kernels index fastest."""
-    return array.reshape(-1, array.shape[-1])
 
 
 def no_recording(state: State) -> Recording:

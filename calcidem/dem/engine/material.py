@@ -9,12 +9,14 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval, Unit
+from pydantic import AllowInfNan
 
-from calcidem.dem.engine.fields import NotNegative, Positive, require_fields
+from calcidem.dem.engine.fields import NotNegative, Positive, checked
 from calcidem.dem.engine.portable import tangent_of_degrees
 from calcidem.dem.kernels.layout import Floats
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class Sand:
     """Grain material of the Hertz-Mindlin contact (PFC 'hertz' model).
@@ -36,10 +38,6 @@ class Sand:
     density: Annotated[Positive, Unit("kg/m^3")] = 2650.0
     friction: NotNegative = 0.5
 
-    def __post_init__(self) -> None:
-        """Refuse impossible materials."""
-        require_fields(self)
-
     @property
     def shear_ratio(self) -> float:
         """Mindlin's k_s / k_n = 2 (1 - nu) / (2 - nu), without slip: Mindlin & Deresiewicz (1953), see `laws`."""
@@ -60,6 +58,7 @@ class Sand:
         return coefficient
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class Cement:
     """Cement of a bonded contact (PFC 'linearpbond': linear group and parallel bond).
@@ -84,13 +83,9 @@ class Cement:
     bond_stiffness_ratio: Positive = 1.0
     linear_modulus: Annotated[NotNegative, Unit("Pa")] = 0.0
     linear_stiffness_ratio: Positive = 1.0
-    tensile_strength: Annotated[float, Interval(gt=0.0), Unit("Pa")] = 5.0e9  # infinite: never breaks
-    cohesion: Annotated[float, Interval(gt=0.0), Unit("Pa")] = 2.0e10
+    tensile_strength: Annotated[float, Interval(gt=0.0), AllowInfNan(), Unit("Pa")] = 5.0e9  # infinite: never breaks
+    cohesion: Annotated[float, Interval(gt=0.0), AllowInfNan(), Unit("Pa")] = 2.0e10
     friction_angle: Annotated[float, Interval(ge=0.0, lt=90.0), Unit("degrees")] = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible cements."""
-        require_fields(self)
 
     def bond_stiffness(self, radius_first: Floats, radius_second: Floats) -> Floats:
         """Stiffness of a parallel bond: (M, 3) normal, shear (N/m) and rotational (N m).

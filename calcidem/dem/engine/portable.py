@@ -13,12 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.dem.kernels.layout import Floats
-
-_TERMS = 9
-"""Terms of the series of sine and cosine: the remainder at an eighth of a turn is below 1e-17."""
-_ARC_TERMS = 27
-"""Terms of the series of the arcsine: the remainder at 1/2 is below 1e-17."""
+from calcidem.dem.kernels.layout import Floats, Integers
 
 
 def length(x: Floats, y: Floats) -> Floats:
@@ -112,6 +107,26 @@ def sliding_products(signal: Floats, weights: Floats) -> Floats:
     return total
 
 
-_SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(1, _TERMS))
-_COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(2, _TERMS + 1))
-_ARC = tuple(math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(1, _ARC_TERMS))
+def find_maxima(signal: Floats) -> Integers:
+    """Samples of the local maxima of a signal (T,), in order; of a plateau the middle, rounded down.
+
+    Those of `scipy.signal`, whose loading takes longer than starting a campaign.
+    """
+    changes = (signal[1:] != signal[:-1]).nonzero()[0]
+    begin, end = np.concatenate([[0], changes + 1]), np.concatenate([changes, [len(signal) - 1]])
+    level = signal[begin]
+    above = (level[1:-1] > level[:-2]) & (level[1:-1] > level[2:])
+    return np.asarray((begin[1:-1][above] + end[1:-1][above]) // 2)
+
+
+def parabola_vertex(signal: Floats, index: int) -> float:
+    """Return the vertex of the parabola through a peak and its neighbours, in samples from the peak."""
+    left, middle, right = (float(value) for value in signal[index - 1 : index + 2])
+    curvature = left - 2.0 * middle + right
+    return 0.5 * (left - right) / curvature if curvature < 0.0 else 0.0
+
+
+# Series to a remainder below 1e-17: of sine and cosine at an eighth of a turn, of the arcsine at 1/2.
+_SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(1, 9))
+_COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(2, 10))
+_ARC = tuple(math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(1, 27))

@@ -29,10 +29,7 @@ _Entry = tuple[int, int]
 _UPPER = ((X, X), (X, Y), (Y, Y), (X, ROTATION), (Y, ROTATION), (ROTATION, ROTATION))  # entries of a symmetric matrix
 
 _RING_INERTIA = 2.0  # moment of inertia of a ring over a disk's
-_POWER_STEPS = 12  # iterations of the power method for the weights of the disks
-_LEAST_WEIGHT = 1e-6  # smallest weight over the largest; no weight may be zero
 _ROUNDED_UP = 1.0 + 1e-12  # covers the rounding of a bound
-_SWEEPS = 6  # sweeps of Jacobi rotations; they converge quadratically
 
 
 class _Springs(NamedTuple):
@@ -99,13 +96,13 @@ def critical_time_step(
     between = root[first.disk] * root[second.disk] * _coupling(first, second, features)
     to_first, to_second = (_sums(side.disk, scene.count) for side in (first, second))
     weights = np.ones_like(own)
-    for _ in range(_POWER_STEPS):
+    for _ in range(12):  # power method
         grown = (
             own * weights + to_first @ (between * weights[second.disk]) + to_second @ (between * weights[first.disk])
         )
         squared = np.minimum(squared, _ROUNDED_UP * (grown / weights).max(axis=0, initial=0.0))
         largest = grown.max(axis=0, initial=0.0)
-        weights = grown / np.where(largest > 0.0, largest, 1.0) + _LEAST_WEIGHT
+        weights = grown / np.where(largest > 0.0, largest, 1.0) + 1e-6  # no weight may be 0
     return _step_of_squares(scene, squared)
 
 
@@ -263,7 +260,7 @@ def _largest_eigenvalue(matrices: Floats) -> Floats:
     scale = matrices[..., 0, 0] + matrices[..., 1, 1] + matrices[..., 2, 2]
     scaled = matrices / np.where(scale > 0.0, scale, 1.0)[..., None, None]
     entry: dict[_Entry, Floats] = {(i, j): scaled[..., i, j] for i in range(3) for j in range(i, 3)}
-    for _ in range(_SWEEPS):
+    for _ in range(6):  # sweeps converge quadratically
         for p, q, r in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
             _rotate(entry, (p, q), (min(p, r), max(p, r)), (min(q, r), max(q, r)))
     off = [np.abs(entry[place]) for place in ((0, 1), (0, 2), (1, 2))]

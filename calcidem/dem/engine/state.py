@@ -16,14 +16,6 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import ROTATION, XY, Floats, Integers, Motion
 
 SKIN = 0.2  # largest gap of listed pairs over the mean radius
-_BUNDLED_DISKS = 256  # from this number on, bundles save more than their preparation costs (at least 0.1 ms a call)
-_SMOOTH_STEPS, _ROUGH_STEPS = 25.0, 36.0
-"""Default steps per Hertz contact without and with friction.
-
-An impact returns its energy to 5e-4 with 25 steps, to 1e-3 at the limit (20 steps). A sticking contact oscillates in
-shear `sqrt(3 k_s / k_n)`, about 1.6, times as fast as normal to it. After oblique impacts (radii up to 1 : 6)
-velocities and rim speeds are accurate to 0.4 % of the impact speed with 36 steps, to 0.6 % with 25.
-"""
 
 
 def choose_features(
@@ -48,7 +40,8 @@ def choose_features(
         search=regime == "finite",
         loads=scene.load is not None or any(scene.gravity),
         account=account and not linear,
-        bundles=lanes == 1 and scene.count >= _BUNDLED_DISKS,
+        # Bundles of fewer disks save less than their preparation costs, at least 0.1 ms a call.
+        bundles=lanes == 1 and scene.count >= 256,
         midpoint=not linear,
     )
 
@@ -112,6 +105,10 @@ def start(  # noqa: PLR0913 - entry to the engine: every departure from the defa
     else:
         preload = None  # already included
     install_forces(scene, assembly, chosen, preload)
+    # An impact returns its energy to 5e-4 with 25 steps, to 1e-3 at the limit (20 steps). A sticking contact oscillates
+    # in shear sqrt(3 k_s / k_n), about 1.6, times as fast as normal to it. After oblique impacts (radii up to 1 : 6)
+    # velocities and rim speeds are accurate to 0.4 % of the impact speed with 36 steps, to 0.6 % with 25.
+    usual = 36.0 if scene.sand.friction > 0.0 else 25.0
     # A fixed step justifies the cost of a tight bound; the bound of a checked step is recomputed often.
     watched = not chosen.linear and steps_per_contact != 0.0
     limit = (critical_time_step_of_disks if watched else critical_time_step)(scene, assembly, chosen)
@@ -122,7 +119,7 @@ def start(  # noqa: PLR0913 - entry to the engine: every departure from the defa
         critical_time_step=limit,
         control=StepControl(
             fraction=step_fraction,
-            per_contact=_default_steps(scene) if steps_per_contact is None else steps_per_contact,
+            per_contact=usual if steps_per_contact is None else steps_per_contact,
             fixed=time_step is not None,
             next_look=0,
             stability=limit,
@@ -145,11 +142,6 @@ def start(  # noqa: PLR0913 - entry to the engine: every departure from the defa
     cure = f"above the critical time step of {limit.tolist()} s: choose a smaller one"
     require(bool(np.all(step <= limit)), "time_step", step.tolist(), cure)
     return replace(state, time_step=np.array(step, dtype=float), critical_time_step=limit)
-
-
-def _default_steps(scene: Scene) -> float:
-    """Steps in the shortest impact of a scene."""
-    return _ROUGH_STEPS if scene.sand.friction > 0.0 else _SMOOTH_STEPS
 
 
 def _first_motion(

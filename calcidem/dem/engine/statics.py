@@ -15,9 +15,6 @@ from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.engine.stability import pair_stiffness
 from calcidem.dem.kernels.layout import FIRST_ARM, NORMAL_X, NORMAL_Y, SECOND_ARM, Flags, Floats, Integers
 
-_GROUND = 1e-9
-"""Stiffness that ties each disk to the mean strain, over the median contact stiffness; it holds loose disks."""
-
 
 class _ShearedPart(NamedTuple):
     """Part of a sheared sample."""
@@ -57,7 +54,8 @@ def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
     motion = np.column_stack([np.zeros(len(x)), x, 0.5 * radius]).ravel()
     free = np.column_stack([~held[order], ~held[order], np.ones(len(x), dtype=bool)]).ravel()
     matrix = (strain_matrix.T @ sparse.diags_array(stiffness) @ strain_matrix).tocsr()
-    ground = _GROUND * float(np.median(stiffness[stiffness > 0.0])) * sparse.eye_array(int(free.sum()))
+    # Soft springs, 1e-9 of the median stiffness, tie disks to the mean strain and so hold loose ones.
+    ground = 1e-9 * float(np.median(stiffness[stiffness > 0.0])) * sparse.eye_array(int(free.sum()))
     factors = splu(
         (matrix[free][:, free] + ground).tocsc(),
         permc_spec="MMD_AT_PLUS_A",

@@ -37,10 +37,6 @@ from calcidem.dem.kernels.layout import (
     Y,
 )
 
-_DURATION = 3.2180
-"""Duration of a Hertz contact over ``(m*^2 / (h^2 v))^(1/5)``: 2.943275 (5/4)^(2/5)."""
-_QUIET = 1e-2  # largest free over stored energy at which impacts do not matter
-
 
 class _Instant(NamedTuple):
     """Present motion, forces and energies of a state, in double precision and memory order."""
@@ -86,8 +82,10 @@ def _contact_durations(
     approach = np.sqrt((speed + fastest) ** 2 + 2.0 * released / mass)
     ratio = 0.5 * mass / coefficient
     with np.errstate(divide="ignore"):
-        duration = _DURATION / root(approach / (ratio * ratio), 5)
-    matters = (free > _QUIET * now.stored) & _may_touch(assembly, features)
+        duration = 3.2180 / root(approach / (ratio * ratio), 5)  # 2.943275 (5/4)^(2/5)
+    # Impacts do not matter if at most 1 % of the stored energy is free, or all listed contacts are cemented.
+    loose = (~lanes_of_bits(assembly.pairs.intact, features.lanes)).any(axis=0) | (len(assembly.wall_pairs.disk) > 0)
+    matters = (free > 1e-2 * now.stored) & loose
     return np.where((inverse > 0.0) & matters, duration, np.inf), fastest
 
 
@@ -101,23 +99,8 @@ def _wall_speeds(assembly: Assembly, reaction: Floats, time_step: Floats) -> Flo
     return np.where(gain > 0.0, served, np.abs(walls.motion[:, NORMAL_SPEED].astype(float)))
 
 
-def _may_touch(assembly: Assembly, features: Features) -> Floats:
-    """Lanes (L,) with a wall contact or an uncemented pair in the list."""
-    loose = ~lanes_of_bits(assembly.pairs.intact, features.lanes)
-    return np.asarray(loose.any(axis=0) | (len(assembly.wall_pairs.disk) > 0))
-
-
 SAFETY = 0.8  # default step over the critical time step
-_CROSSED = 0.0375  # part of the skin a disk may cross in a step: 4 steps from `_REACH_TOGETHER` to 1/2 of it
-_UNSEEN = 0.05  # part of the skin that unlisted disks may approach each other between two checks
-_BUSY_LOOK, _QUIET_LOOK = 32, 256  # most steps to the next check
-_IDLE_LOOK = 2000  # the same for an unwatched step: an unstable run ends then
-_STEADY = 0.3  # motion between checks over mean overlap, below which stiffness changes stay within the margin
-_GROWN = 1.3  # growth of overlaps at which the stability limit is recomputed
-_NEAR = 0.5  # part of the stability limit below which only much deeper overlaps (x 16) can matter
-_SLACK = 1.05  # largest fixed step over the limit of impacts, which is an estimate
-_LEAP = 0.1  # motion in a step over the smallest radius, above which a run has blown up
-_ENERGY = 0.1  # tolerated creation of energy over the largest energy so far
+_QUIET_LOOK = 256  # most steps to the next check
 
 
 class UnstableRunError(RuntimeError):
@@ -149,7 +132,8 @@ def _impact_limits(state: State, now: _Instant) -> tuple[Floats, Floats]:
             # The acceleration of a disk by an unsupported load counts, too.
             load = state.assembly.grains.load.astype(float)[:, :, None]
             pull = np.minimum(_accelerations(state, load), _accelerations(state, now.force)).max(axis=0)
-            limits = np.minimum(limits, _time_across(_CROSSED * state.skin, fastest, pull))
+            # Four steps in flight may cross the skin from 0.35 of it (`leapfrog._reach`) to a half.
+            limits = np.minimum(limits, _time_across(0.0375 * state.skin, fastest, pull))
     return limits, fastest
 
 
@@ -175,7 +159,8 @@ def _instant(state: State, ahead: State) -> _Instant:
 def look(state: State) -> State:
     """Return the state with a step within its limit, one step later if the step changed; see `advance`."""
     if not is_watched(state):
-        return replace(state, control=replace(state.control, next_look=state.steps + _IDLE_LOOK))
+        # An unstable run ends at the next check.
+        return replace(state, control=replace(state.control, next_look=state.steps + 2000))
     ahead = look_ahead(state)
     now = _instant(state, ahead)
     limits, fastest = _impact_limits(state, now)
@@ -197,7 +182,8 @@ def _watch_stability(state: State, now: _Instant) -> StepControl:
     overlap = np.stack(
         [np.maximum(*(side.max(axis=0, initial=0.0) for side in sides)), sum(side.sum(axis=0) for side in sides)]
     )
-    growth = np.where(state.time_step > _NEAR * control.stability, _GROWN, _NEAR**-4)
+    # Below half of the limit only overlaps 16 times as deep can matter, above it a growth by 30 %.
+    growth = np.where(state.time_step > 0.5 * control.stability, 1.3, 16.0)
     if np.isfinite(control.overlap).all() and not (overlap > growth * control.overlap).any():
         return control
     limit = critical_time_step_of_disks(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
@@ -209,12 +195,13 @@ def _steps_to_look(state: State, now: _Instant, limits: Floats, fastest: Floats)
     step, pull = state.time_step, _accelerations(state, now.force).max(axis=0)
     busy = (limits < np.inf).any()
     touching = now.overlap[now.overlap > 0.0]
-    steps = [_BUSY_LOOK if busy else _QUIET_LOOK]
+    steps = [32 if busy else _QUIET_LOOK]
     if len(touching):
-        steps.append(max(_BUSY_LOOK, _steps_in(_time_across(_STEADY * float(touching.mean()), fastest, 0.0), step)))
+        # Motion by less than 0.3 of the mean overlap changes stiffnesses within the margin of the step.
+        steps.append(max(32, _steps_in(_time_across(0.3 * float(touching.mean()), fastest, 0.0), step)))
     if state.features.search:
-        # An unsupported disk at rest falls until the next check.
-        steps.append(_steps_in(_time_across(_UNSEEN * state.skin, fastest, pull), step))
+        # Unlisted disks may approach each other by 1/20 of the skin; an unsupported disk at rest falls meanwhile.
+        steps.append(_steps_in(_time_across(0.05 * state.skin, fastest, pull), step))
     return max(1, min(steps))
 
 
@@ -249,9 +236,9 @@ def _watch_energy(state: State, now: _Instant, control: StepControl) -> StepCont
     if state.steps == 0:
         return replace(control, energy=np.stack([present, present]))
     largest = np.maximum(control.energy[1], np.abs(supplied))
-    # The kinetic energy of 1 kg at 1e-6 m/s is negligible.
+    # A tenth of the largest energy is tolerated, and the kinetic energy of 1 kg at 1e-6 m/s.
     least = 0.5e-12 * float(np.sum(state.scene.mass))
-    for lane in np.flatnonzero(present - supplied - control.energy[0] > _ENERGY * largest + least).tolist():
+    for lane in np.flatnonzero(present - supplied - control.energy[0] > 0.1 * largest + least).tolist():
         if _is_closed(state, now, lane):
             disk = int(np.argmax(length(now.velocity[:, X, lane], now.velocity[:, Y, lane])))
             raise UnstableRunError(
@@ -276,7 +263,8 @@ def _refuse_step(state: State, now: _Instant, limits: Floats) -> None:
     """Raise an `UnstableRunError` if a fixed step exceeds its limit."""
     stability = state.control.stability
     for lane in np.flatnonzero(
-        (state.time_step > stability * (1.0 + 1e-9)) | (state.time_step > _SLACK * limits.min(axis=0))
+        # The limit of impacts is an estimate, so it may be exceeded by 5 %.
+        (state.time_step > stability * (1.0 + 1e-9)) | (state.time_step > 1.05 * limits.min(axis=0))
     ).tolist():
         disk = int(np.argmin(limits[:, lane]))
         if stability[lane] < limits[disk, lane]:
@@ -292,7 +280,7 @@ def _refuse_step(state: State, now: _Instant, limits: Floats) -> None:
 def refuse_blow_up(state: State) -> None:
     """Raise an `UnstableRunError` if a disk's velocity is NaN or too large."""
     velocity = state.motion.velocity
-    leap = _LEAP * float(np.min(state.scene.radius)) if state.features.finite and is_watched(state) else np.inf
+    leap = 0.1 * float(np.min(state.scene.radius)) if state.features.finite and is_watched(state) else np.inf
     moved = np.abs(velocity[:, XY]) * state.time_step
     # Comparisons with NaN are false, so the valid case is tested.
     if (moved <= leap).all() and np.isfinite(velocity).all():

@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy  # loads its submodules on use: the rule alone needs no trees
 from annotated_types import Interval, Unit
+from pydantic import AllowInfNan
 
-from calcidem.dem.engine.fields import NotNegative, Positive, require_fields
+from calcidem.dem.engine.fields import NotNegative, Positive, checked
 from calcidem.dem.engine.portable import arc_sine, length
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.packing import Packing
@@ -77,10 +78,6 @@ def _half_area(diameter: Floats, cement_diameter: Floats) -> Floats:
     return np.asarray(cement_diameter * height - segment)
 
 
-_CENTRES_AT_ONCE = 512
-_MOST_CENTRES = 400 * _CENTRES_AT_ONCE  # limit for clusters so small that they rarely contain a contact
-
-
 class CementCapacityError(ValueError):
     """Requested content above the sample's capacity."""
 
@@ -93,6 +90,7 @@ class CementKind(IntEnum):
     C = 2
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class CementRule:
     """Calcite of contacts and clusters, and the content at which clusters appear (paper, section 2.2).
@@ -122,17 +120,13 @@ class CementRule:
     p_diameter: Annotated[Positive, Unit("m")] = 1.06e-3
     c_diameter: Annotated[Positive, Unit("m")] = 1.33e-3
     cluster_diameter: Annotated[Positive, Unit("m")] = 12.0e-3
-    threshold: Annotated[float, Interval(ge=0.0), Unit("percent")] = 0.66  # infinite for P only
+    threshold: Annotated[float, Interval(ge=0.0), AllowInfNan(), Unit("percent")] = 0.66  # infinite for P only
     keep_p: bool = True
     p_share: Positive = 1.0
     cluster_area: Annotated[Positive, Unit("m^2")] | None = None
     p_patch_diameter: Annotated[NotNegative, Unit("m"), "0 for single contacts, or a diameter in m"] = 0.0
     sand_density: Annotated[Positive, Unit("kg/m^3")] = 2650.0
     calcite_density: Annotated[Positive, Unit("kg/m^3")] = 2600.0
-
-    def __post_init__(self) -> None:
-        """Refuse impossible cements."""
-        require_fields(self)
 
     def content(self, calcite_area: float, sand_area: float) -> float:
         """Content of an area of calcite in an area of sand (both m^2), percent of the sand's mass."""
@@ -407,13 +401,14 @@ def _circles(
 ) -> Iterator[tuple[Floats, Integers, Integers]]:
     """Yield blocks of random centres in the box, with circle and point, increasing, of each point in a circle.
 
-    Empty circles are skipped; the search ends after `_MOST_CENTRES` centres.
+    Empty circles are skipped; the search ends after 204,800 centres, as if clusters are so small
+    that they rarely contain a contact.
     """
     if len(points) == 0:
         return
     tree = scipy.spatial.cKDTree(points)
-    for _ in range(_MOST_CENTRES // _CENTRES_AT_ONCE):
-        centres = generator.uniform(0.0, 1.0, (_CENTRES_AT_ONCE, 2)) * box
+    for _ in range(400):
+        centres = generator.uniform(0.0, 1.0, (512, 2)) * box
         # The tree searches slightly too far; the exact test follows.
         lists = tree.query_ball_point(centres, radius * (1.0 + 1e-9), return_sorted=True)
         near = cast("list[list[int]]", lists)

@@ -25,14 +25,6 @@ from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingReport, PackingRule, PackingStage
 
 _FILLING_RATIO = 1e-2  # unbalanced-force ratio at which the lid may start to press
-_NEARER = 0.8  # lowest ratio over the lowest of the first half of the steps; above it, more steps do not help
-_FREELY_PLACED = 0.547  # area fraction up to which random placement is possible, see `_loosest_factor`
-_HIGHEST = 0.35  # squared frequency with scaled over unscaled densities; if lower, the mean disk becomes too heavy
-_TOO_LONG = 1.2  # step over its bound, which is a fifth below the limit
-_SHORTER = 0.8  # reduced step over the one that was too long
-_MOST_SHORTENED = 21  # successive reductions, down to a hundredth
-_OWN_MASSES = 100.0  # unbalanced-force ratio over the one at rest, below which masses are unscaled, see `_Manner`
-_SERVO_GAIN = 0.9  # servo gain of the lid
 _STRESS_TOLERANCE = 1e-3  # relative deviation of the lid's stress; ten times finer than promised
 
 
@@ -112,13 +104,13 @@ def make_packing(
     for factor in np.linspace(loose, 1.0, rule.expansion_steps + 1)[1:]:
         cost.expansion_step += 1
         scene = Scene(x, y, radius * factor, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
+        # Random placement is possible up to an area fraction of 0.547, see `_loosest_factor`.
         covered = (1.0 - rule.porosity) * _square(float(factor))
-        manner = (
-            _HALTED if covered < _FREELY_PLACED else _FLYING if cost.expansion_step < rule.expansion_steps else _CRUSHED
-        )
+        manner = _HALTED if covered < 0.547 else _FLYING if cost.expansion_step < rule.expansion_steps else _CRUSHED
         state = relax(scene, preload, rule, cost, check, manner)
         x, y = state.position().T
-        preload = _preload_of(state)
+        contacts = contact_forces(state)
+        preload = Preload(contacts.pairs, contacts.shear)
     cost.expansion_step += 1
     lid_force = rule.stress * rule.width
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
@@ -187,7 +179,7 @@ def box_walls(width: float, height: float, lid_force: float | None = None) -> tu
         Wall((0.0, 0.0), (1.0, 0.0)),
         Wall((width, 0.0), (-1.0, 0.0)),
         Wall((0.0, 0.0), (0.0, 1.0)),
-        Wall((0.0, height), (0.0, -1.0), servo_force=lid_force, servo_gain=_SERVO_GAIN),
+        Wall((0.0, height), (0.0, -1.0), servo_force=lid_force, servo_gain=0.9),
     )
 
 
@@ -244,25 +236,26 @@ def _advance_to_look(state: State, manner: _Manner, unrest: float, limit: Floats
     If meanwhile overlaps have made the step too long, or disks have left the box, the steps are repeated with a shorter
     one. ``unrest`` is the unbalanced-force ratio over the one at rest, ``limit`` the step limit of ``state`` if known.
     """
-    grains, scaled = state.assembly.grains, manner.scaled and unrest > _OWN_MASSES
+    grains, scaled = state.assembly.grains, manner.scaled and unrest > 100.0  # see `_Manner`
     if scaled:
-        heavier, limit = scaled_densities(*_present_contacts(state), _HIGHEST)
+        # With a lower share of the squared frequency the mean disk becomes too heavy.
+        heavier, limit = scaled_densities(*_present_contacts(state), 0.35)
         state = replace(state, assembly=replace(state.assembly, grains=heavier))
     elif limit is None:
         limit = step_limit(state)
     step = manner.fraction * limit
     later, found, shortened = advance(replace(state, time_step=step), manner.steps), None, 0
     while _left_box(later) or (
-        manner is _PRESSED
-        and (step > _TOO_LONG * (found := critical_time_step_of_disks(*_present_contacts(later), rings=scaled))).any()
+        manner is _PRESSED  # the bound of the step is a fifth below its limit
+        and (step > 1.2 * (found := critical_time_step_of_disks(*_present_contacts(later), rings=scaled))).any()
     ):
         shortened += 1
-        if shortened > _MOST_SHORTENED:
+        if shortened > 21:
             raise PackingError(
-                f"disks leave the box at a step of {step.min():.3g} s, {_SHORTER**_MOST_SHORTENED:.0e} of "
+                f"disks leave the box at a step of {step.min():.3g} s, a hundredth of "
                 "its bound: the stress is too high for this modulus; lower packing.stress or raise sand.shear_modulus"
             )
-        step = _SHORTER * step
+        step = 0.8 * step
         later = advance(replace(state, time_step=step), manner.steps)
     if manner.halted:
         later.motion.velocity[...] = 0.0
@@ -301,7 +294,7 @@ def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str
     half, stress = len(ratios) // 2, _lid_stress(state, rule)
     if abs(stress / rule.stress - 1.0) >= _STRESS_TOLERANCE:
         return f"the lid carries {stress:.3g} of {rule.stress:.3g} Pa; raise most_steps or lower stress"
-    if half and min(ratios[half:]) > _NEARER * min(ratios[:half]):
+    if half and min(ratios[half:]) > 0.8 * min(ratios[:half]):
         return "raise damping or unbalanced_force_ratio; more steps will not help, since the ratio no longer falls"
     return "raise most_steps, damping or unbalanced_force_ratio"
 
@@ -309,12 +302,6 @@ def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str
 def _lid_stress(state: State, rule: PackingRule) -> float:
     """Normal stress on the lid, Pa."""
     return float(wall_reactions(state)[LID, 0]) / rule.width
-
-
-def _preload_of(state: State) -> Preload:
-    """Shear forces of the touching pairs."""
-    contacts = contact_forces(state)
-    return Preload(contacts.pairs, contacts.shear)
 
 
 def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:

@@ -17,13 +17,6 @@ LARGEST_OVERLAP = 0.1
 """Overlap over the smaller radius above which Hertz's law fails and imported disks are considered a mistake."""
 DEEP_OVERLAP = 0.07
 """Overlap over the smaller radius above which a warning is given."""
-_WANTED = 0.05  # largest overlap over radius at a proposed value
-_MOST_EXPECTED = 0.05  # expected mean overlap over the radius, above which the largest one is certainly too deep
-_LARGEST_OVER_EXPECTED = 3.0  # 1.9 to 3.9 in 19 packings of 390 disks, from 1e-3 to 0.3 of a radius
-_ISOSTATIC = 3.0
-"""Contacts per disk without rattlers, below which a packing with friction has no shear stiffness."""
-_PLANAR = 6.0  # upper bound of contacts per disk in a planar graph (Euler)
-_LOOSEST = 0.3  # porosity above which packings hardly carry load
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +63,10 @@ def judge_stress(stress: float, diameter: float, sand: Sand) -> _Fault | None:
         Their material.
     """
     expected = expected_overlap(stress, diameter, sand)
-    if expected <= _MOST_EXPECTED:
+    if expected <= 0.05:  # above this mean the largest overlap is certainly too deep
         return None
-    cure = _softer(_LARGEST_OVER_EXPECTED * expected, stress, sand)
+    # The largest overlap was 1.9 to 3.9 times this in 19 packings of 390 disks, from 1e-3 to 0.3 of a radius.
+    cure = _softer(3.0 * expected, stress, sand)
     text = (
         f"stress = {stress:g}: presses disks of {diameter:.3g} m by {expected:.0%} of a radius into one another on "
         f"average, too much for sand.shear_modulus = {sand.shear_modulus:g}; {cure}"
@@ -92,7 +86,9 @@ def judge_disks(packing: Packing, sand: Sand) -> tuple[_Fault, ...]:
     """
     report, (left, right, floor, lid) = packing.report, packing.report.wall_stress
     stress = max(left, right, floor, lid)
-    deepest = max(deepest_overlap(packing.x, packing.y, packing.radius, packing.pairs), _deepest_at_walls(packing))
+    rim = np.minimum.reduce([packing.x, packing.width - packing.x, packing.y, packing.height - packing.y])
+    at_walls = float(np.max(1.0 - rim / packing.radius, initial=0.0))
+    deepest = max(deepest_overlap(packing.x, packing.y, packing.radius, packing.pairs), at_walls)
     found = []
     if deepest > DEEP_OVERLAP:
         cause = f"stress of {stress:.3g} Pa on a wall, too high for sand.shear_modulus = {sand.shear_modulus:g}"
@@ -101,11 +97,12 @@ def judge_disks(packing: Packing, sand: Sand) -> tuple[_Fault, ...]:
         found.append(_Fault("stress", text + _softer(deepest, lid, sand), refused=deepest > LARGEST_OVERLAP))
     found += judge_porosity(report.porosity, packing.radius)
     contacts = report.coordination_number_without_rattlers
-    if contacts >= _PLANAR or contacts < _ISOSTATIC:
-        bound = "disks always have fewer than 6" if contacts >= _PLANAR else "3 are needed to resist shear"
+    too_many = contacts >= 6.0  # as many as in no planar graph (Euler)
+    if too_many or contacts < 3.0:  # with friction, isostatic
+        bound = "disks always have fewer than 6" if too_many else "3 are needed to resist shear"
         text = f"porosity: each disk has {contacts:.2f} contacts without rattlers; {bound}; "
-        cure = "lower the stress" if contacts >= _PLANAR else "lower packing.porosity or packing.friction_preparation"
-        found.append(_Fault("porosity", text + cure, refused=contacts >= _PLANAR))
+        cure = "lower the stress" if too_many else "lower packing.porosity or packing.friction_preparation"
+        found.append(_Fault("porosity", text + cure, refused=too_many))
     return tuple(sorted(found, key=lambda fault: not fault.refused))
 
 
@@ -118,8 +115,8 @@ def judge_porosity(porosity: float, radius: Floats) -> tuple[_Fault, ...]:
             "lower the stress, raise sand.shear_modulus, or check the sizes"
         )
         return (_Fault("porosity", text, refused=True),)
-    if porosity > _LOOSEST:
-        text = f"porosity: {porosity:.3f} is above {_LOOSEST:g}; loose disks hardly carry load; lower packing.porosity"
+    if porosity > 0.3:
+        text = f"porosity: {porosity:.3f} is above 0.3; loose disks hardly carry load; lower packing.porosity"
         return (_Fault("porosity", text, refused=False),)
     return ()
 
@@ -143,16 +140,10 @@ def deepest_overlap(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> fl
     return float(overlap.max(initial=0.0))
 
 
-def _deepest_at_walls(packing: Packing) -> float:
-    """Return the largest overlap of a disk and a wall, over the radius; 0 without any."""
-    distance = np.minimum.reduce([packing.x, packing.width - packing.x, packing.y, packing.height - packing.y])
-    return float(np.max(1.0 - distance / packing.radius, initial=0.0))
-
-
 def _softer(deepest: float, stress: float, sand: Sand) -> str:
-    """Propose a stress and a modulus for the wanted overlap, which scales with (stress / modulus)^(2/3)."""
-    factor = (deepest / _WANTED) ** 1.5
+    """Propose a stress and a modulus for an overlap of 5 % of the radius; it scales with (stress / modulus)^(2/3)."""
+    factor = (deepest / 0.05) ** 1.5
     return (
         f"packing.stress = {stress / factor:.2g} Pa or sand.shear_modulus = {sand.shear_modulus * factor:.2g} Pa gives "
-        f"about {_WANTED:.0%}"
+        "about 5%"
     )

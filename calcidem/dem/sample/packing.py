@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval, Unit
 
-from calcidem.dem.engine.fields import NotNegative, Positive, require, require_fields
+from calcidem.dem.engine.fields import NotNegative, Positive, checked, quote, require
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.kernels.layout import Floats, Integers
 
@@ -18,7 +18,6 @@ WALL_NAMES = ("left", "right", "floor", "lid")
 LID = WALL_NAMES.index("lid")
 PACKING_METHOD = 2
 """Increased when the same rule and generator produce other packings; those of campaigns stay."""
-_DIAMETERS = "(smallest, largest) in m, both positive"
 
 
 class PackingError(RuntimeError):
@@ -29,6 +28,7 @@ class PackingFileError(PackingError):
     """File without a valid packing; the message names file, line and remedy."""
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class PackingRule:
     """Rule of a packing (paper, section 2.2.2 and Table 1).
@@ -75,12 +75,11 @@ class PackingRule:
 
     def __post_init__(self) -> None:
         """Refuse impossible packings."""
-        require_fields(self)
         smallest, largest = self.diameter
-        require(smallest <= largest, "diameter", self.diameter, f"give {_DIAMETERS}")
+        require(smallest <= largest, "diameter", quote(self.diameter), "give (smallest, largest) in m, both positive")
         is_roomy = largest < min(self.width, self.height) / 4.0
         cure = "at least 4 disks must fit across the box; give smaller disks, or a larger width and height"
-        require(is_roomy, "diameter", self.diameter, cure, "width", "height")
+        require(is_roomy, "diameter", quote(self.diameter), cure, "width", "height")
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,6 @@ _CSV_COLUMNS = ("x", "y", "radius")
 FEWEST_DISKS = 10
 FARTHEST = 1e30
 """m; keeps distances of disks and their squares finite."""
-_LONGEST_SHOWN = 80
 
 
 def write_packing_csv(packing: Packing, file: Path) -> None:
@@ -113,7 +112,7 @@ def _numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[fl
         try:
             x, y, radius = (float(row[place]) for place in places)
         except (ValueError, IndexError) as error:
-            shown = f"{line[:_LONGEST_SHOWN]}{'...' if len(line) > _LONGEST_SHOWN else ''}"
+            shown = f"{line[:80]}{'...' if len(line) > 80 else ''}"
             raise PackingFileError(
                 f"{file}, line {number}: '{shown}' is not a disk; give three numbers in m"
             ) from error

@@ -9,9 +9,6 @@ from calcidem.dem.engine.leapfrog import State, duplicate, no_recording, run_in_
 from calcidem.dem.engine.readout import unbalanced_ratio
 from calcidem.dem.kernels.layout import SPEEDS
 
-_SETTLING_CHUNK = 500  # steps between two checks
-_SETTLING_DAMPING = 0.7  # local damping factor
-
 
 class SettlingError(RuntimeError):
     """A cemented sample did not come to rest."""
@@ -39,7 +36,7 @@ def settle(
     lanes = state.features.lanes
     open_lanes = np.ones(lanes, dtype=bool)
     grains = state.assembly.grains
-    damped = grains._replace(damping=np.full_like(grains.damping, _SETTLING_DAMPING))
+    damped = grains._replace(damping=np.full_like(grains.damping, 0.7))  # local damping factor
     features = replace(state.features, servo=True, damping=True, recording=False, driven=False)
     current = duplicate(replace(state, assembly=replace(state.assembly, grains=damped), features=features))
     while open_lanes.any():
@@ -50,7 +47,7 @@ def settle(
                 "raise most_settling_steps or unbalanced_force_ratio"
             )
         current = replace(current, time_step=np.where(open_lanes, state.time_step, 0.0))
-        current = run_in_place(current, _SETTLING_CHUNK, no_recording(current))
+        current = run_in_place(current, 500, no_recording(current))  # steps between two checks
         current = replace(current, time_step=state.time_step)
         for lane in np.flatnonzero(open_lanes):
             open_lanes[lane] = not unbalanced_ratio(current, int(lane)) < unbalanced_force_ratio

@@ -9,32 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.linearity import Nonlinearity
 from calcidem.dem.wave.pulse import Pulse
-from calcidem.dem.wave.reading import ONSET, ShearArrival
-from calcidem.dem.wave.recorder import LOOKS_APART, WaveRecord
-from calcidem.dem.wave.section import Section
+from calcidem.dem.wave.reading import ONSET, Reading
+from calcidem.dem.wave.recorder import LOOKS_APART
+from calcidem.dem.wave.section import Nonlinearity, Section
 
-_SAMPLING = 0.2  # over sampling interval / travel time; largest value found: 0.13
-_TURNING = 3.0  # over mean overlap / mean radius
-_STIFFENING = 3.0e-3  # over stroke of the pulse / mean overlap
-_RESCALING = 0.5  # over `linearity.Nonlinearity.rescaling`: velocity scales with the square root of stiffness
-_CLOSING = 0.5  # over `WaveRecord.closing_gaps`
-_SINGLE_PRECISION = 1.0e-3
-_ROUNDING = 5.0  # over the rounding of contact forces in single precision over the force of the received wave
-_CHATTER = 1.8e-2  # see `_chatter_error`
-_UNRULY = 500.0  # see `chatters`
-_UNBALANCED = 20.0  # over `WaveRecord.unbalanced_speed`
-_BREAKING = 2.0  # see `_breaking_error`
-
-_USUAL_STEP = 7.5e-5  # over step / limit
-_USUAL_CHANGE = 1.7  # change of the signal near its peak over the share of `linearity.Nonlinearity`
-_USUAL_ROUGHNESS = 0.25  # the same over the motion removed by smoothing
-_USUAL_LOSS = 0.45  # over the bound of the loss by slip at the transmitter, which shifts peaks in one direction
 _USUAL = 0.1  # over the bound, for parts whose usual size has not been measured
-_EACH_OF_TWO = 0.71  # over the difference of two runs with equal errors: 1 / sqrt(2)
 _WORST_OF_HUNDRED = 4.6  # over the mean of the exponential distribution fitted to errors: ln(100)
-_PART_OF_PERIOD = 16  # period over the spacing of the samples that give the width of a peak
 
 
 class ErrorParts(NamedTuple):
@@ -51,12 +32,24 @@ class ErrorParts(NamedTuple):
     interval. The factor is 1.5 times the largest shift found.
     """
     regime: float
-    """See `_geometry_error`, and `linearity.Nonlinearity.rescaling`. The small and linear regimes also keep gaps open
-    that a pulse closes. Each would add a contact near the transmitter for half of the time (docs/accuracy.md,
-    "Amplitude of the pulse").
+    """Constant geometry and stiffnesses of a regime (docs/accuracy.md, "Amplitude of the pulse").
+
+    - A loaded contact that rotates by ``u / (2 R)`` gains the lateral force ``F_n / (2 R)`` per displacement u. With
+      Hertz's ``F_n = (2/3) k_n d`` this is ``d / (3 R)`` of its stiffness at overlap d. A fixed geometry neglects it.
+    - Constant stiffnesses also neglect the change by the pulse: ``k_n`` scales with the square root of the overlap.
+    - Gaps that a pulse closes stay open. Each would add a contact near the transmitter for half of the time.
+    - For rescaling see `section.Nonlinearity.rescaling`; a velocity scales with the square root of stiffness.
     """
     slip: float
-    """See `_slip_error`."""
+    """Slip that the linear regime neglects; 1 is no bound.
+
+    - A velocity scales with the square root of the stiffness, which slip reduces by `section.Nonlinearity.softening`.
+      The error would be half of it if all contacts lost the same share. Here it is doubled (docs/stability.md, "near
+      isostaticity"). On a path of less than a wavelength slip changes the shape.
+    - For the loss at the transmitter see `_loss_error`.
+
+    Contacts slip if the pulse is strong compared with their reserve up to the friction limit, or they have no reserve.
+    """
     precision: float
     """Rounding of single precision moves broad peaks (docs/accuracy.md, "Every setting"). It also adds 2^-24 of the
     packing's contact forces, which scale with its overlap. The forces of the wave scale with the stroke of the pulse
@@ -68,13 +61,20 @@ class ErrorParts(NamedTuple):
     at least the onset level. Chattering contacts cause it, and another step causes other noise.
     """
     chatter: float
-    """See `_chatter_error`."""
+    """Local damping of factor a multiplies a force by 1 - a or 1 + a, depending on the sign of the velocity. Near the
+    stability limit the velocities of the stiffest contacts reverse at almost every step. The frequency of reversals
+    determines the amplitude of the wave. In lattices where nothing `chatters`, the error rises about as the cube of
+    ``a / (1 - a)`` and steeply with the step (docs/stability.md, "Drawn at random").
+    """
     unbalanced: float
     """Local damping acts on the sum of all forces on a disk, including unbalanced forces of the packing. The error is
     proportional to their ratio to the forces of the wave (docs/accuracy.md, "Amplitude of the pulse").
     """
     breaking: float
-    """See `_breaking_error`."""
+    """Bonds so close to failure that another step breaks others. If n of N bonds break, the count scatters by about
+    ``sqrt(n)``, as for rare events. A bond contributes at most 1 / N of the stiffness of all bonds. However, bonds
+    break near the transmitter, where each counts for more (docs/accuracy.md, "The error to expect").
+    """
 
 
 def error_bound(parts: ErrorParts) -> float:
@@ -111,21 +111,10 @@ def cure_of(experiment: Experiment, parts: ErrorParts, most: float) -> str:
     return "lower amplitude, or choose regime = 'finite'"
 
 
-class NumericalError(NamedTuple):
-    """Relative numerical error of a velocity."""
-
-    expected: float
-    """Order of magnitude, which ranks cells."""
-    bound: float
-    """Bound of the error."""
-    parts: ErrorParts
-    """Bounds of its parts."""
-
-
 def estimate_error(
-    experiment: Experiment, record: WaveRecord, arrival: ShearArrival, chatter: float | None = None
-) -> NumericalError:
-    """Relative numerical error of a measured velocity.
+    experiment: Experiment, section: Section, reading: Reading, chatter: float | None = None
+) -> tuple[float, float, ErrorParts]:
+    """Relative numerical error of a measured velocity: expected size, bound, and bounds of its parts.
 
     ``chatter`` is its measured relative change by halving the step, if any.
 
@@ -136,89 +125,83 @@ def estimate_error(
     bound. The bound is at least the value that one in a hundred such errors exceeds; the loss at the transmitter has
     its own bound.
     """
-    frequency, travel_time = record.section.frequency, arrival.travel_time
-    shift = shift_by_change(record.section, arrival)
-    parts = _error_parts(experiment, record, arrival, shift)
+    frequency, travel_time = section.frequency, reading.travel_time
+    shift = shift_by_change(section, reading)
+    parts = _error_parts(experiment, section, reading, shift)
     weight = 1.0
     if chatter is not None:
-        parts = parts._replace(chatter=_WORST_OF_HUNDRED * _EACH_OF_TWO * chatter)
+        # Each of two runs with equal errors has 1 / sqrt(2) of their difference.
+        parts = parts._replace(chatter=_WORST_OF_HUNDRED * 0.71 * chatter)
         weight = 1.0 / (_WORST_OF_HUNDRED * _USUAL)
-    share = _largest_nonlinearity(record, frequency * travel_time).share
-    change = _USUAL_CHANGE * share + _USUAL_ROUGHNESS * arrival.roughness
+    share = _largest_nonlinearity(section, frequency * travel_time).share
+    # The signal changes near its peak by 1.7 of the share, and by a quarter of the motion that smoothing removes.
+    change = 1.7 * share + 0.25 * reading.roughness
     others = parts.precision + parts.noise + weight * parts.chatter + parts.unbalanced + parts.breaking
     if experiment.wave.regime == "small":
         others += parts.regime
-    step = _USUAL_STEP * record.time_step / record.stability_limit
+    step = 7.5e-5 * section.time_step / section.stability_limit
     usual = float(step + shift * change + _USUAL * others)
-    loss = _USUAL_LOSS * _loss_error(record, shift, frequency * travel_time)
-    return NumericalError(usual + loss, max(error_bound(parts), _WORST_OF_HUNDRED * usual), parts)
+    # Slip at the transmitter shifts peaks in one direction, by 0.45 of its bound.
+    loss = 0.45 * _loss_error(section, shift, frequency * travel_time)
+    return usual + loss, max(error_bound(parts), _WORST_OF_HUNDRED * usual), parts
 
 
-def _largest_nonlinearity(record: WaveRecord, periods: float) -> Nonlinearity:
+def _largest_nonlinearity(section: Section, periods: float) -> Nonlinearity:
     """Largest value of each number until the whole pulse has travelled a path of ``periods`` periods.
 
     On a long path, contacts still slip after the end of transmission.
     """
-    looks = record.nonlinear[: 1 + int(periods / LOOKS_APART)]
+    looks = section.nonlinear[: 1 + int(periods / LOOKS_APART)]
     return Nonlinearity(*np.max(np.array(looks, dtype=float), axis=0).tolist()) if looks else Nonlinearity()
 
 
-def shift_by_change(section: Section, arrival: ShearArrival) -> float:
+def shift_by_change(section: Section, reading: Reading) -> float:
     """Relative shift of the travel time per relative change of the signal.
 
     It is ``2 pi f w^2 / travel time``, see `estimate_error`. w^2 is the amplitude over the curvature of three smoothed
     values a sixteenth of the period apart. It is at most the squared period, and equal to it if they form no peak.
     """
-    apart, index = max(1, int(section.period / _PART_OF_PERIOD)), arrival.index
+    apart, index = max(1, int(section.period / 16)), reading.index
     period = 1.0 / section.frequency
-    over_width = 2.0 * np.pi * section.frequency / arrival.travel_time
-    left, amplitude, right = (float(arrival.clean[index + shift, -1]) for shift in (-apart, 0, apart))
+    over_width = 2.0 * np.pi * section.frequency / reading.travel_time
+    left, amplitude, right = (float(reading.clean[index + shift, -1]) for shift in (-apart, 0, apart))
     distance = apart * section.sampling_interval
     bend = (2.0 * amplitude - left - right) / (distance * distance)
     return float(over_width * (min(period * period, amplitude / bend) if bend > 0.0 else period * period))
 
 
-def _error_parts(experiment: Experiment, record: WaveRecord, arrival: ShearArrival, shift: float) -> ErrorParts:
+def _error_parts(experiment: Experiment, section: Section, reading: Reading, shift: float) -> ErrorParts:
     """Bounds of the parts of the error of a velocity; ``shift`` is that of `shift_by_change`."""
-    frequency, travel_time = record.section.frequency, arrival.travel_time
-    coarse = 3.0 * (2.0 * np.pi * frequency) * record.time_step
+    wave, frequency, travel_time = experiment.wave, section.frequency, reading.travel_time
+    overlap = experiment.packing.report.mean_overlap
+    step = 3.0 * (2.0 * np.pi * frequency) * section.time_step  # of the shortest waves of a pulse, rad
     # Changes of shape shift a peak by a part of the period, which matters more on a short path.
     periods = frequency * travel_time
     shape = max(1.0, 1.0 / periods)
-    found = _largest_nonlinearity(record, periods)
-    single = experiment.wave.precision == "float32"
-    geometry = _geometry_error(experiment, frequency) + _CLOSING * record.closing_gaps
-    geometry += _RESCALING * float(found.rescaling)
+    found = _largest_nonlinearity(section, periods)
+    geometry = 0.0
+    if wave.regime != "finite":
+        stiffening = 3.0e-3 * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0
+        geometry = _turning_error(experiment) + stiffening
+    geometry += 0.5 * section.closing_gaps
+    geometry += 0.5 * float(found.rescaling)
+    precision = 0.0
+    if wave.precision == "float32":
+        received = Pulse(wave.amplitude, frequency).stroke * float(reading.clean[reading.index, -1])
+        rounding = 5.0 * float(np.finfo(np.float32).eps) / 2.0 * overlap / received
+        precision = shape * 1.0e-3 + shift * rounding
+    strong, coarse = wave.damping / (1.0 - wave.damping), section.time_step / section.stability_limit
     return ErrorParts(
-        step=0.5 * record.time_step / (travel_time * (1.0 - experiment.wave.damping)) + coarse * coarse / 24.0,
-        sampling=_SAMPLING * record.section.sampling_interval / travel_time,
+        step=0.5 * section.time_step / (travel_time * (1.0 - wave.damping)) + step * step / 24.0,
+        sampling=0.2 * section.sampling_interval / travel_time,  # largest value found: 0.13
         regime=shape * geometry,
-        slip=_slip_error(record, shift, periods),
-        precision=shape * _SINGLE_PRECISION + shift * _rounding(experiment, frequency, arrival) if single else 0.0,
-        noise=ONSET / (np.pi * periods) if arrival.roughness > ONSET else 0.0,
-        chatter=_chatter_error(experiment, record),
-        unbalanced=_UNBALANCED * record.unbalanced_speed,
-        breaking=shape * _breaking_error(record),
+        slip=float(min(1.0, shape * found.softening + _loss_error(section, shift, periods))),
+        precision=precision,
+        noise=ONSET / (np.pi * periods) if reading.roughness > ONSET else 0.0,
+        chatter=1.8e-2 * (strong * strong * strong) * (coarse * coarse) * (coarse * coarse),
+        unbalanced=20.0 * section.unbalanced_speed,
+        breaking=shape * float(2.0 * np.sqrt(section.broken_bonds) / max(1, section.bonds)),
     )
-
-
-def _rounding(experiment: Experiment, frequency: float, arrival: ShearArrival) -> float:
-    """Relative change of the received signal by rounding of contact forces in single precision."""
-    stroke = Pulse(experiment.wave.amplitude, frequency).stroke * float(arrival.clean[arrival.index, -1])
-    return _ROUNDING * float(np.finfo(np.float32).eps) / 2.0 * experiment.packing.report.mean_overlap / stroke
-
-
-def _chatter_error(experiment: Experiment, record: WaveRecord) -> float:
-    """Estimated relative error of a velocity by local damping of the stiffest contacts.
-
-    Local damping of factor a multiplies a force by 1 - a or 1 + a, depending on the sign of the velocity. Near the
-    stability limit the velocities of the stiffest contacts reverse at almost every step. The frequency of reversals
-    determines the amplitude of the wave. In lattices where nothing `chatters`, the error rises about as the cube of
-    ``a / (1 - a)`` and steeply with the step (docs/stability.md, "Drawn at random").
-    """
-    damping = experiment.wave.damping
-    strong, coarse = damping / (1.0 - damping), record.time_step / record.stability_limit
-    return float(_CHATTER * (strong * strong * strong) * (coarse * coarse) * (coarse * coarse))
 
 
 def chatters(damping: float, contrast: float) -> bool:
@@ -229,60 +212,18 @@ def chatters(damping: float, contrast: float) -> bool:
     (docs/accuracy.md, "Scenes drawn at random"). The presets have 10 to 220.
     """
     strong = damping / (1.0 - damping)
-    return strong * strong * strong * contrast > _UNRULY
-
-
-def _breaking_error(record: WaveRecord) -> float:
-    """Estimated relative error of a velocity by bonds so close to failure that another step breaks others.
-
-    If n of N bonds break, the count scatters by about ``sqrt(n)``, as for rare events. A bond contributes at most 1 / N
-    of the stiffness of all bonds. However, bonds break near the transmitter, where each counts for more
-    (docs/accuracy.md, "The error to expect").
-    """
-    return float(_BREAKING * np.sqrt(record.broken_bonds) / max(1, record.bonds))
-
-
-def _geometry_error(experiment: Experiment, frequency: float) -> float:
-    """Estimated relative error of a velocity by the constant geometry and stiffnesses of a regime.
-
-    - A loaded contact that rotates by ``u / (2 R)`` gains the lateral force ``F_n / (2 R)`` per displacement u. With
-      Hertz's ``F_n = (2/3) k_n d`` this is ``d / (3 R)`` of its stiffness at overlap d. A fixed geometry neglects it.
-    - Constant stiffnesses also neglect the change by the pulse: ``k_n`` scales with the square root of the overlap.
-    """
-    wave, packing = experiment.wave, experiment.packing
-    if wave.regime == "finite":
-        return 0.0
-    overlap = packing.report.mean_overlap
-    return _turning_error(experiment) + (
-        _STIFFENING * wave.amplitude / frequency / overlap if wave.regime == "linear" else 0.0
-    )
+    return strong * strong * strong * contrast > 500.0
 
 
 def _turning_error(experiment: Experiment) -> float:
-    """First part of `_geometry_error`."""
-    return _TURNING * experiment.packing.report.mean_overlap / float(np.mean(experiment.packing.radius))
+    """Relative error of a velocity by neglecting the rotation of loaded contacts, see `ErrorParts.regime`."""
+    return 3.0 * experiment.packing.report.mean_overlap / float(np.mean(experiment.packing.radius))
 
 
-def _slip_error(record: WaveRecord, shift: float, periods: float) -> float:
-    """Bound of the relative error of a velocity from neglecting slip in the linear regime; 1 is no bound.
-
-    - A velocity scales with the square root of the stiffness, which slip reduces by `linearity.Nonlinearity.softening`.
-      The error would be half of it if all contacts lost the same share. Here it is doubled (docs/stability.md, "near
-      isostaticity"). On a path of less than a wavelength slip changes the shape, as in `_error_parts`. ``periods`` is
-      f times travel time.
-    - For the loss at the transmitter see `_loss_error`.
-
-    Contacts slip if the pulse is strong compared with their reserve up to the friction limit, or they have no reserve.
-    """
-    found = _largest_nonlinearity(record, periods)
-    loss = _loss_error(record, shift, periods)
-    return float(min(1.0, max(1.0, 1.0 / periods) * found.softening + loss))
-
-
-def _loss_error(record: WaveRecord, shift: float, periods: float) -> float:
+def _loss_error(section: Section, shift: float, periods: float) -> float:
     """Bound of the relative error of a velocity from slipping contacts at the transmitter.
 
     From then on the part e of its force is missing. This moves a peak by ``shift`` e, like any change of the signal,
     and the peak of the pulse ``1 - cos 2 pi f t`` itself by ``e / (pi f)``.
     """
-    return float(max(shift, 1.0 / (np.pi * periods)) * record.slipped)
+    return float(max(shift, 1.0 / (np.pi * periods)) * section.slipped)

@@ -24,31 +24,10 @@ from calcidem.dem.kernels.layout import (
     X,
     Y,
 )
-
-_ALL = slice(None)
-
-
-class Nonlinearity(NamedTuple):
-    """Changes of a wave in the linear regime by Hertz's and Coulomb's laws; zero in other regimes.
-
-    Each is (L,), or the value of one sample.
-    """
-
-    share: Floats | float = 0.0
-    """Sum of ``|dF| |du|`` over the sum of ``F du`` of all contacts of disks. du is the relative displacement of two
-    disks since the start, F the force increment with constant stiffnesses. dF is its deviation from the contact laws,
-    by which contacts stiffen, open and slip. Cement is linear in either case.
-    """
-    softening: Floats | float = 0.0
-    """Largest relative loss of the sample's stiffness by slip, see `nonlinearity`."""
-    rescaling: Floats | float = 0.0
-    """Work, in absolute values, of the initial shear forces that contacts would lose where the wave unloads them (shear
-    rescaling mode 1, `laws.rescale_shear`), over that of ``F du``. It scales with the loads of the packing, not with
-    the amplitude.
-    """
+from calcidem.dem.wave.section import Nonlinearity
 
 
-def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
+def nonlinearity(state: State, lanes: Integers | slice = slice(None)) -> Nonlinearity:
     """Changes by the contact laws at the present displacements, in all lanes or in some.
 
     A contact with more shear than friction permits slips before the wave arrives. It starts at its limit here.
@@ -71,7 +50,11 @@ def nonlinearity(state: State, lanes: Integers | slice = _ALL) -> Nonlinearity:
     softening = np.divide(slip, spare, out=np.where(slip > 0.0, np.inf, 0.0), where=spare > 0.0)
     changed = length(contacts.normal - contacts.before - contacts.stiffness * contacts.approach, lacking)
     share = _lane_sums(np.where(intact, 0.0, changed * length(contacts.approach, contacts.slide))) / total
-    lost = _lane_sums(np.where(intact, 0.0, np.abs(contacts.held * _rescaled_part(contacts) * contacts.slide)))
+    # Shear rescaling removes a part of the shear force from a contact that a wave unloads.
+    overlap, approach = contacts.overlap, contacts.approach
+    relative = np.divide(approach, overlap, out=np.zeros_like(approach), where=overlap > 0.0)
+    rescaled = 1.0 - np.sqrt(np.clip(1.0 + relative, 0.0, 1.0))
+    lost = _lane_sums(np.where(intact, 0.0, np.abs(contacts.held * rescaled * contacts.slide)))
     return Nonlinearity(share, softening, lost / total)
 
 
@@ -135,13 +118,6 @@ def _spring_work(state: State, contacts: _StrainedContacts, intact: Flags) -> Fl
     bare = contacts.stiffness * approach * approach + contacts.shear_stiffness * slide * slide
     total = _lane_sums(np.where(intact, bound, bare))
     return np.where(total > 0.0, total, 1.0)
-
-
-def _rescaled_part(contacts: _StrainedContacts) -> Floats:
-    """(L, M) part of the shear force that shear rescaling removes from a contact unloaded by a wave."""
-    overlap, approach = contacts.overlap, contacts.approach
-    change = np.divide(approach, overlap, out=np.zeros_like(approach), where=overlap > 0.0)
-    return np.asarray(1.0 - np.sqrt(np.clip(1.0 + change, 0.0, 1.0)))
 
 
 def _spare_share(state: State, intact: Flags, slipping: Flags) -> Floats:

@@ -2,44 +2,20 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from time import perf_counter
 
 import numpy as np
 
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
-from calcidem.dem.wave.error_estimate import NumericalError, chatters, cure_of, estimate_error, shift_by_change
+from calcidem.dem.wave.error_estimate import ErrorParts, chatters, cure_of, estimate_error, shift_by_change
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves, stiffness_contrast, with_half_step
-from calcidem.dem.wave.reading import Reading, ShearArrival, is_settled, read_section
-from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.reading import Reading, Verdict, is_settled, read_section
+from calcidem.dem.wave.section import Section
+from calcidem.ends import CellStatus
 
 LARGEST_BOUND = 0.05  # bound of the numerical error above which a velocity is rejected
-_INEXACT = "the numerical error may be above 5 %"
-
-
-class Outcome(StrEnum):
-    """Outcome of a sample."""
-
-    DONE = "done"
-    NO_ARRIVAL = "no_arrival"
-    UNSTABLE = "unstable"
-
-
-@dataclass(frozen=True, slots=True)
-class Interpretation:
-    """Interpretation of a record."""
-
-    outcome: Outcome
-    reason: str = ""
-    """Outcome of the sample, and the reason if there is no velocity."""
-    vs: float | None = None
-    """Shear-wave velocity by the method of `PickRule`, m/s; None if it is unreliable."""
-    reading: Reading | None = None
-    """Complete reading with its standard error; None if the run was unstable."""
-    error: NumericalError | None = None
-    """Numerical error; None without a reading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,21 +25,24 @@ class Measurement:
     seed: int
     content: float
     """Identity of the sample; requested content in percent of the sand's mass."""
-    result: Interpretation
-    """See its class."""
-    frequency: float
-    """Excitation frequency, Hz."""
     cement: PlacedCement
     """Placed cement."""
-    record: WaveRecord
-    """Section and time step."""
-    seconds: float
+    section: Section
+    """Record of the wave, and how it was computed."""
+    status: CellStatus = CellStatus.RUNNING
+    reason: str = ""
+    """Outcome of the sample, and the reason if there is no velocity; running until `interpret` read the section."""
+    vs: float | None = None
+    """Shear-wave velocity by the method of `PickRule`, m/s; None if it is unreliable."""
+    reading: Reading | None = None
+    """Complete reading with its standard error; None if the run was unstable or no S wave was found."""
+    expected_error: float | None = None
+    """Order of magnitude of the relative numerical error, which ranks cells; None without velocities."""
+    error_bound: float | None = None
+    error_parts: ErrorParts | None = None
+    """Bound of this error, and bounds of its parts."""
+    seconds: float = 0.0
     """Share of the batch's wall time, without compilation of kernels."""
-
-    @property
-    def vs(self) -> float | None:
-        """Shear-wave velocity, m/s; see `Interpretation`."""
-        return self.result.vs
 
 
 def measure(
@@ -99,34 +78,28 @@ def measure(
     placed = [(ordering or experiment.ordering)(seed).at(content) for seed in seeds]
     frequency = experiment.frequency(content)
 
-    def stop_when(record: WaveRecord) -> bool:
-        transmitted = record.section.duration * frequency > 1.0
-        return (
-            experiment.early_stop
-            and transmitted
-            and is_settled(record.section, experiment.pick, record.remaining_speed)
-        )
+    def stop_when(section: Section) -> bool:
+        transmitted = section.duration * frequency > 1.0
+        return experiment.early_stop and transmitted and is_settled(section, experiment.pick, section.remaining_speed)
 
     bonded = [cement.bonded for cement in placed]
-    records = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
-    results = [interpret_record(experiment, record) for record in records]
+    sections = send_waves(experiment, bonded, frequency, stop_when=stop_when, lanes=lanes, check=check)
+    found = [
+        interpret(experiment, Measurement(seed, content, cement, section))
+        for seed, cement, section in zip(seeds, placed, sections, strict=True)
+    ]
     damping = experiment.wave.damping
-    unruly = [i for i, record in enumerate(records) if chatters(damping, stiffness_contrast(experiment, record))]
-    for sample in (i for i in unruly if records[i].retry):
+    unruly = [i for i, section in enumerate(sections) if chatters(damping, stiffness_contrast(experiment, section))]
+    for sample in (i for i in unruly if sections[i].retry):
         # Its step is half already, and a guard ended the full step: nothing to compare with.
-        ended = replace(records[sample], problem=records[sample].retry)
-        results[sample] = interpret_record(experiment, records[sample], ended)
-    if unruly := [i for i in unruly if not records[i].retry]:
+        found[sample] = interpret(experiment, found[sample], replace(sections[sample], problem=sections[sample].retry))
+    if unruly := [i for i in unruly if not sections[i].retry]:
         finer = with_half_step(experiment)
         again = send_waves(finer, [bonded[i] for i in unruly], frequency, stop_when=stop_when, lanes=lanes, check=check)
-        for sample, record in zip(unruly, again, strict=True):
-            results[sample] = interpret_record(finer, record, records[sample])
-            records[sample] = record
+        for sample, section in zip(unruly, again, strict=True):
+            found[sample] = interpret(finer, replace(found[sample], section=section), sections[sample])
     seconds = (perf_counter() - seconds_compiling() - began) / len(seeds)
-    return tuple(
-        Measurement(seed, content, result, frequency, cement, record, seconds)
-        for seed, result, cement, record in zip(seeds, results, placed, records, strict=True)
-    )
+    return tuple(replace(one, seconds=seconds) for one in found)
 
 
 def measure_all(
@@ -144,43 +117,47 @@ def measure_all(
     return tuple(found)
 
 
-def interpret_record(experiment: Experiment, record: WaveRecord, coarser: WaveRecord | None = None) -> Interpretation:
-    """Interpret a record; unreliable results have a reason instead of a velocity.
+def interpret(experiment: Experiment, measurement: Measurement, coarser: Section | None = None) -> Measurement:
+    """Read the section of a measurement; unreliable results have a reason instead of a velocity.
 
-    ``coarser`` is the record of the same sample with twice the step; the difference of both counts as an error.
+    ``coarser`` is the section of the same sample with twice the step; the difference of both counts as an error.
     """
-    if record.problem:
-        return Interpretation(Outcome.UNSTABLE, record.problem)
-    reading = read_section(record.section, experiment.pick)
-    if reading.arrival is None or reading.verdict is not None:
-        return Interpretation(Outcome.NO_ARRIVAL, str(reading.verdict), reading=reading)
-    change = None if coarser is None else _change_by_halving(experiment, record, reading.arrival, coarser)
-    error = estimate_error(experiment, record, reading.arrival, change)
+    section = measurement.section
+    new = Measurement(measurement.seed, measurement.content, measurement.cement, section, CellStatus.NO_ARRIVAL)
+    if section.problem:
+        return replace(new, status=CellStatus.UNSTABLE, reason=section.problem)
+    reading = read_section(section, experiment.pick)
+    if isinstance(reading, Verdict):
+        return replace(new, reason=str(reading))
+    if reading.verdict is not None:
+        return replace(new, reason=str(reading.verdict), reading=reading)
+    change = None if coarser is None else _change_by_halving(experiment, section, reading, coarser)
+    expected, bound, parts = estimate_error(experiment, section, reading, change)
+    new = replace(new, reading=reading, expected_error=expected, error_bound=bound, error_parts=parts)
     vs: float | None = getattr(reading, experiment.pick.method)
     if vs is None:
         reason = f'the {experiment.pick.method.replace("_", " ")} cannot be read; pick.method = "peak" can'
-        return Interpretation(Outcome.NO_ARRIVAL, reason, reading=reading, error=error)
-    if error.bound > LARGEST_BOUND:
-        reason = f"{_INEXACT}: {cure_of(experiment, error.parts, LARGEST_BOUND)}"
-        return Interpretation(Outcome.NO_ARRIVAL, reason, reading=reading, error=error)
-    return Interpretation(Outcome.DONE, "", vs, reading, error)
+        return replace(new, reason=reason)
+    if bound > LARGEST_BOUND:
+        cure = cure_of(experiment, parts, LARGEST_BOUND)
+        return replace(new, reason=f"the numerical error may be above 5 %: {cure}")
+    return replace(new, status=CellStatus.DONE, vs=vs)
 
 
-def _change_by_halving(experiment: Experiment, record: WaveRecord, arrival: ShearArrival, coarser: WaveRecord) -> float:
+def _change_by_halving(experiment: Experiment, fine: Section, reading: Reading, coarse: Section) -> float:
     """Relative change of a travel time by halving the step; 1 if that of the full step is unknown.
 
     Two steps may take the same wrong peak. So the change is at least the shift of a peak by the change of the signal
     near it, within half a period.
     """
-    before = None if coarser.problem else read_section(coarser.section, experiment.pick).arrival
-    if before is None:
+    before = None if coarse.problem else read_section(coarse, experiment.pick)
+    if not isinstance(before, Reading):
         return 1.0
-    fine, coarse = record.section, coarser.section
     reach = int(0.5 * fine.period)
-    near = np.arange(max(0, arrival.index - reach), min(len(arrival.clean), arrival.index + reach + 1))
+    near = np.arange(max(0, reading.index - reach), min(len(reading.clean), reading.index + reach + 1))
     signal, last = before.clean[:, -1], len(before.clean) - 1
     place = np.clip((fine.times[near] - coarse.start_time) / coarse.sampling_interval, 0.0, last)
     left = np.minimum(place.astype(int), last - 1)
-    change = signal[left] + (place - left) * (signal[left + 1] - signal[left]) - arrival.clean[near, -1]
-    largest = float(np.abs(change).max() / arrival.clean[arrival.index, -1])
-    return max(abs(before.travel_time / arrival.travel_time - 1.0), shift_by_change(fine, arrival) * largest)
+    change = signal[left] + (place - left) * (signal[left + 1] - signal[left]) - reading.clean[near, -1]
+    largest = float(np.abs(change).max() / reading.clean[reading.index, -1])
+    return max(abs(before.travel_time / reading.travel_time - 1.0), shift_by_change(fine, reading) * largest)

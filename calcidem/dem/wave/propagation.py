@@ -5,7 +5,7 @@ in their cement and are computed side by side.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,21 +16,17 @@ from calcidem.dem.engine.readout import net_forces
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import SKIN, choose_features, start
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Flags
+from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.sample.cement import CementOrdering
-from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.settling import settle
-from calcidem.dem.wave.domain import driven_disks, listening_disks, station_disks
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import unbalanced_speed
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.reading import record_duration
-from calcidem.dem.wave.recorder import Recorder, WaveRecord
+from calcidem.dem.wave.recorder import Recorder
 from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, WaveRule, refuse_loud_pulse
-from calcidem.dem.wave.scene import lane_bonds, wave_scene
-
-_LARGEST_MOTION = 10.0  # largest displacement of a disk over the stroke of the pulse
-_EXACT_STEP = 2.0**-30  # s; multiplication by a power of two is exact
+from calcidem.dem.wave.scene import driven_disks, lane_bonds, listening_disks, station_disks, wave_scene
+from calcidem.dem.wave.section import Section
 
 
 def send_waves(
@@ -38,10 +34,10 @@ def send_waves(
     bonded: Sequence[Flags],
     frequency: float,
     *,
-    stop_when: Callable[[WaveRecord], bool],
+    stop_when: Callable[[Section], bool],
     lanes: int = 8,
     check: Callable[[], None] = lambda: None,
-) -> list[WaveRecord]:
+) -> list[Section]:
     """Send one pulse through each of several samples, side by side.
 
     `ValueError` if the pulse is too strong for the regime.
@@ -55,7 +51,7 @@ def send_waves(
     frequency
         Frequency of the pulse, Hz.
     stop_when
-        Called with each sample's record at fixed times; True ends the record.
+        Called with each sample's section at fixed times; True ends it.
     lanes
         Width of the kernel: 1, 2, 4, 8, 16 or 32. A sample's bits do not depend on how many of the lanes are in use.
     check
@@ -63,19 +59,19 @@ def send_waves(
 
     Returns
     -------
-    One record for each sample. If a guard finds a problem, the sample is recomputed with half the step, and its record
-    notes this. If that fails, too, the problem stays in the record.
+    One section for each sample. If a guard finds a problem, the sample is recomputed with half the step, and its
+    section notes this. If that fails, too, the problem stays in the section.
     """
     refuse_loud_pulse(experiment.packing, experiment.wave, frequency)
-    records = prepare_recorder(experiment, bonded, frequency, lanes, check).run(stop_when, check)
-    failed = [sample for sample, record in enumerate(records) if record.problem]
+    sections = prepare_recorder(experiment, bonded, frequency, lanes, check).run(stop_when, check)
+    failed = [sample for sample, section in enumerate(sections) if section.problem]
     if failed:
         again = prepare_recorder(
             with_half_step(experiment), [bonded[sample] for sample in failed], frequency, lanes, check
         )
-        for sample, record in zip(failed, again.run(stop_when, check), strict=True):
-            records[sample] = replace(record, retry=records[sample].problem)
-    return records
+        for sample, section in zip(failed, again.run(stop_when, check), strict=True):
+            sections[sample] = replace(section, retry=sections[sample].problem)
+    return sections
 
 
 def with_half_step(experiment: Experiment) -> Experiment:
@@ -93,9 +89,11 @@ def prepare_recorder(
     domain, bare = experiment.domain, experiment.bare_scene
     packing, driven = domain.packing, driven_disks(domain.packing, rule)
     bonds = lane_bonds(packing, experiment.cement, [flags[domain.pairs] for flags in bonded], lanes, installation)
-    skin = _wave_skin(packing, pulse) if rule.regime == "finite" else 0.0
+    # Largest gap, in mean radii, that can close during the pulse: no disk moves ten times as far as the transmitter.
+    closing = min(SKIN, 2.0 * 10.0 * pulse.stroke / float(packing.radius.mean()))
+    skin = closing if rule.regime == "finite" else 0.0
     features = _wave_features(replace(bare, bonds=bonds), rule, skin, lanes)
-    single, scene = experiment.once((features, skin), lambda: _bare_sample(experiment, features, skin))
+    single, scene = experiment.once(_bare_sample, features, skin)
     scene = replace(scene, bonds=bonds)
     state = _start_at_rest(experiment, scene, _wave_features(scene, rule, skin, lanes), skin, single)
     if bonds is not None and installation != "preserve":
@@ -103,10 +101,13 @@ def prepare_recorder(
     speed = unbalanced_speed(state, rule.amplitude)
     _refuse_short_pulse(float(state.time_step.max()), frequency)
     rank = np.argsort(state.assembly.order)
+    # The same for all samples of a content.
+    limit = experiment.once(_limit_of_all_patterns, bonds is not None)
+    stride = max(1, int(1.0 / (frequency * rule.samples_per_period * rule.step_fraction * limit)))
     return Recorder(
         state,
         pulse,
-        stride=_samples_stride(experiment, bonds is not None, frequency),
+        stride=stride,
         listeners=tuple(
             np.sort(rank[disks]) for disks in (*station_disks(packing, rule), listening_disks(packing, rule))
         ),
@@ -115,9 +116,7 @@ def prepare_recorder(
         samples=len(bonded),
         longest=record_duration(experiment.distance, rule.slowest, frequency),
         unbalanced_speed=speed,
-        closing_gaps=0.0
-        if rule.regime == "finite"
-        else experiment.once(pulse.stroke, lambda: _closing_gaps(experiment.packing, pulse.stroke)),
+        closing_gaps=0.0 if rule.regime == "finite" else experiment.once(_closing_gaps, pulse.stroke),
         breakable=rule.most_broken_bonds,
     )
 
@@ -132,7 +131,8 @@ def _bare_sample(experiment: Experiment, features: Features, skin: float) -> tup
         # All lanes share the loads, so they must not depend on cement or time step of a sample.
         # Zero loads are exact and save compiling a kernel without loads.
         unloaded = _start_at_rest(experiment, scene, replace(features, loads=True), skin, single)
-        scene = replace(scene, load=-net_forces(replace(unloaded, time_step=np.full(features.lanes, _EXACT_STEP))))
+        # With a power of two as the step, s, the forces are exact.
+        scene = replace(scene, load=-net_forces(replace(unloaded, time_step=np.full(features.lanes, 2.0**-30))))
     return single, scene
 
 
@@ -155,7 +155,7 @@ def _start_at_rest(
 def refuse_unfit_pulse(experiment: Experiment, frequency: float, *, cemented: bool) -> None:
     """Raise a `ValueError` if the pulse suits no sample of a packing, as far as known without cement."""
     refuse_loud_pulse(experiment.packing, experiment.wave, frequency)
-    _refuse_short_pulse(experiment.wave.step_fraction * _limit_of_all_patterns(experiment, cemented), frequency)
+    _refuse_short_pulse(experiment.wave.step_fraction * experiment.once(_limit_of_all_patterns, cemented), frequency)
 
 
 def refuse_unfit_samples(
@@ -179,7 +179,7 @@ def refuse_unfit_samples(
         Width of the kernel.
     """
     frequency = experiment.frequency(content)
-    longest = experiment.wave.step_fraction * _limit_of_all_patterns(experiment, cemented=False)
+    longest = experiment.wave.step_fraction * experiment.once(_limit_of_all_patterns, False)
     if experiment.installation != "preserve":
         bare = np.zeros(len(experiment.packing.pairs), dtype=bool)
         prepare_recorder(experiment, [bare], min(frequency, 0.5 / (longest * FEWEST_SAMPLES)), lanes, lambda: None)
@@ -188,9 +188,9 @@ def refuse_unfit_samples(
         prepare_recorder(experiment, bonded, frequency, lanes, lambda: None)
 
 
-def stiffness_contrast(experiment: Experiment, record: WaveRecord) -> float:
+def stiffness_contrast(experiment: Experiment, section: Section) -> float:
     """Stiffness of the contacts that limit the step, over that in the packing without cement."""
-    ratio = _limit_of_all_patterns(experiment, cemented=False) / record.stability_limit
+    ratio = experiment.once(_limit_of_all_patterns, False) / section.stability_limit
     return ratio * ratio
 
 
@@ -204,29 +204,19 @@ def _refuse_short_pulse(step: float, frequency: float) -> None:
     )
 
 
-def _samples_stride(experiment: Experiment, cemented: bool, frequency: float) -> int:
-    """Steps between two samples, the same for all samples of one content."""
-    rule = experiment.wave
-    limit = _limit_of_all_patterns(experiment, cemented)
-    return max(1, int(1.0 / (frequency * rule.samples_per_period * rule.step_fraction * limit)))
-
-
 def _limit_of_all_patterns(experiment: Experiment, cemented: bool) -> float:
     """Stability limit with every or no contact cemented, s; independent of pattern and batch."""
-
-    def compute() -> float:
-        rule, packing = experiment.wave, experiment.domain.packing
-        bonds = Bonds(packing.pairs, experiment.cement, installation=experiment.installation) if cemented else None
-        scene = wave_scene(packing, experiment.stiffen()[1], rule, bonds)
-        features = choose_features(scene, rule.regime)
-        state = start(scene, features=features, preload=packing.preload, steps_per_contact=0.0)
-        return float(state.critical_time_step[0])
-
-    return experiment.once(cemented, compute)
+    rule, packing = experiment.wave, experiment.domain.packing
+    bonds = Bonds(packing.pairs, experiment.cement, installation=experiment.installation) if cemented else None
+    scene = wave_scene(packing, experiment.stiffen()[1], rule, bonds)
+    features = choose_features(scene, rule.regime)
+    state = start(scene, features=features, preload=packing.preload, steps_per_contact=0.0)
+    return float(state.critical_time_step[0])
 
 
-def _closing_gaps(packing: Packing, stroke: float) -> float:
+def _closing_gaps(experiment: Experiment, stroke: float) -> float:
     """Number of pairs with a gap below the stroke of a pulse, which may close, over the number of contacts."""
+    packing = experiment.packing
     near = near_pairs(np.column_stack([packing.x, packing.y]), np.asarray(packing.radius, dtype=float), stroke)
     return max(0.0, len(near) / max(1, len(packing.pairs)) - 1.0)
 
@@ -241,6 +231,54 @@ def _wave_features(scene: Scene, rule: WaveRule, skin: float, lanes: int) -> Fea
     return replace(features, **{name: True for name in rule.keep if name != WHOLE_DOMAIN})
 
 
-def _wave_skin(packing: Packing, pulse: Pulse) -> float:
-    """Largest gap, in mean radii, that can close during the pulse; at most `state.SKIN`."""
-    return min(SKIN, 2.0 * _LARGEST_MOTION * pulse.stroke / float(packing.radius.mean()))
+@dataclass(frozen=True, slots=True, eq=False)
+class _WaveFilm:
+    """Motion of the computed disks in a wave."""
+
+    x: Floats
+    y: Floats
+    radius: Floats
+    """(N,) m, of the disks at rest."""
+    times: Floats
+    """(F,) s."""
+    velocity: Floats
+    """(F, N) along y, the direction of the transmitter's motion, m/s."""
+    section: Section
+    """Signals, identical to those of a measurement."""
+
+
+def film_wave(
+    experiment: Experiment,
+    bonded: Flags,
+    frequency: float,
+    *,
+    frames: int,
+    samples: int | None = None,
+    lanes: int = 8,
+    watch: Callable[[int, int], None] = lambda _done, _all: None,
+) -> _WaveFilm:
+    """Transmit a pulse through one sample, and record its disks at equal intervals.
+
+    Parameters
+    ----------
+    experiment, bonded, frequency, lanes
+        As for `send_waves`; one sample's contacts.
+    frames
+        Largest number of frames.
+    samples
+        Length of the signals; by default the longest of a measurement.
+    watch
+        Called with the number of finished and of all frames; may raise to end the run.
+    """
+    recorder = prepare_recorder(experiment, [bonded], frequency, lanes, lambda: None)
+    interval = recorder.stride * float(recorder.state.time_step[0])
+    samples = samples or int(np.ceil(recorder.longest / interval))
+    stride = -(-samples // frames)
+    times, velocity = [], []
+    for begin in range(0, samples, stride):
+        recorder.record_chunk(min(stride, samples - begin))
+        times.append(float(recorder.state.time[0]))
+        velocity.append(recorder.state.velocity()[:, 1].astype(np.float32))
+        watch(len(times), -(-samples // stride))
+    scene = recorder.state.scene
+    return _WaveFilm(scene.x, scene.y, scene.radius, np.array(times), np.array(velocity), recorder.section_of(0))

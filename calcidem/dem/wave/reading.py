@@ -14,23 +14,19 @@ A candidate depends on no sample beyond its horizon, so a record cut there gives
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, final
 
 import numpy as np
 
-from calcidem.dem.engine.fields import PositivePart, require_fields
-from calcidem.dem.engine.portable import arc_sine, sliding_products
+from calcidem.dem.engine.fields import PositivePart, checked
+from calcidem.dem.engine.portable import arc_sine, find_maxima, parabola_vertex, sliding_products
 from calcidem.dem.kernels.layout import Floats, Integers
-from calcidem.dem.wave.maxima import find_maxima, parabola_vertex
 from calcidem.dem.wave.section import RESOLUTION, Section
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 
 SILENCE = 0.001
 """Velocity over v0 below which nothing is picked; the presets have at least 0.017, small stiff samples maybe less."""
-
-_LARGER_SWING = 3.0
-"""A swing along the path is a precursor if one this many times as large follows within a period."""
 
 _STEEPEST = 0.5
 """Largest ratio of motion across to motion along in a P wave: it then arrives at 27 degrees to the path."""
@@ -43,31 +39,6 @@ _P_TO_S = 2.1
 
 _STRETCH = 0.04
 """Relative tolerance of a line's velocity: the last grains delay or advance the receiver."""
-
-
-_FEWEST_STATIONS = 4
-"""Fewest stations with the crest for a velocity of the path: fewer cannot tell a line from a curve."""
-
-_SMOOTHING = 0.3
-"""Half-width of the smoothing window over the period: little of shorter duration propagates through grains."""
-
-_LARGEST_ERROR = 0.25
-"""Standard error above which a reading is refused; a smaller value refuses more fast samples than slow ones."""
-
-_LEAST_ERROR = 0.019
-"""Standard error of the clearest reading: dispersion and scattering shift any peak by this much."""
-
-_P_LEFT = 0.75
-"""Standard error over the shift by subtracting the P wave."""
-
-_NEAR_FIELD = 0.04
-"""Standard error at a path of one wavelength, where P and S wave overlap; it falls with the power 2.5 of the path."""
-
-_TIE = 0.05
-"""Difference of coherence above which the better of two peaks is certain; small changes of a signal cause less."""
-
-_CREST = 1.8
-"""Standard error of the path's velocity over the estimate from the scatter of the stations about their line."""
 
 ONSET = 0.1
 """Level of the first arrival, relative to the peak (Viggiani and Atkinson 1995, doi:10.1680/geot.1995.45.1.149)."""
@@ -82,6 +53,7 @@ class Verdict(StrEnum):
     UNCERTAIN = "the standard error of the reading is above pick.largest_error"
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class PickRule:
     """Criteria of an arrival.
@@ -97,20 +69,14 @@ class PickRule:
     """
 
     method: Method = "peak"
-    smoothing: PositivePart = _SMOOTHING
-    largest_error: PositivePart = _LARGEST_ERROR
-
-    def __post_init__(self) -> None:
-        """Refuse invalid windows and errors."""
-        require_fields(self)
+    smoothing: PositivePart = 0.3  # little of shorter duration propagates through grains
+    largest_error: PositivePart = 0.25  # a smaller value refuses more fast samples than slow ones
 
 
-_DEFAULT_RULE = PickRule()
-
-
+@final
 @dataclass(frozen=True, slots=True, eq=False)
-class ShearArrival:
-    """The S wave in a section."""
+class Reading:
+    """S wave in a section, and the velocities read from it."""
 
     travel_time: float
     """From the transmitted to the received peak, s."""
@@ -128,25 +94,16 @@ class ShearArrival:
     """
     roughness: float
     """Rms motion of the receiver that smoothing removes, until a period after the peak, over its amplitude."""
-    path_velocity: float | None
     path_scatter: float | None
-    """Velocity of the crest from station to station, m/s, and its relative standard error from the scatter of the
-    stations about their line; None with fewer than `_FEWEST_STATIONS`.
-    """
+    """Relative standard error of `path` from the scatter of the stations about their line."""
     index: int
     """Sample of the peak."""
     clean: Floats
     """(H, X) smoothed motion across without the P wave, up to the horizon, over v0."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """Reading of a section."""
-
-    verdict: Verdict | None
-    """Reason for a missing velocity; None if there is one."""
-    arrival: ShearArrival | None = None
-    """S wave; None if none was found."""
+    error: float = 1.0
+    """Relative standard error of the velocities to the receiver, see `reading_error`; 1 is unknown."""
+    verdict: Verdict | None = None
+    """`Verdict.UNCERTAIN` if this error is too large; None if the velocities are known."""
     peak: float | None = None
     first_arrival: float | None = None
     cross_correlation: float | None = None
@@ -154,28 +111,11 @@ class Reading:
     from the lag of the best fit of the pulse. The latter two are None if they differ from the first by more than a
     quarter of a period.
     """
-    error: float | None = None
-    """Relative standard error of these velocities, see `reading_error`."""
     path: float | None = None
     path_error: float | None = None
     """Velocity of the crest from station to station, without receiver and transmitter, m/s, and its relative standard
     error; None with too few stations or an error above `PickRule.largest_error`.
     """
-
-
-class ReadingErrorParts(NamedTuple):
-    """Independent parts of the relative standard error of a reading, see `reading_error`."""
-
-    least: float
-    """Error of the clearest reading."""
-    p_left: float
-    """Remainder of the P wave."""
-    near_field: float
-    """P and S wave overlap on a short path."""
-    early: float
-    """The crest left before the transmitted peak."""
-    tie: float
-    """Another peak continues the section nearly as well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,7 +190,8 @@ def _first_swing(across: Floats, along: Floats, period: float) -> tuple[int, int
     for peak in find_maxima(swing).tolist():
         if swing[peak] < SILENCE or peak + soon >= len(swing):
             continue
-        if swing[peak : peak + soon].max() > _LARGER_SWING * swing[peak]:
+        # A swing is a precursor if one three times as large follows within a period.
+        if swing[peak : peak + soon].max() > 3.0 * swing[peak]:
             continue
         # The last sample counts in part, as the peak lies behind it, so the share does not jump with the sampling.
         weight = along[: peak + 1].copy()
@@ -278,32 +219,44 @@ def _receiver_peaks(prepared: _Prepared) -> list[int]:
     return [i for i in found if i > prepared.peak + 1.0]  # the peak itself may lie half a sample earlier
 
 
-def read_section(section: Section, rule: PickRule = _DEFAULT_RULE) -> Reading:
-    """Pick the travel time of the shear wave; `Verdict.TOO_SHORT` if only a longer record can decide."""
-    arrival = _find_arrival(prepare(section, rule.smoothing), section)
-    if isinstance(arrival, Verdict):
-        return Reading(arrival)
-    error = reading_error(arrival, section.frequency)
+def read_section(section: Section, rule: PickRule = PickRule()) -> Reading | Verdict:
+    """Pick the travel time of the shear wave.
+
+    The verdict is `Verdict.TOO_SHORT` if only a longer record can decide. A reading with too large an error has no
+    velocities.
+    """
+    found = _find_arrival(prepare(section, rule.smoothing), section)
+    if isinstance(found, Verdict):
+        return found
+    error = reading_error(found, section.frequency)
     if error > rule.largest_error:
-        return Reading(Verdict.UNCERTAIN, arrival, error=error)
-    others = (_read_first_arrival(section, arrival), _read_cross_correlation(section, arrival))
+        return replace(found, error=error, verdict=Verdict.UNCERTAIN, path=None)
+    others = (_read_first_arrival(section, found), _read_cross_correlation(section, found))
     near = 0.25 / section.frequency
     first, correlated = (
-        section.distance / time if time is not None and abs(time - arrival.travel_time) < near else None
+        section.distance / time if time is not None and abs(time - found.travel_time) < near else None
         for time in others
     )
-    reading = Reading(None, arrival, section.distance / arrival.travel_time, first, correlated, error)
-    if arrival.path_scatter is None:
-        return reading
-    path_error = float(np.sqrt(error * error + (_CREST * arrival.path_scatter) ** 2))
-    known = path_error <= rule.largest_error
-    return replace(reading, path=arrival.path_velocity, path_error=path_error) if known else reading
+    path, path_error = found.path, None
+    if found.path_scatter is not None:
+        # The fitted standard error is 1.8 times the estimate from the scatter.
+        path_error = float(np.sqrt(error * error + (1.8 * found.path_scatter) ** 2))
+        path, path_error = (path, path_error) if path_error <= rule.largest_error else (None, None)
+    return replace(
+        found,
+        error=error,
+        peak=section.distance / found.travel_time,
+        first_arrival=first,
+        cross_correlation=correlated,
+        path=path,
+        path_error=path_error,
+    )
 
 
-def record_duration(distance: float, velocity: float, frequency: float, smoothing: float = _SMOOTHING) -> float:
+def record_duration(distance: float, velocity: float, frequency: float) -> float:
     """Length of record needed to pick a pulse without dispersion, s; SI units."""
     travel, period = distance / velocity, 1.0 / frequency
-    return max(_P_TO_S * travel, travel + period) + (0.5 + 2.0 * smoothing) * period
+    return max(_P_TO_S * travel, travel + period) + (0.5 + 2.0 * PickRule().smoothing) * period
 
 
 def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool:
@@ -334,8 +287,8 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
         return False
     prepared = prepare(section, rule.smoothing)
     found = _find_arrival(prepared, section)
-    if isinstance(found, ShearArrival) or found is Verdict.TOO_SHORT:
-        return isinstance(found, ShearArrival)
+    if isinstance(found, Reading) or found is Verdict.TOO_SHORT:
+        return isinstance(found, Reading)
     if is_quiet or (prepared.p_peak < 0).any():
         return is_quiet
     clean = _without_p(prepared, np.full(len(prepared.parts), np.inf))
@@ -345,7 +298,7 @@ def is_settled(section: Section, rule: PickRule, remaining_speed: float) -> bool
     return float(np.minimum(highest / _largest(clean), 1.0).mean()) < LEAST_COHERENCE
 
 
-def _find_arrival(prepared: _Prepared, section: Section) -> ShearArrival | Verdict:
+def _find_arrival(prepared: _Prepared, section: Section) -> Reading | Verdict:
     """Find the S wave; `Verdict.TOO_SHORT` if only a longer record can decide."""
     peaks = _receiver_peaks(prepared)
     if not peaks:
@@ -357,7 +310,7 @@ def _find_arrival(prepared: _Prepared, section: Section) -> ShearArrival | Verdi
     return Verdict.NO_LINE
 
 
-def _judge(prepared: _Prepared, section: Section, index: int) -> ShearArrival | Verdict | None:
+def _judge(prepared: _Prepared, section: Section, index: int) -> Reading | Verdict | None:
     """Judge a peak of the receiver; None if it is not the S wave."""
     early, time = _line_to(prepared, index)
     travel = time - prepared.peak
@@ -367,21 +320,21 @@ def _judge(prepared: _Prepared, section: Section, index: int) -> ShearArrival | 
     clean = early[:horizon]
     largest = _largest(clean)
     coherence, rivals = _coherence(prepared, clean, largest, travel), _rivals(prepared, clean, largest, index)
-    if coherence < LEAST_COHERENCE or any(other.coherence > coherence for other in rivals):
+    if coherence < LEAST_COHERENCE or any(other > coherence for _, other in rivals):
         return None
     whole = prepared.across[:horizon, -1]
     with_p = [i + parabola_vertex(whole, i) for i in find_maxima(whole).tolist() if i > prepared.peak]
     shifted = min((abs(other - time) for other in with_p), default=travel) / travel
     rough = (section.across[:horizon, -1] * RESOLUTION - whole)[: index + int(prepared.period)]
     crest, interval = _crest(prepared, clean, travel), section.sampling_interval
-    return ShearArrival(
+    return Reading(
         travel_time=travel * interval,
         coherence=coherence,
         shifted=shifted,
         early=0.0 if crest is None else max(0.0, 1.0 - travel / crest[0]),
         tie=_tie(coherence, travel, rivals),
         roughness=float(np.sqrt(np.mean(rough * rough)) / clean[index, -1]),
-        path_velocity=None if crest is None else section.distance / (crest[0] * interval),
+        path=None if crest is None else section.distance / (crest[0] * interval),
         path_scatter=None if crest is None else crest[1],
         index=index,
         clean=clean,
@@ -402,7 +355,7 @@ def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]
         seen = clean[:horizon]
         largest = _largest(seen)
         coherence = _coherence(prepared, seen, largest, travel)
-        rival = max((other.coherence for other in _rivals(prepared, seen, largest, index)), default=0.0)
+        rival = max((other for _, other in _rivals(prepared, seen, largest, index)), default=0.0)
         decided = (horizon + int(smoothing * section.period)) * section.sampling_interval
         found.append(Candidate(index, travel * section.sampling_interval, decided, coherence, rival, clean))
     return tuple(found)
@@ -438,29 +391,23 @@ def _largest(clean: Floats) -> Floats:
     return np.asarray(np.maximum(np.abs(clean).max(axis=0), SILENCE * RESOLUTION))
 
 
-class _Rival(NamedTuple):
-    """Another peak of the receiver: its travel time, samples, and the coherence of its line."""
-
-    travel: float
-    coherence: float
-
-
-def _rivals(prepared: _Prepared, clean: Floats, largest: Floats, index: int) -> list[_Rival]:
-    """All peaks of the receiver but one."""
+def _rivals(prepared: _Prepared, clean: Floats, largest: Floats, index: int) -> list[tuple[float, float]]:
+    """All peaks of the receiver but one: their travel times, samples, and the coherence of their lines."""
     rivals = []
     for other in find_maxima(clean[:, -1]).tolist():
         if other > prepared.peak and clean[other, -1] > SILENCE and other != index:
             travel = other + parabola_vertex(clean[:, -1], other) - prepared.peak
-            rivals.append(_Rival(travel, _coherence(prepared, clean, largest, travel)))
+            rivals.append((travel, _coherence(prepared, clean, largest, travel)))
     return rivals
 
 
-def _tie(coherence: float, travel: float, rivals: list[_Rival]) -> float:
+def _tie(coherence: float, travel: float, rivals: list[tuple[float, float]]) -> float:
     """Rms distance of the other peaks, weighted by odds that fall from 1/2 at equal coherence to 0."""
     total = 0.0
-    for other in rivals:
-        odds = 0.5 * max(0.0, 1.0 - (coherence - other.coherence) / _TIE)
-        apart = other.travel / travel - 1.0
+    for other_travel, other in rivals:
+        # Small changes of a signal change a coherence by less than 0.05.
+        odds = 0.5 * max(0.0, 1.0 - (coherence - other) / 0.05)
+        apart = other_travel / travel - 1.0
         total += odds * apart * apart
     return float(np.sqrt(total))
 
@@ -485,7 +432,7 @@ def _crest(prepared: _Prepared, clean: Floats, travel: float) -> tuple[float, fl
         if near:
             place.append(part)
             time.append(min(near, key=lambda peak: abs(peak - wanted)))
-    if len(place) < _FEWEST_STATIONS:
+    if len(place) < 4:  # fewer cannot tell a line from a curve
         return None
     x, t = np.array(place), np.array(time)
     first, second = np.triu_indices(len(x), 1)
@@ -502,7 +449,7 @@ def _median(values: Floats) -> float:
     return float((ordered[(count - 1) // 2] + ordered[count // 2]) / 2.0)
 
 
-def reading_error(arrival: ShearArrival, frequency: float) -> float:
+def reading_error(found: Reading, frequency: float) -> float:
     """Relative standard error of a picked velocity: root of the sum of squares of independent parts.
 
     The subtraction may leave a part of the P wave. On a path of few wavelengths P and S wave overlap (Arroyo et al.
@@ -511,19 +458,20 @@ def reading_error(arrival: ShearArrival, frequency: float) -> float:
     be the S wave. The error is at most 1: nothing is known. The factors were fitted to sections with a known delay
     (docs/reading.md).
     """
-    return float(min(1.0, np.sqrt(sum(part * part for part in reading_error_parts(arrival, frequency)))))
+    periods = found.travel_time * frequency
+    parts = (
+        0.019,  # dispersion and scattering shift any peak by this much
+        0.75 * found.shifted,  # rest of the P wave
+        0.04 / (periods * periods * float(np.sqrt(periods))),  # P and S wave overlap, as on a path of one wavelength
+        found.early,
+        found.tie,
+    )
+    return float(min(1.0, np.sqrt(sum(part * part for part in parts))))
 
 
-def reading_error_parts(arrival: ShearArrival, frequency: float) -> ReadingErrorParts:
-    """Return the parts of `reading_error`; ``frequency`` is that of the pulse, Hz."""
-    periods = arrival.travel_time * frequency
-    near = _NEAR_FIELD / (periods * periods * float(np.sqrt(periods)))
-    return ReadingErrorParts(_LEAST_ERROR, _P_LEFT * arrival.shifted, near, arrival.early, arrival.tie)
-
-
-def _read_first_arrival(section: Section, arrival: ShearArrival) -> float | None:
+def _read_first_arrival(section: Section, found: Reading) -> float | None:
     """Time between the last rises through the onset level before both peaks, s."""
-    received = arrival.clean[: arrival.index + 1, -1]
+    received = found.clean[: found.index + 1, -1]
     level = ONSET * float(received[-1])
     below = np.flatnonzero(received < level)
     if not len(below):
@@ -535,10 +483,10 @@ def _read_first_arrival(section: Section, arrival: ShearArrival) -> float | None
     return arrived - float(arc_sine(np.sqrt(ONSET))) / (np.pi * section.frequency)
 
 
-def _read_cross_correlation(section: Section, arrival: ShearArrival) -> float | None:
+def _read_cross_correlation(section: Section, found: Reading) -> float | None:
     """Lag of the best fit of the pulse to the received signal, within half a period of the peak's, s."""
     pulse = section.transmitted[: int(section.period)]
-    received, lag = arrival.clean[:, -1], round(arrival.travel_time / section.sampling_interval)
+    received, lag = found.clean[:, -1], round(found.travel_time / section.sampling_interval)
     begin = max(0, lag - int(section.period / 2.0))
     products = sliding_products(received[begin : lag + int(1.5 * section.period)], pulse)
     best = int(np.argmax(products)) if len(products) else 0

@@ -9,48 +9,13 @@ from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.kernels.layout import LISTENED, XY, Floats, Integers, Recording, X, Y
 from calcidem.dem.wave.guards import broken_bonds, cemented_bonds, problems_of
-from calcidem.dem.wave.linearity import Nonlinearity, nonlinearity, slipped_force
+from calcidem.dem.wave.linearity import nonlinearity, slipped_force
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
-from calcidem.dem.wave.section import Counts, Section, quantise
+from calcidem.dem.wave.section import Counts, Nonlinearity, Section, quantise
 
 SAMPLES_PER_CHUNK = 20  # samples between two checks of the section: half a period of the pulse
 LOOKS_APART = 2  # periods of the pulse between two checks of the nonlinearity
-
-
-@dataclass(frozen=True, slots=True)
-class WaveRecord:
-    """Record of one sample."""
-
-    time_step: float
-    """Time step of the integration, s."""
-    stride: int
-    """Time steps between two samples."""
-    section: Section
-    """Motion at the receiver and the stations."""
-    stability_limit: float
-    """Critical time step at the start, s."""
-    steps: int
-    """Time steps of this sample."""
-    unbalanced_speed: float = 0.0
-    """See `guards.unbalanced_speed`."""
-    closing_gaps: float = 0.0
-    """Number of pairs with a gap up to the stroke of the pulse, over the number of contacts; zero in the finite regime,
-    where gaps may close.
-    """
-    broken_bonds: int = 0
-    bonds: int = 0
-    """Broken and initial bonds."""
-    remaining_speed: float = np.inf
-    """Bound of all later velocities of the section, m/s: those of a station if it held all energy of the sample."""
-    nonlinear: tuple[Nonlinearity, ...] = ()
-    """Changes by the contact laws at the end of transmission and every `LOOKS_APART` periods from then on."""
-    slipped: float = 0.0
-    """Largest part of the transmitter's force during the pulse that its contacts could not have transmitted."""
-    problem: str = ""
-    """Cause of unreliable results; empty if there is none."""
-    retry: str = ""
-    """Problem for which the sample was recomputed with half the step; empty if it was not."""
 
 
 @dataclass(slots=True)
@@ -75,9 +40,9 @@ class Recorder:
     longest: float
     """Time after which a record ends in any case, s."""
     unbalanced_speed: Floats
-    """(L,) see `WaveRecord`."""
+    """(L,) see `Section`."""
     closing_gaps: float
-    """See `WaveRecord`."""
+    """See `Section`."""
     breakable: float = 0.0
     """See `guards.problems_of`."""
     counts: Counts = field(init=False)
@@ -86,7 +51,7 @@ class Recorder:
     slipped: Floats = field(init=False)
     bonds: Integers = field(init=False)
     broken: Integers = field(init=False)
-    """See `WaveRecord`; ``nonlinear`` for each sample, the others for each lane; ``broken`` counts broken bonds."""
+    """See `Section`; ``nonlinear`` for each sample, the others for each lane; ``broken`` counts broken bonds."""
 
     def __post_init__(self) -> None:
         """Initialize the results."""
@@ -100,22 +65,22 @@ class Recorder:
         """Time steps between two checks of the signals."""
         return SAMPLES_PER_CHUNK * self.stride
 
-    def run(self, stop_when: Callable[[WaveRecord], bool], check: Callable[[], None]) -> list[WaveRecord]:
-        """Records of all samples, in their order; see `propagation.send_waves`."""
+    def run(self, stop_when: Callable[[Section], bool], check: Callable[[], None]) -> list[Section]:
+        """Sections of all samples, in their order; see `propagation.send_waves`."""
         overlap = float(np.mean(np.maximum(overlaps(self.state), 0.0)))
-        records: dict[int, WaveRecord] = {}
-        while len(records) < self.samples:
+        ended: dict[int, Section] = {}
+        while len(ended) < self.samples:
             check()
             self.record_chunk()
-            running = [lane for lane in range(self.samples) if lane not in records]
+            running = [lane for lane in range(self.samples) if lane not in ended]
             self._look_at_contacts(running)
             problems = problems_of(self.state, self.pulse.amplitude, overlap, self.breakable)
             remaining = self._remaining_speeds()
             for lane in running:
-                record = self.record_of(lane, problems[lane], float(remaining[lane]))
-                if record.problem or record.section.duration >= self.longest or stop_when(record):
-                    records[lane] = record
-        return [records[lane] for lane in sorted(records)]
+                section = self.section_of(lane, problems[lane], float(remaining[lane]))
+                if section.problem or section.duration >= self.longest or stop_when(section):
+                    ended[lane] = section
+        return [ended[lane] for lane in sorted(ended)]
 
     def _look_at_contacts(self, running: Sequence[int]) -> None:
         """Evaluate the contact laws at the transmitter, and in the samples whose next check is due."""
@@ -161,7 +126,7 @@ class Recorder:
         return np.full(times.shape, self.pulse.velocity(first)) if resting else self.pulse.velocity(times)
 
     def _remaining_speeds(self) -> Floats:
-        """(L,) see `WaveRecord.remaining_speed`, m/s.
+        """(L,) see `Section.remaining_speed`, m/s.
 
         Half of the energy of waves is kinetic, on the path and at the receiver, and damping only reduces it. The mean
         velocity of n disks is largest if they move together; its square is at most ``sum(m v^2) / (n m)``.
@@ -172,11 +137,11 @@ class Recorder:
         fewest = min(len(disks) * float(mass[disks].min()) for disks in self.listeners)
         return np.asarray(np.sqrt(moving / fewest))
 
-    def record_of(self, lane: int, problem: str, remaining_speed: float = np.inf) -> WaveRecord:
-        """Record of a lane so far, with its problem, if any."""
+    def section_of(self, lane: int, problem: str = "", remaining_speed: float = np.inf) -> Section:
+        """Section of a lane so far, with its problem, if any."""
         step = float(self.state.time_step[lane])
         across, along = (np.ascontiguousarray(motion.T) for motion in self.counts[lane])
-        section = Section(
+        return Section(
             sampling_interval=self.stride * step,
             # A sample is taken at the end of every stride-th step; leapfrog velocities are those at its middle.
             start_time=(self.stride - 0.5) * step,
@@ -185,11 +150,7 @@ class Recorder:
             places=self.places,
             across=across,
             along=along,
-        )
-        return WaveRecord(
             time_step=step,
-            stride=self.stride,
-            section=section,
             stability_limit=float(self.state.critical_time_step[lane]),
             steps=self.state.steps,
             unbalanced_speed=float(self.unbalanced_speed[lane]),

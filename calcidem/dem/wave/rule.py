@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval, Unit
 
-from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, require, require_fields
+from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, checked, require
 from calcidem.dem.engine.scene import Precision, Regime
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.pulse import Pulse
@@ -14,10 +14,9 @@ Transmitter = Literal["wall", "driven"]
 
 WHOLE_DOMAIN = "whole_domain"
 FEWEST_SAMPLES = 20  # samples per period of the pulse; with 20 a peak shifts by 0.1 % (docs/reading.md)
-_LOUDEST_LINEAR = 5.0  # largest stroke of the pulse over mean overlap with constant stiffnesses
-_LOUDEST_SMALL = 0.05  # largest stroke of the pulse over the smallest radius with a fixed geometry
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class WaveRule:
     """Transmission, propagation and recording of the wave (section 2.2.2 and Table 1 of the paper).
@@ -28,7 +27,7 @@ class WaveRule:
         v0 of ``v(t) = v0 (1 - cos 2 pi f t)``, m/s.
     transmitter
         ``wall``: the band of the left wall moves and drives the disks by friction. ``driven``: the disks at this band
-        have a prescribed motion without rotation, see `domain.driven_disks`.
+        have a prescribed motion without rotation, see `scene.driven_disks`.
     transmitter_half_width, receiver_half_width
         Half-width of the band in the wall, m.
     band_friction
@@ -59,7 +58,7 @@ class WaveRule:
         Largest number of time steps for settling.
     keep
         Kernel features kept without need (`kernels.features.Features`), and ``whole_domain`` to keep disks that the
-        wave cannot reach (`domain.domain_of`).
+        wave cannot reach (`scene.domain_of`).
     """
 
     amplitude: Annotated[Positive, Unit("m/s")] = 1.0e-3
@@ -88,10 +87,6 @@ class WaveRule:
     most_settling_steps: Annotated[int, Interval(ge=1)] = 2_000_000
     keep: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        """Refuse invalid settings."""
-        require_fields(self)
-
 
 def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> None:
     """Raise a `ValueError` if a pulse moves the transmitter too far for the regime.
@@ -105,10 +100,7 @@ def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> Non
 def refuse_long_stroke(rule: WaveRule, frequency: float, overlap: float, radius: float) -> None:
     """Same as `refuse_loud_pulse`, from the mean overlap and the smallest radius, m."""
     stroke = Pulse(rule.amplitude, frequency).stroke
-    bounds = {
-        "linear": (_LOUDEST_LINEAR * overlap, f"{_LOUDEST_LINEAR:g} mean overlaps"),
-        "small": (_LOUDEST_SMALL * radius, f"{_LOUDEST_SMALL:g} radii of the smallest disk"),
-    }
+    bounds = {"linear": (5.0 * overlap, "5 mean overlaps"), "small": (0.05 * radius, "0.05 radii of the smallest disk")}
     if rule.regime in bounds:
         bound, meaning = bounds[rule.regime]
         require(

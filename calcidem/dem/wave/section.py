@@ -1,7 +1,8 @@
 """Space-time section of a sample: records of its receiver and of the stations on the path."""
 
+import math
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -12,21 +13,42 @@ from calcidem.dem.wave.pulse import Pulse
 RESOLUTION = 2.0**-20
 """Resolution of recorded velocities over the amplitude of the pulse: 1e-3 of the weakest accepted arrival."""
 
-_LARGEST_COUNT = 2**30
 Counts = npt.NDArray[np.int32]
 
 
 def quantise(velocity: Floats, amplitude: float) -> Counts:
     """Velocities in multiples of `RESOLUTION`; NaN and values far above any wave become the largest count."""
     steps = np.rint(velocity / (amplitude * RESOLUTION))
-    return np.where(np.abs(steps) < _LARGEST_COUNT, steps, _LARGEST_COUNT).astype(np.int32)
+    # Far above any wave, and half of what int32 holds.
+    return np.where(np.abs(steps) < 2**30, steps, 2**30).astype(np.int32)
+
+
+class Nonlinearity(NamedTuple):
+    """Changes of a wave in the linear regime by Hertz's and Coulomb's laws; zero in other regimes.
+
+    Each is (L,), or the value of one sample.
+    """
+
+    share: Floats | float = 0.0
+    """Sum of ``|dF| |du|`` over the sum of ``F du`` of all contacts of disks. du is the relative displacement of two
+    disks since the start, F the force increment with constant stiffnesses. dF is its deviation from the contact laws,
+    by which contacts stiffen, open and slip. Cement is linear in either case.
+    """
+    softening: Floats | float = 0.0
+    """Largest relative loss of the sample's stiffness by slip, see `linearity.nonlinearity`."""
+    rescaling: Floats | float = 0.0
+    """Work, in absolute values, of the initial shear forces that contacts would lose where the wave unloads them (shear
+    rescaling mode 1, `laws.rescale_shear`), over that of ``F du``. It scales with the loads of the packing, not with
+    the amplitude.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Section:
     """Velocities at places on the path, across the path (y) and along it (x), in multiples of `RESOLUTION`.
 
-    Live and stored readings use the same integers, so both give the same bits.
+    Live and stored readings use the same integers, so both give the same bits. The fields with a default describe the
+    run that recorded it; a section from a store has none of them.
     """
 
     sampling_interval: float
@@ -42,6 +64,31 @@ class Section:
     across: Counts
     along: Counts
     """(T, X) velocities over ``amplitude * RESOLUTION``, positive as the pulse and away from the transmitter."""
+    time_step: float = math.nan
+    """Time step of the integration, s."""
+    stability_limit: float = math.nan
+    """Critical time step at the start, s."""
+    steps: int = 0
+    """Time steps of this sample."""
+    unbalanced_speed: float = 0.0
+    """See `guards.unbalanced_speed`."""
+    closing_gaps: float = 0.0
+    """Number of pairs with a gap up to the stroke of the pulse, over the number of contacts; zero in the finite regime,
+    where gaps may close.
+    """
+    broken_bonds: int = 0
+    bonds: int = 0
+    """Broken and initial bonds."""
+    remaining_speed: float = math.inf
+    """Bound of all later velocities of the section, m/s: those of a station if it held all energy of the sample."""
+    nonlinear: tuple[Nonlinearity, ...] = ()
+    """Changes by the contact laws at the end of transmission and every `recorder.LOOKS_APART` periods from then on."""
+    slipped: float = 0.0
+    """Largest part of the transmitter's force during the pulse that its contacts could not have transmitted."""
+    problem: str = ""
+    """Cause of unreliable results; empty if there is none."""
+    retry: str = ""
+    """Problem for which the sample was recomputed with half the step; empty if it was not."""
 
     @property
     def distance(self) -> float:

@@ -13,9 +13,6 @@ from calcidem.dem.wave.static_speed import distances_from_walls, state_at_rest
 _PIXELS = 4
 """Side of a window over its displacement."""
 
-_LEFT_OUT = 0.1
-"""Width of the excluded rim over the smaller side of the box; held disks stiffen it."""
-
 
 class StiffnessField(NamedTuple):
     """Shear modulus in square windows."""
@@ -49,7 +46,7 @@ def stiffness_field(experiment: Experiment, bonded: Flags, window: float) -> Sti
     packing, _ = experiment.stiffen()
     state = state_at_rest(experiment, bonded)
     held = np.minimum(*distances_from_walls(packing)) < np.asarray(packing.radius, dtype=float)
-    margin = _LEFT_OUT * min(packing.width, packing.height)
+    margin = 0.1 * min(packing.width, packing.height)  # held disks stiffen this rim
     box = (margin, packing.width - margin), (margin, packing.height - margin)
     return _windowed_moduli(sheared_triangles(state, sheared_motion(state, held)), box, window)
 

@@ -10,7 +10,7 @@ import os
 import shutil
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,10 +25,8 @@ from calcidem.storage.netcdf.trial import refuse_unreadable
 from calcidem.storage.records import (
     ARRAY_RECORDS,
     QUANTITY_BY_NAME,
-    STATUS_CODES,
     AttemptRecord,
     CellKey,
-    CellStatus,
     PackingRecord,
 )
 from calcidem.storage.sql.reading import chunks
@@ -45,13 +43,6 @@ _Column = tuple[str, str, NDArray[Any]]
 """Unit ("" for texts), long name and values of a variable."""
 
 _COMPRESSED = {"compression": "zlib", "complevel": 1, "shuffle": True, "fletcher32": True}
-_CHUNK = 8192  # elements, about two cells' contacts; the small default chunks cost more than their bytes
-
-_CELLS_COPIED_AT_ONCE = 10_000
-"""Number of cells whose numbers are in memory at a time."""
-
-_ARRAYS_COPIED_AT_ONCE = 1000
-"""Number of cells whose arrays are in memory at a time."""
 
 
 def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collection[str] = ()) -> Path:
@@ -73,9 +64,8 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
         netCDF4.Dataset(temporary, "w", format="NETCDF4") as file,
     ):
         for index in store.packing_indices():
-            with suppress(DamagedStoreError):  # cells without a packing show that it is missing
-                _append_packing(file, store.packing(index))
-        for attempts in chunks(store.history(), _CELLS_COPIED_AT_ONCE):
+            _append_packing(file, store.packing(index))
+        for attempts in chunks(store.history(), 10_000):
             _append_attempts(file, attempts)
         _write_cells(file, store, wanted)
     return Path(path).absolute()
@@ -126,25 +116,15 @@ def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:
             f"Campaign '{store.record.name}' has no cells.", "Plan some seeds and contents first."
         )
     file.setncatts(campaign_attributes(store))
-    rows = max(1, _CELLS_COPIED_AT_ONCE // contents.size)
+    rows = max(1, 10_000 // contents.size)  # cells whose numbers are in memory at a time
     _create_variables(file, seeds, contents, min(rows, seeds.size))
     for first in range(0, seeds.size, rows):
         block = seeds[first : first + rows]
         selection = Selection(block.tolist(), contents.tolist())
         names = [name for name in QUANTITY_BY_NAME if name not in INDEX_NAMES]
         matrices = as_matrices(store.table(tuple(QUANTITY_BY_NAME), selection), names, block, contents)
-        for found in chunks(store.arrays(selection) if wanted else (), _ARRAYS_COPIED_AT_ONCE):
-            whole = []
-            for key, arrays in found:
-                cell = int(np.searchsorted(block, key.seed)), int(np.searchsorted(contents, key.content))
-                if isinstance(arrays, str):  # numbers of a cell with damaged arrays are missing, too
-                    for name in matrices.keys() - {"status"}:
-                        matrices[name][cell] = "" if QUANTITY_BY_NAME[name].kind == "text" else np.nan
-                    matrices["status"][cell] = STATUS_CODES[CellStatus.DAMAGED]
-                    matrices["reason"][cell] = arrays
-                elif matrices["status"][cell] != STATUS_CODES[CellStatus.DAMAGED]:
-                    whole.append((key, arrays))
-            _append_arrays(file, whole, wanted)
+        for found in chunks(store.arrays(selection) if wanted else (), 1000):  # cells with arrays in memory
+            _append_arrays(file, found, wanted)
         for name, matrix in matrices.items():
             is_whole = QUANTITY_BY_NAME[name].kind == "whole"  # real with missing values
             file[name][first : first + block.size] = QUANTITY_BY_NAME[name].as_column(matrix) if is_whole else matrix
@@ -243,7 +223,8 @@ def _append_columns(group: Group, dimension: str, columns: Mapping[str, _Column]
                 further.append(f"of_{length}")
                 if further[-1] not in group.dimensions:
                     group.createDimension(further[-1], length)
-            chunks = {"chunksizes": (min(max(1, len(values)), _CHUNK), *values.shape[1:])}
+            # 8192 elements, about two cells' contacts: the small default chunks cost more than their bytes
+            chunks = {"chunksizes": (min(max(1, len(values)), 8192), *values.shape[1:])}
             options = {} if is_text else _COMPRESSED | chunks
             variable = group.createVariable(name, str if is_text else values.dtype, (dimension, *further), **options)
             variable.long_name = long_name

@@ -2,8 +2,7 @@
 
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -37,24 +36,20 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.sql.store import Store
 
-_RECORDS_READ_AT_ONCE = 500
-"""Number of records whose arrays are in memory at a time."""
-
-_SEEDS_IN_MEMORY = 500
 _VALUE_NAMES = tuple(name for name, q in QUANTITY_BY_NAME.items() if q.formula is None and name not in INDEX_NAMES)
-_WITHOUT_OUTCOME = tuple(STATUS_CODES[name] for name in (CellStatus.PENDING, CellStatus.DAMAGED, NOT_PLANNED))
+_WITHOUT_OUTCOME = tuple(STATUS_CODES[name] for name in (CellStatus.PENDING, NOT_PLANNED))
 _CURE_OF_CHANGE = "The file was changed after it was exported: export it again. Nothing was written."
 
 
 def import_netcdf(
     path: str | os.PathLike[str],
     store: Store,
-    identify: Callable[[PackingRecord], PackingRecord] = lambda packing: packing,
+    check: Callable[[PackingRecord], object] = lambda _: None,
 ) -> CampaignRecord:
     """Rebuild the campaign of an exported file: plan, runs, packings, attempts, outcomes and their arrays.
 
     If the store already has the campaign, missing data are added and done cells are kept; runs are added each time.
-    Everything is one transaction. ``identify`` checks the state of a packing and adds its content hash.
+    Everything is one transaction. ``check`` refuses a packing whose state does not fit.
 
     `StoreUnavailableError` if the file is not NetCDF; `ForeignDatabaseError` if calcidem did not write it;
     `OtherSchemaError` if it has another layout; `DamagedStoreError` if it was changed, lacks a
@@ -75,7 +70,9 @@ def import_netcdf(
                 f"{path}: its configuration, or the hash {campaign.hash} of its cells, is not what was exported.",
                 _CURE_OF_CHANGE,
             )
-        packings = [identify(packing) for packing in _read_packings(file)]
+        packings = list(_read_packings(file))
+        for packing in packings:
+            check(packing)
         status: NDArray[np.int8] = np.asarray(file["status"][:], dtype=np.int8)
         named = np.asarray(file["packing_index"][:])[~np.isin(status, _WITHOUT_OUTCOME)].tolist()
         if lacking := set(named) - {packing.index for packing in packings}:
@@ -83,7 +80,6 @@ def import_netcdf(
                 f"{path}: packing {min(lacking)}, on which cells were computed, is missing.", _CURE_OF_CHANGE
             )
         name = store.begin_campaign(campaign).name
-        _refuse_other_packings(path, store, packings, identify)
         for packing in packings:
             store.save_packing(packing)
         seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
@@ -106,46 +102,28 @@ def _open(path: Path) -> Group:
     except OSError as error:
         raise StoreUnavailableError(f"{path} can't be read as NetCDF ({error}).", "Check the name.") from error
     file.set_auto_mask(False)
-    layout, former = getattr(file, "calcidem_layout", None), getattr(file, "calcidem_format", None)
+    layout = getattr(file, "calcidem_layout", None)
     if layout == LAYOUT:
         return file
+    is_own = layout is not None or hasattr(file, "calcidem_format")  # the mark before 1.0
     file.close()
-    if former is not None:
-        raise OtherSchemaError(
-            f"{path} was exported by calcidem 0.1.0 or earlier, whose layout this calcidem does not read.",
-            "Use that version, or compute the campaign again.",
-        )
-    if layout is None:
+    if not is_own:
         raise ForeignDatabaseError(f"{path} was not written by calcidem.", "Give a file made by 'calcidem export'.")
     raise OtherSchemaError(
-        f"{path} has layout {layout}; this calcidem reads {LAYOUT}.", "Use the calcidem that wrote it, or a later one."
+        f"{path} was exported by another version of calcidem, whose files this one does not read (layout {layout}, not "
+        f"{LAYOUT}).",
+        "Use that version, or compute the campaign again.",
     )
-
-
-def _refuse_other_packings(
-    path: str | os.PathLike[str],
-    store: Store,
-    packings: Sequence[PackingRecord],
-    identify: Callable[[PackingRecord], PackingRecord],
-) -> None:
-    """Refuse packings other than those of the store's campaign; all are compared before one is stored."""
-    present = set(store.packing_indices())
-    for packing in packings:
-        if packing.index in present:
-            stored = store.packing(packing.index)
-            with suppress(DamagedStoreError):  # its disks and box can still be compared
-                stored = identify(stored)
-            stored.refuse_other(packing, ("the database", str(path)))
 
 
 def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
     """Outcomes of the file, a block of seeds in memory at a time."""
     arrays = {name: _Records(file, name, "cell", kind) for name, kind in ARRAY_RECORDS.items()}
     seeds, contents = file["seed"][:].tolist(), file["content"][:].tolist()
-    for start in range(0, len(seeds), _SEEDS_IN_MEMORY):
-        rows = slice(start, start + _SEEDS_IN_MEMORY)
+    for start in range(0, len(seeds), 500):  # seeds in memory
+        rows = slice(start, start + 500)
         columns = {
-            # A file of an earlier physics version lacks later quantities.
+            # A file of an earlier version may lack quantities.
             name: QUANTITY_BY_NAME[name].as_values(file[name][rows])
             for name in _VALUE_NAMES
             if name in file.variables
@@ -215,7 +193,7 @@ class _Records:
         """Return quantities and arrays of a record by name."""
         if row not in self._block:  # read together with the following ones, since a file is mostly read in order
             count = len(next(iter(self.columns.values())))
-            self._block = range(row, min(row + _RECORDS_READ_AT_ONCE, count))
+            self._block = range(row, min(row + 500, count))
             blocks = {e: slice(ends[row], ends[self._block.stop]) for e, ends in self._ends.items()}
             self._arrays = {elements: self._read(elements, block) for elements, block in blocks.items()}
         values: dict[str, Any] = {name: column[row] for name, column in self._values.items()}

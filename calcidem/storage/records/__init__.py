@@ -4,6 +4,7 @@ They are frozen and hold SI units (contents in percent of the sand's mass). A mi
 outcome of a cell is its `CellStatus`.
 """
 
+from calcidem.ends import CellStatus
 from calcidem.storage.records.campaign import CampaignRecord, PackingRecord
 from calcidem.storage.records.cell import (
     ARRAY_RECORDS,
@@ -17,7 +18,6 @@ from calcidem.storage.records.cell import (
     AttemptRecord,
     CellKey,
     CellResult,
-    CellStatus,
     PackedResult,
     canonical_content,
     checked_seed,

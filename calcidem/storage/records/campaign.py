@@ -47,10 +47,10 @@ class PackingRecord(Record):
     largest_relative_overlap: Annotated[float, _packing("1", "largest overlap over mean diameter")]
     unbalanced_ratio: Annotated[float, _packing("1", "mean unbalanced force over mean contact force")]
     seconds: Annotated[float, _packing("s", "computing time")]
-    state: Annotated[bytes, Along("state_byte", "1", "complete state, a NumPy .npz file")] = b""
+    state: Annotated[bytes, Along("state_byte", "1", "complete state, a NumPy .npz file")]
     """Restores the packing bit for bit; its format is not interpreted here."""
-    content_hash: Annotated[str | None, Quantity("", "hash of its own bits: disks, walls and forces")] = None
-    """Identity of the packing itself; None if an earlier calcidem stored it."""
+    content_hash: Annotated[str, Quantity("", "hash of its own bits: disks, walls and forces")]
+    """Identity of the packing itself."""
 
     def __post_init__(self) -> None:
         Record.__post_init__(self)
@@ -65,20 +65,13 @@ class PackingRecord(Record):
     def refuse_other(
         self, other: "PackingRecord", places: tuple[str, str] = ("the database", "what is to be stored")
     ) -> None:
-        """Raise `CampaignMismatchError` unless two records are of the same packing; the message names both places.
-
-        If a content hash is missing, disks and box are compared.
-        """
-        known = {self.content_hash, other.content_hash} - {None}
-        numbers = all(getattr(self, name) == getattr(other, name) for name in ("index", "hash", "width", "height"))
-        arrays = all(np.array_equal(getattr(self, name), getattr(other, name)) for name in ("x", "y", "radius"))
-        if numbers and arrays and len(known) < 2:  # two hashes that differ
+        """Raise `CampaignMismatchError` unless two records are of the same packing; the message names both places."""
+        if (self.index, self.hash, self.content_hash) == (other.index, other.hash, other.content_hash):
             return
-        hashes = [packing.content_hash or "unknown" for packing in (self, other)]
         origins = "" if self.hash == other.hash else f" (they are made from {self.hash} and {other.hash})"
         raise CampaignMismatchError(
-            f"Packing {self.index} has the content hash {hashes[0]} in {places[0]} and {hashes[1]} in {places[1]}"
-            f"{origins}.",
+            f"Packing {self.index} has the content hash {self.content_hash} in {places[0]} and {other.content_hash} in "
+            f"{places[1]}{origins}.",
             "Cells of two packings can't be in one campaign: keep them in databases of their own. 'calcidem run' on a "
             "database uses its packing; new databases with a common folder CALCIDEM_CACHE get the same packing.",
         )

@@ -8,28 +8,25 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from datetime import datetime
-from enum import StrEnum
 from functools import partial
 from html import escape
 from typing import Annotated, Any, Self
 
 import numpy as np
 
-from calcidem.storage.errors import DamagedStoreError
+from calcidem.ends import CellStatus
 from calcidem.storage.records.arrays import pack_arrays
 from calcidem.storage.records.error_budget import DERIVED_QUANTITIES, NORMAL_95
 from calcidem.storage.records.quantity import Bound, Quantity, Record
 from calcidem.storage.records.run import WorkerRecord
 from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, RecordedSection
 
-_CONTENT_DECIMALS = 9
-
 _Real = float | None
 _Whole = int | None
 _POSITIVE, _NOT_NEGATIVE = Bound.POSITIVE, Bound.NOT_NEGATIVE
 _reading = partial(Quantity, origin="reading", is_exact=True)
 _speed = partial(_reading, "m s-1", bound=_POSITIVE)
-_relative_error = partial(_reading, "1", bound=_NOT_NEGATIVE, is_brief=True)
+_relative_error = partial(_reading, "1", bound=_NOT_NEGATIVE)
 _wave = partial(Quantity, origin="wave", bound=_POSITIVE, is_exact=True)
 _cement = partial(Quantity, origin="cement", bound=_NOT_NEGATIVE, is_exact=True)
 
@@ -37,38 +34,13 @@ LARGEST_SEED = 2**63 - 1
 """Largest integer that SQLite, PostgreSQL and NetCDF's int64 hold."""
 
 
-class CellStatus(StrEnum):
-    """Status of a cell.
-
-    The first two are never stored: such a cell has no outcome. The last is never stored either: it marks a stored
-    outcome that was changed.
-    """
-
-    PENDING = "pending"
-    RUNNING = "running"
-    DONE = "done"
-    NO_ARRIVAL = "no_arrival"
-    UNSTABLE = "unstable"
-    FAILED = "failed"
-    TIMED_OUT = "timed_out"
-    QUARANTINED = "quarantined"
-    DAMAGED = "damaged"
-
-    @property
-    def words(self) -> str:
-        """The status as messages name it."""
-        return self.value.replace("_", " ")
-
-
-STORED_STATUSES = tuple(s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DAMAGED})
+STORED_STATUSES = tuple(s for s in CellStatus if s not in {CellStatus.PENDING, CellStatus.RUNNING})
 """Outcomes that a cell can have in the database."""
 
 NOT_PLANNED = "not_planned"
 """Flag of a (seed, content) in the matrix that is not planned itself."""
 
-STATUS_CODES = {
-    name: code for code, name in enumerate((CellStatus.PENDING, *STORED_STATUSES, NOT_PLANNED, CellStatus.DAMAGED))
-}
+STATUS_CODES = {name: code for code, name in enumerate((CellStatus.PENDING, *STORED_STATUSES, NOT_PLANNED))}
 """Values of the flag variable `status`; they never change, since files hold them."""
 
 
@@ -79,7 +51,7 @@ def canonical_content(content: float) -> float:
     can compare exactly. 1e-9 percent is far below the cement of a single contact. `ValueError` unless
     0 <= content <= 100.
     """
-    rounded = round(float(content), _CONTENT_DECIMALS) + 0.0  # + 0.0 turns -0.0 into 0.0
+    rounded = round(float(content), 9) + 0.0  # + 0.0 turns -0.0 into 0.0
     if not 0.0 <= rounded <= 100.0:  # percent; the comparison also refuses NaN
         raise ValueError(f"content is {content}; give percent of the sand's mass between 0 and 100.")
     return rounded
@@ -120,20 +92,18 @@ class CellResult(Record):
     """
 
     key: CellKey
-    status: Annotated[CellStatus, Quantity("", "outcome of the cell", "measurement", is_brief=True, codes=STATUS_CODES)]
-    """One of `STORED_STATUSES`, or damaged when read from a store."""
+    status: Annotated[CellStatus, Quantity("", "outcome of the cell", "measurement", codes=STATUS_CODES)]
+    """One of `STORED_STATUSES`."""
     reason: Annotated[str, Quantity("", "why the outcome is what it is", "measurement")] = ""
     """A sentence; empty only for `done`."""
-    vs: Annotated[_Real, _speed("shear-wave velocity", is_needed=True, is_brief=True, ancillary="status vs_error")] = (
-        None
-    )
+    vs: Annotated[_Real, _speed("shear-wave velocity", is_needed=True, ancillary="status vs_error")] = None
     """By the campaign's method; exists if and only if `done`."""
     vs_peak: Annotated[_Real, _speed("shear-wave velocity from peak to peak")] = None
     vs_first_arrival: Annotated[_Real, _speed("shear-wave velocity by first arrival")] = None
     vs_cross_correlation: Annotated[_Real, _speed("shear-wave velocity by cross-correlation")] = None
     coherence: Annotated[_Real, _reading("1", "stack of the section along the line of the S wave")] = None
     reading_error: Annotated[_Real, _relative_error("relative standard error of the reading of vs")] = None
-    path_vs: Annotated[_Real, _speed("shear-wave velocity from station to station", is_brief=True)] = None
+    path_vs: Annotated[_Real, _speed("shear-wave velocity from station to station")] = None
     path_error: Annotated[_Real, _relative_error("relative standard error of the reading of path_vs")] = None
     frequency: Annotated[_Real, _wave("Hz", "frequency of the transmitted pulse", is_needed=True)] = None
     distance: Annotated[_Real, _wave("m", "distance that the shear wave travelled")] = None
@@ -149,7 +119,7 @@ class CellResult(Record):
     stability_limit: Annotated[_Real, _wave("s", "largest stable time step", is_needed=True)] = None
     steps: Annotated[_Whole, _wave("1", "number of time steps", bound=_NOT_NEGATIVE, is_needed=True)] = None
     expected_error: Annotated[
-        _Real, Quantity("1", "expected relative numerical error of vs", "error estimate", _NOT_NEGATIVE, is_brief=True)
+        _Real, Quantity("1", "expected relative numerical error of vs", "error estimate", _NOT_NEGATIVE)
     ] = None
     error_bound: Annotated[_Real, Quantity("1", "bound of the relative numerical error of vs", "error estimate")] = None
     """At most one of a hundred cells exceeds it."""
@@ -185,7 +155,7 @@ class CellResult(Record):
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", CellStatus(self.status))
         object.__setattr__(self, "retry", self.retry or None)
-        if self.status not in (*STORED_STATUSES, CellStatus.DAMAGED):
+        if self.status not in STORED_STATUSES:
             raise ValueError(f"CellResult.status is {self.status}; an outcome is one of {', '.join(STORED_STATUSES)}.")
         Record.__post_init__(self)
         self._check_status()
@@ -262,14 +232,6 @@ class CellResult(Record):
         if quantity.formula is None or None in values:
             return None
         return float(quantity.formula(math.sqrt, *values))
-
-    def refuse_damage(self) -> None:
-        """Raise `DamagedStoreError` if the stored outcome was changed."""
-        if self.status is CellStatus.DAMAGED:
-            raise DamagedStoreError(
-                f"What is stored of seed {self.key.seed} and content {self.key.content} % is damaged: {self.reason}.",
-                "'calcidem run CONFIG --retry damaged' computes such cells again.",
-            )
 
     def _check_status(self) -> None:
         if self.status is CellStatus.DONE:

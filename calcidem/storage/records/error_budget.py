@@ -17,9 +17,6 @@ _COVERED_95 = 1.5
 MOST_DEPARTURE = 2.0
 """`path_departure` above which a cell is marked."""
 
-_NO_ERROR = 1e-30
-"""Keeps the quotient of two exact velocities finite."""
-
 Root = Callable[[Any], Any]
 
 
@@ -37,7 +34,8 @@ def _vs_error(root: Root, expected_error: Any, reading_error: Any) -> Any:  # no
 def _path_departure(root: Root, vs: Any, path_vs: Any, reading_error: Any, path_error: Any) -> Any:  # noqa: ANN401
     """Difference of two velocities over its standard error."""
     difference = (path_vs - vs) / vs
-    return root(difference * difference / (reading_error * reading_error + path_error * path_error + _NO_ERROR))
+    variance = reading_error * reading_error + path_error * path_error + 1e-30  # finite for two exact velocities
+    return root(difference * difference / variance)
 
 
 DERIVED_QUANTITIES = (

@@ -42,8 +42,6 @@ class Quantity:
     """Whether it has the same bits wherever the campaign is computed."""
     is_needed: bool = False
     """Whether a done cell must have it."""
-    is_brief: bool = False
-    """Whether it belongs to status and velocities, which have an additional checksum."""
     name: str = ""
     kind: Literal["real", "whole", "text"] = "real"
     is_optional: bool = False

@@ -6,9 +6,6 @@ from datetime import UTC, datetime
 
 from calcidem.storage.passwords import hide_passwords
 
-_NAMED_HOSTS = 3
-"""Number of machines of one kind that are named."""
-
 
 @dataclass(frozen=True, slots=True)
 class WorkerRecord:
@@ -45,9 +42,9 @@ class WorkerRecord:
 
     @property
     def places(self) -> str:
-        """Their machines; of many only the first."""
-        more = len(self.hosts) - _NAMED_HOSTS
-        return ", ".join(self.hosts[:_NAMED_HOSTS]) + (f" and {more} more" if more > 0 else "")
+        """Their machines; of many only the first three."""
+        more = len(self.hosts) - 3
+        return ", ".join(self.hosts[:3]) + (f" and {more} more" if more > 0 else "")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Connections to a store: address, pragmas of SQLite, transactions, and translation of database errors."""
+"""Connections to a store: address, pragmas of SQLite, transactions, checks of a file, and translation of errors."""
 
 import math
 import os
@@ -8,7 +8,6 @@ import zlib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Self
 from zipfile import BadZipFile
@@ -28,64 +27,42 @@ from calcidem.storage.errors import (
     StoreLockedError,
     StoreUnavailableError,
 )
+from calcidem.storage.files import is_network_filesystem
 from calcidem.storage.passwords import hide_passwords, password_of
-from calcidem.storage.sql.filesystem import is_network_filesystem
 
 _BUSY_TIMEOUT_SECONDS = 30.0
-_WAL_SIZE_LIMIT_BYTES = 64 * 2**20
-
 _WRITES = "calcidem_writes"
 """Execution option of a connection whose next transaction will write."""
 
-_PRIMARY_CODE = 0xFF  # extended SQLite error codes keep the primary one in their low byte
-
-_SQLITE_DAMAGE = {1, 11, 20, 26}  # SQLITE_ERROR, SQLITE_CORRUPT, SQLITE_MISMATCH, SQLITE_NOTADB
-
-_SQLITE_ERRORS: dict[int, type[StoreError]] = {
-    5: StoreLockedError,  # SQLITE_BUSY
-    6: StoreLockedError,  # SQLITE_LOCKED
-    8: ReadOnlyStoreError,  # SQLITE_READONLY
-    10: DiskError,  # SQLITE_IOERR
-    11: DamagedStoreError,  # SQLITE_CORRUPT
-    13: DiskFullError,  # SQLITE_FULL
-    14: StoreUnavailableError,  # SQLITE_CANTOPEN
-    19: InvalidRecordError,  # SQLITE_CONSTRAINT
-    26: ForeignDatabaseError,  # SQLITE_NOTADB
-}
-
-_POSTGRESQL_ERRORS: tuple[tuple[str, type[StoreError]], ...] = (
-    ("40", StoreLockedError),  # serialization failure, deadlock
-    ("55P03", StoreLockedError),  # lock not available
-    ("53100", DiskFullError),
-    ("25006", ReadOnlyStoreError),
-    ("42501", ReadOnlyStoreError),  # insufficient privilege
-    ("22", InvalidRecordError),  # value out of range
-    ("23", InvalidRecordError),  # constraint
-    ("XX", DamagedStoreError),
-    ("08", StoreUnavailableError),
-    ("28", StoreUnavailableError),  # authorization
-    ("3D", StoreUnavailableError),  # no such database
-    ("57P", StoreUnavailableError),  # shutdown
+DAMAGE_REMEDY = (
+    "It was not written to. Move it away, check the disk, and 'calcidem import' an earlier export into a new "
+    "database, or compute the campaign again; 'sqlite3 FILE .recover' saves what can be read."
 )
 
-UNREADABLE = (
-    *(SQLAlchemyError, DamagedStoreError),
-    *(ArithmeticError, AttributeError, LookupError, TypeError, ValueError, EOFError, BadZipFile, zlib.error),
+_ERRORS: tuple[tuple[tuple[int, ...], tuple[str, ...], type[StoreError], str], ...] = (
+    # SQLITE_BUSY, LOCKED; serialization failure or deadlock, lock not available
+    ((5, 6), ("40", "55P03"), StoreLockedError, "Try again when the other process has finished; it was not stored."),
+    # SQLITE_READONLY; read-only transaction, insufficient privilege
+    ((8,), ("25006", "42501"), ReadOnlyStoreError, "Check the permissions of the file and its folder, or use a copy."),
+    # SQLITE_IOERR
+    ((10,), (), DiskError, "Check the disk, your quota and the file system's network; nothing of this was stored."),
+    # SQLITE_CORRUPT; internal errors
+    ((11,), ("XX",), DamagedStoreError, DAMAGE_REMEDY),
+    # SQLITE_FULL; disk full
+    ((13,), ("53100",), DiskFullError, "Free some space and continue; nothing of this was stored, all before is safe."),
+    # SQLITE_CANTOPEN; connection, authorization, no such database, shutdown
+    (
+        (14,),
+        ("08", "28", "3D", "57P"),
+        StoreUnavailableError,
+        "Check the name, the permissions, and that a server runs.",
+    ),
+    # SQLITE_CONSTRAINT; value out of range, constraint
+    ((19,), ("22", "23"), InvalidRecordError, "Nothing of this was stored; the values, or their program, are wrong."),
+    # SQLITE_NOTADB
+    ((26,), (), ForeignDatabaseError, "Choose another file name; this file was left as it is."),
 )
-"""Exceptions of reading a damaged row, by the database or by the conversion of its values."""
-
-_CURE_OF_ERROR: dict[type[StoreError], str] = {
-    StoreLockedError: "Try again when the other process has finished; it was not stored.",
-    DiskError: "Check the disk, your quota and the file system's network; nothing of this was stored.",
-    DiskFullError: "Free some space and continue; nothing of this was stored, all before it is safe.",
-    ReadOnlyStoreError: "Check the permissions of the file and of its folder, or work on a copy.",
-    StoreUnavailableError: "Check the name, the permissions and, for a server, that it runs.",
-    StoreInterruptedError: "Run the same command again once the server can be reached; what was stored is safe.",
-    ForeignDatabaseError: "Choose another file name; this file was left as it is.",
-    InvalidRecordError: "Nothing of this was stored; the values, or the program that made them, are wrong.",
-    DamagedStoreError: "Check the disk; 'sqlite3 FILE .recover' saves what can be read, and an exported "
-    ".nc file can be imported again.",
-}
+"""Primary codes of SQLite, beginnings of the states of PostgreSQL, error and remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +72,7 @@ class Address:
     url: URL
     """SQLAlchemy's form."""
     path: Path | None
-    """File of a SQLite store, None for a server."""
+    """File of a SQLite store without symbolic links, None for a server."""
 
     @classmethod
     def parse(cls, path_or_url: str | os.PathLike[str]) -> Self:
@@ -105,7 +82,10 @@ class Address:
         """
         text = os.fspath(path_or_url)
         if "://" not in text:
-            path = Path(text).absolute()
+            try:
+                path = Path(text).resolve()
+            except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a zero byte
+                raise StoreUnavailableError(f"{text!r} can't be a file ({error}).", "Give another name.") from error
             return cls(URL.create("sqlite", database=str(path)), path)
         try:
             url = make_url(text)
@@ -114,7 +94,7 @@ class Address:
                 f"'{hide_passwords(text)}' is not a database URL.",
                 "Give a file name or dialect+driver://user@host/database.",
             ) from error
-        if url.get_backend_name() == "postgresql" and url.drivername == "postgresql":
+        if url.drivername == "postgresql":
             url = url.set(drivername="postgresql+psycopg")
         if url.get_backend_name() != "sqlite":
             password = password_of(text)
@@ -162,7 +142,7 @@ class Connections:
         """Open a connection with one transaction: committed at the end, rolled back on any error.
 
         A writer waits for SQLite's lock at the beginning. An error of the database becomes a `StoreError` with the
-        address.
+        address, and so does a stored value that can't be converted.
         """
         bound = self._engine.execution_options(**{_WRITES: True}) if write else self._engine
         try:
@@ -170,23 +150,11 @@ class Connections:
                 yield connection
         except SQLAlchemyError as error:
             raise _translate_error(error, self.address) from error
-        except UNREADABLE as error:
-            if write or isinstance(error, DamagedStoreError):
+        except (ArithmeticError, LookupError, TypeError, ValueError, EOFError, BadZipFile, zlib.error) as error:
+            if write:
                 raise  # the values to be written may be wrong
-            problem = f"{self.address}: something that is stored can't be read ({type(error).__name__}: {error})."
-            raise DamagedStoreError(problem, _CURE_OF_ERROR[DamagedStoreError]) from error
-
-    def execute_on_connect(self, statement: str) -> None:
-        """Let each reading connection of SQLite execute a statement first; open ones are closed."""
-
-        @event.listens_for(self._engine, "connect")
-        def execute(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
-            connection.execute("PRAGMA temp_store=MEMORY")  # a mere reader may have no writable folder
-            connection.execute("PRAGMA query_only=OFF")  # temporary views also count as changes
-            connection.execute(statement)
-            connection.execute("PRAGMA query_only=ON")
-
-        self.close()
+            problem = f"{self.address} is damaged: a stored value can't be read ({type(error).__name__}: {error})."
+            raise DamagedStoreError(problem, DAMAGE_REMEDY) from error
 
     def bring_log_into_file(self) -> None:
         """Copy the write-ahead log, if any, into the database file, as far as readers allow.
@@ -215,7 +183,6 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     @event.listens_for(engine, "connect")
     def set_pragmas(connection: Any, _record: object) -> None:  # noqa: ANN401 - the driver's own connection
         connection.isolation_level = None  # the listener below begins and commits, not the driver
-        connection.text_factory = partial(str, encoding="utf-8", errors="replace")  # a checksum finds the damage
         # Not every SQLite has this function; databases return NULL for anything but a number of 0 or more.
         connection.create_function(
             "sqrt", 1, lambda x: math.sqrt(x) if isinstance(x, int | float) and x >= 0.0 else None, deterministic=True
@@ -224,7 +191,7 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         if journal is not None:
             connection.execute(f"PRAGMA journal_mode={journal}")
             connection.execute("PRAGMA synchronous=FULL")
-            connection.execute(f"PRAGMA journal_size_limit={_WAL_SIZE_LIMIT_BYTES}")
+            connection.execute("PRAGMA journal_size_limit=67108864")  # bytes that a log keeps after a large transaction
         else:
             connection.execute("PRAGMA query_only=ON")
 
@@ -237,33 +204,54 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     return engine
 
 
-def may_be_damage(error: BaseException) -> bool:
-    """Whether a reading error concerns only the rows read, so that other rows may be intact."""
-    if not isinstance(error, DBAPIError):
-        return True
-    return getattr(error.orig, "sqlite_errorcode", 0) & _PRIMARY_CODE in _SQLITE_DAMAGE
+def was_left_open(path: Path) -> bool:
+    """Whether a database file was not closed properly, or is open: its lock, or SQLite's log or journal, is there."""
+    found = [Path(f"{path}{end}") for end in ("-wal", "-journal")]
+    return Path(f"{path}.lock").exists() or any(file.is_file() and file.stat().st_size for file in found)
+
+
+def find_damage(path: Path, pragma: str = "quick_check") -> list[str]:
+    """Let SQLite check a file and return what it finds, at most 20 lines; an intact file gives none.
+
+    The file is not changed, except that SQLite undoes an unfinished transaction of a rollback journal.
+    ``integrity_check`` also compares indices with tables, which takes longer.
+    """
+    mode = "rw" if Path(f"{path}-journal").exists() else "ro"
+    try:
+        with closing(
+            sqlite3.connect(f"{path.as_uri()}?mode={mode}", timeout=_BUSY_TIMEOUT_SECONDS, uri=True)
+        ) as connection:
+            lines = [str(line) for (line,) in connection.execute(f"PRAGMA {pragma}(20)")]
+    except sqlite3.DatabaseError as error:
+        if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_CORRUPT:
+            return []  # no damage; opening it explains it
+        lines = [str(error)]
+    return [] if lines == ["ok"] else lines
+
+
+def refuse_damaged(path: Path) -> None:
+    """Raise `DamagedStoreError` if SQLite finds the file damaged (`find_damage`)."""
+    if lines := find_damage(path):
+        raise DamagedStoreError(f"{path} is damaged: {'; '.join(lines[:3])}.", DAMAGE_REMEDY)
 
 
 def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
     """Return the error of the store for an error of the database."""
     original = error.orig if isinstance(error, DBAPIError) else error
-    broken = isinstance(error, DBAPIError) and error.connection_invalidated  # it was known before
-    kind = StoreInterruptedError if broken else _kind(original)
     problem = f"{address}: {str(original).strip().rstrip('.')}."
-    if kind is None:
-        return StoreError(problem, "This is not expected; please report it with this message.")
-    return kind(problem, _CURE_OF_ERROR[kind])
-
-
-def _kind(original: BaseException | None) -> type[StoreError] | None:
-    sqlite_code = getattr(original, "sqlite_errorcode", None)
-    if sqlite_code is not None:
-        return _SQLITE_ERRORS.get(sqlite_code & _PRIMARY_CODE)
-    # psycopg gives no state if no connection was made.
-    state = getattr(original, "sqlstate", None)
-    if state is None:
-        return StoreUnavailableError if type(original).__name__ == "OperationalError" else None
-    return next((kind for prefix, kind in _POSTGRESQL_ERRORS if state.startswith(prefix)), None)
+    if isinstance(error, DBAPIError) and error.connection_invalidated:  # it was known before
+        return StoreInterruptedError(
+            problem, "Run the same command again once the server can be reached; what was stored is safe."
+        )
+    if isinstance(original, sqlite3.Error):  # Python's driver itself refuses damaged texts, and gives them no code
+        code, state = getattr(original, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF, ""  # the primary code
+    else:  # psycopg gives no state if no connection was made
+        unreachable = "08" if type(original).__name__ == "OperationalError" else ""
+        code, state = -1, getattr(original, "sqlstate", None) or unreachable
+    for codes, states, kind, remedy in _ERRORS:
+        if code in codes or state.startswith(states):
+            return kind(problem, remedy)
+    return StoreError(problem, "This is not expected; please report it with this message.")
 
 
 def measure_commits(path: Path, count: int) -> tuple[str, float]:

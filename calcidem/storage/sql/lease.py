@@ -9,15 +9,18 @@ remains after a kill.
 
 import errno
 import os
-import socket
-from contextlib import suppress
+import stat
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from pathlib import Path
 
 from sqlalchemy import Connection, delete, insert, select, update
 
-from calcidem.storage.errors import LeaseHeldError, LeaseLostError
+from calcidem.storage.errors import LeaseHeldError, LeaseLostError, OutputRefusedError, StoreUnavailableError
+from calcidem.storage.files import BESIDE_A_DATABASE, refuse_to_replace, replace_file
 from calcidem.storage.sql.tables import LEASE
 from calcidem.storage.store import STALE_AFTER, LeaseHolder
 
@@ -43,7 +46,7 @@ class Lease:
     """
 
     def __init__(self, database: Path | None) -> None:
-        """Prepare without taking lock or row; `database` is the SQLite file."""
+        """Prepare without taking lock or row; `database` is the SQLite file, without symbolic links."""
         self.path = None if database is None else Path(f"{database}.lock")
         self.token: str | None = None
         self._descriptor: int | None = None
@@ -57,12 +60,12 @@ class Lease:
         """Try to lock without waiting; False if another process has the lock.
 
         On a file system or system without locks (some cluster mounts, Windows) this succeeds with `held` False, and the
-        row alone decides.
+        row alone decides. `StoreUnavailableError` if another program made the lock file.
         """
         if not HAS_LOCKS or self.path is None:
             return True
         while not self.held:
-            descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+            descriptor = self._open(os.O_CREAT)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
@@ -73,17 +76,39 @@ class Lease:
                     return False
                 raise
             with suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(descriptor), self.path.stat()):
+                if os.path.samestat(os.fstat(descriptor), self.path.lstat()):
                     self._descriptor = descriptor
             if not self.held:  # its former holder removed the file between our open and our lock
                 os.close(descriptor)
         return True
 
+    def _open(self, flags: int) -> int:
+        """Open the lock file; `StoreUnavailableError` unless it is a regular file that calcidem wrote."""
+        safely = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK  # no link of a user, no wait for the end of a pipe
+        try:
+            descriptor = os.open(str(self.path), os.O_RDWR | flags | safely, 0o666)
+        except OSError as error:
+            if error.errno not in {errno.ELOOP, errno.EISDIR, errno.ENXIO}:
+                raise
+            is_own = False
+        else:
+            status = os.fstat(descriptor)
+            is_own = stat.S_ISREG(status.st_mode) and status.st_nlink <= 1
+            is_own = is_own and os.pread(descriptor, 8, 0) in {b"", b"calcidem"}
+            if is_own:
+                return descriptor
+            os.close(descriptor)
+        raise StoreUnavailableError(
+            f"{self.path} is needed for the lock of the database, but is a link or was not written by calcidem.",
+            "Move it away; nothing was changed.",
+        )
+
     def note(self, token: str, heartbeat: datetime) -> None:
         """Record that a transaction with this heartbeat is stored; does nothing without the lock."""
         if self._descriptor is not None:
+            text = f"calcidem {token} {heartbeat.isoformat(timespec='microseconds')}\n"
             with suppress(OSError):  # a full disk: only a later loss of stored data would not be noticed
-                os.pwrite(self._descriptor, f"{token} {heartbeat.isoformat(timespec='microseconds')}\n".encode(), 0)
+                os.pwrite(self._descriptor, text.encode(), 0)
 
     def forget(self) -> None:
         """Erase the record before the row is removed; does nothing without the lock."""
@@ -91,9 +116,10 @@ class Lease:
             os.ftruncate(self._descriptor, 0)
 
     def release(self) -> None:
-        """Unlock and remove the file; does nothing without the lock."""
+        """Unlock and remove the file, unless it still has a record; does nothing without the lock."""
         if self._descriptor is not None and self.path is not None:
-            self.path.unlink(missing_ok=True)
+            if os.fstat(self._descriptor).st_size == 0:
+                self.path.unlink(missing_ok=True)
             os.close(self._descriptor)
             self._descriptor = None
 
@@ -102,11 +128,18 @@ class Lease:
 
         They are in the lock file; None if it is missing or empty. Read it before the database.
         """
-        try:
-            token, heartbeat = ("" if self.path is None else self.path.read_text(encoding="ascii")).split()
-            return token, datetime.fromisoformat(heartbeat)
-        except (OSError, ValueError):
+        if self.path is None:
             return None
+        descriptor = self._descriptor
+        try:
+            descriptor = self._open(0) if descriptor is None else descriptor
+            _, token, heartbeat = os.pread(descriptor, 200, 0).decode("ascii").split()
+            return token, datetime.fromisoformat(heartbeat)
+        except (OSError, ValueError, StoreUnavailableError):
+            return None
+        finally:
+            if descriptor not in {None, self._descriptor}:
+                os.close(descriptor)
 
     @staticmethod
     def describe_loss(connection: Connection, acknowledged: tuple[str, datetime] | None) -> str | None:
@@ -127,22 +160,30 @@ class Lease:
     def claim(self, connection: Connection, campaign_id: int, token: str) -> tuple[datetime, LeaseHolder | None]:
         """Write the row for this process in a writing transaction; return its first heartbeat and a dead former holder.
 
-        A former holder on this machine is dead if this process has the lock. `LeaseHeldError` if it may be alive.
+        `LeaseHeldError` if the former holder may be alive. It is dead if this process has the lock that it had.
         """
-        now, host = datetime.now(UTC), socket.gethostname()
         former = self.holder(connection, campaign_id, for_update=True)
+        holder = LeaseHolder.of_this_process(self._identity())
         if former is not None:
-            if former.may_live() and not (former.host == host and self.held):
+            boots = (holder.machine.partition(" ")[0], former.machine.partition(" ")[0])  # locks hold for one kernel
+            has_its_lock = boots[0] == boots[1] and former.lock == holder.lock != ""
+            if former.may_live() and not has_its_lock:
                 raise self.held_error(former)
             connection.execute(delete(LEASE).where(LEASE.c.campaign_id == campaign_id))
-        holder = LeaseHolder(host, os.getpid(), now, now)
         connection.execute(insert(LEASE).values(campaign_id=campaign_id, token=token, **asdict(holder)))
-        return now, former
+        return holder.heartbeat, former
+
+    def _identity(self) -> str:
+        """Device and inode of the locked file; empty without the lock."""
+        if self._descriptor is None:
+            return ""
+        status = os.fstat(self._descriptor)
+        return f"{status.st_dev}:{status.st_ino}"
 
     def refuse_other_masters(self, connection: Connection) -> None:
         """Raise `LeaseHeldError` if a living process other than this one writes a campaign."""
-        for row in connection.execute(select(LEASE)).all():
-            if row.token != self.token and (holder := LeaseHolder(*row[2:])).may_live():
+        for row in connection.execute(select(*_HOLDER, LEASE.c.token)).all():
+            if row.token != self.token and (holder := LeaseHolder(*row[:-1])).may_live():
                 raise self.held_error(holder)
 
     def renew(self, connection: Connection) -> datetime:
@@ -159,8 +200,7 @@ class Lease:
     @staticmethod
     def holder(connection: Connection, campaign_id: int, *, for_update: bool = False) -> LeaseHolder | None:
         """Return the holder of a campaign's lease, None without one."""
-        columns = (LEASE.c[field.name] for field in fields(LeaseHolder))
-        statement = select(*columns).where(LEASE.c.campaign_id == campaign_id)
+        statement = select(*_HOLDER).where(LEASE.c.campaign_id == campaign_id)
         row = connection.execute(statement.with_for_update() if for_update else statement).first()
         return None if row is None else LeaseHolder(*row)
 
@@ -168,9 +208,60 @@ class Lease:
     def held_error(holder: LeaseHolder | None) -> LeaseHeldError:
         """Return an error that names the present master."""
         if holder is None:
-            who, cure = "another process on this machine", "Wait until it has ended."
-        else:
-            who = f"process {holder.pid} on {holder.host} (last heartbeat at {holder.heartbeat:%H:%M:%S} UTC)"
-            free = holder.heartbeat + STALE_AFTER
-            cure = f"Wait until it has ended; if it died on another machine, its lease ends at {free:%H:%M:%S} UTC."
-        return LeaseHeldError(f"The campaign is being written by {who}.", cure)
+            return LeaseHeldError(
+                "The database is being written by another process on this machine.", "Wait until it has ended."
+            )
+        free = holder.heartbeat + STALE_AFTER
+        return LeaseHeldError(
+            f"The campaign is being written by process {holder.pid} on {holder.host} (last heartbeat at "
+            f"{holder.heartbeat:%H:%M:%S} UTC).",
+            f"Wait until it has ended; if it died on another machine, its lease ends at {free:%H:%M:%S} UTC.",
+        )
+
+
+_HOLDER = tuple(LEASE.c[field.name] for field in fields(LeaseHolder))
+
+
+@contextmanager
+def replace_database(path: Path) -> Iterator[Path]:
+    """Yield a temporary file that becomes the database at a path once the block has ended without error.
+
+    Whatever makes a database, or replaces one, does it here: while nobody else may write it, and without the files that
+    SQLite keeps beside a database. These belonged to a database that was removed; SQLite would copy them into the new
+    one. `LeaseHeldError` if another process writes it or makes it; `OutputRefusedError` if a file appeared meanwhile.
+    """
+    if not path.exists():
+        refuse_to_replace(path)  # names that belong to another database
+        most = os.pathconf(path.parent, "PC_NAME_MAX") - len("-journal")
+        if len(os.fsencode(path.name)) > most:
+            raise StoreUnavailableError(
+                f"{path} has a name too long for the files beside a database.", f"Give one of at most {most} bytes."
+            )
+    lease = Lease(path)
+    deadline = time.monotonic() + 5.0  # s; making an empty database takes a tenth of one
+    while not lease.acquire():
+        if time.monotonic() > deadline:
+            raise lease.held_error(None)
+        time.sleep(0.05)
+    try:
+        before = _identity_of(path)
+        with replace_file(path) as temporary:
+            yield temporary
+            if _identity_of(path) != before:
+                raise OutputRefusedError(
+                    f"{path} was made, removed or replaced by another process meanwhile.",
+                    "It was left as it is. Give another file name, or run the same command again.",
+                )
+            for end in BESIDE_A_DATABASE:
+                Path(f"{path}{end}").unlink(missing_ok=True)
+        lease.forget()
+    finally:
+        lease.release()
+
+
+def _identity_of(path: Path) -> tuple[int, int] | None:
+    """Device and inode of a file; None if it does not exist."""
+    with suppress(FileNotFoundError):
+        status = path.stat()
+        return status.st_dev, status.st_ino
+    return None

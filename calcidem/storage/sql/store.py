@@ -5,20 +5,14 @@ import time
 import uuid
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from itertools import product, starmap
 from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Connection, Table, and_, delete, insert, or_, select, tuple_, update
 
-from calcidem.storage.errors import (
-    ReadOnlyStoreError,
-    ReplacedStoreError,
-    StoreError,
-    UnknownCampaignError,
-    UnknownCellError,
-)
+from calcidem.storage.errors import ReadOnlyStoreError, StoreError, UnknownCampaignError, UnknownCellError
 from calcidem.storage.records import (
     AttemptCount,
     AttemptRecord,
@@ -33,17 +27,11 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.records.arrays import pack_arrays
 from calcidem.storage.records.run import as_utc
-from calcidem.storage.sql.checksums import arrays_text, covered_columns, seal
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import Lease
 from calcidem.storage.sql.reading import StoreReader, chunks
 from calcidem.storage.sql.tables import ARRAYS, ATTEMPT, CAMPAIGN, CELL, LEASE, PACKING, RESULT, RUN
 from calcidem.storage.store import RETRIED_BY_DEFAULT
-
-_CHECKPOINT_INTERVAL = 10.0
-"""Seconds after which a writer's next transaction copies the write-ahead log into the file, for copies of the file."""
-
-_NEVER_RETRIED = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE, CellStatus.DAMAGED}
 
 
 def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Store":
@@ -92,8 +80,7 @@ class Store(StoreReader):
        refuses to write. Writing without a lease is allowed, for imports and single
        commands.
     10. Reading never blocks a writer for longer than one short query, and sees only whole transactions.
-    11. A cell whose stored outcome is not what was stored is `CellStatus.DAMAGED` in whatever reads the damaged part;
-       nothing of it is given but its key and what is damaged. `retry_damaged` makes it pending.
+    11. A file that was not closed properly is checked by SQLite before anything is written to it.
     12. Before a campaign is chosen, whatever is about one raises `UnknownCampaignError`. Writing may raise
         `ReadOnlyStoreError`, `LeaseLostError` or `DiskFullError`, and any method another `StoreError` of its database.
         A `Selection` whose filter can't be understood raises `QueryError`, one with a content that is not planned
@@ -124,6 +111,11 @@ class Store(StoreReader):
         another living process is the master of a campaign of the database.
         """
         chosen = self._campaign_id, self._record, self._run_id
+        lease = Lease(None if self._lease.held else self.address.path)
+        if not lease.acquire():
+            with self._reading() as connection:  # which names it
+                self._lease.refuse_other_masters(connection)
+            raise lease.held_error(None)
         try:
             with self._writing() as connection:
                 self._lease.refuse_other_masters(connection)
@@ -131,6 +123,8 @@ class Store(StoreReader):
         except BaseException:
             self._campaign_id, self._record, self._run_id = chosen
             raise
+        finally:
+            lease.release()
 
     @contextmanager
     def _writing(self) -> Iterator[Connection]:
@@ -157,25 +151,7 @@ class Store(StoreReader):
     def _bring_log_into_file(self) -> None:
         if self.address.path is not None and not self.read_only:
             self._connections.bring_log_into_file()
-            self._next_checkpoint = time.monotonic() + _CHECKPOINT_INTERVAL
-
-    def _refuse_replaced(self) -> None:
-        """Raise `ReplacedStoreError` if the database file was removed or replaced."""
-        path = self.address.path
-        if path is None or self._file is None:
-            return
-        try:
-            found = path.stat()
-        except FileNotFoundError:
-            found = None
-        except OSError:
-            return  # the next transaction explains it
-        if found is None or not os.path.samestat(found, self._file):
-            what = "removed" if found is None else "replaced by another file"
-            raise ReplacedStoreError(
-                f"{path} was {what} while it was being written.",
-                "Put the database back if you can, and run the same command again: it computes what is not in it.",
-            )
+            self._next_checkpoint = time.monotonic() + 10.0  # s; for copies of the file
 
     def close(self) -> None:
         """Release the lease and all connections; a closed store may be closed again."""
@@ -200,7 +176,7 @@ class Store(StoreReader):
             for row in sorted(found, key=lambda row: bool(row.hash != campaign.hash)):
                 self._campaign_of(connection, row).refuse_other(campaign)
             if not found:
-                own = {name: getattr(campaign, name) for name in ("hash", "name", "config", "created", "checksum")}
+                own = {name: getattr(campaign, name) for name in ("hash", "name", "config", "created")}
                 connection.execute(insert(CAMPAIGN).values(own))
             (row,) = connection.execute(select(CAMPAIGN).where(CAMPAIGN.c.hash == campaign.hash))
             _plan_cells(connection, row.id, starmap(CellKey, product(campaign.seeds, campaign.contents)))
@@ -222,13 +198,12 @@ class Store(StoreReader):
 
         Later attempts belong to it. Attempts that an earlier run has begun and not ended count as lost.
         """
-        (row,) = seal(RUN, [asdict(run)])
         with self._writing() as connection:
             of_campaign = select(CELL.c.id).where(CELL.c.campaign_id == self._campaign)
             died = and_(ATTEMPT.c.outcome == CellStatus.RUNNING.value, ATTEMPT.c.cell_id.in_(of_campaign))
             told = {"outcome": "lost", "reason": "the run died while the cell was computed"}
             connection.execute(update(ATTEMPT).where(died).values(told))
-            stored = connection.execute(insert(RUN).values(row | {"campaign_id": self._campaign}))
+            stored = connection.execute(insert(RUN).values(campaign_id=self._campaign, **asdict(run)))
         key: Any = stored.inserted_primary_key
         self._run_id = int(key[0])
         return self._run_id
@@ -251,11 +226,9 @@ class Store(StoreReader):
 
     def _change_run(self, **values: object) -> None:
         with self._writing() as connection:
-            found = connection.execute(select(RUN).where(RUN.c.id == self._run_id)).mappings().first()
-            if found is None:
+            changed = connection.execute(update(RUN).where(RUN.c.id == self._run_id).values(**values))
+            if not changed.rowcount:
                 raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
-            row = dict(found) | values
-            connection.execute(update(RUN).where(RUN.c.id == self._run_id).values(seal(RUN, [row])[0]))
 
     # Lease
 
@@ -313,29 +286,19 @@ class Store(StoreReader):
 
     # Outcomes
 
-    def save_packing(self, packing: PackingRecord, *, replace_state: bool = False) -> None:
-        """Store a packing under its index; if it is stored already, only a missing content hash is added.
+    def save_packing(self, packing: PackingRecord) -> None:
+        """Store a packing under its index, if it is not stored already.
 
-        With ``replace_state`` its state replaces a stored, damaged one. `CampaignMismatchError`, naming both content
-        hashes, if the index has another packing.
+        `CampaignMismatchError`, naming both content hashes, if the index has another packing.
         """
-        row = {name: getattr(packing, name) for name in covered_columns(PACKING) if name not in {"number", "grains"}}
+        if packing.index in self.packing_indices():
+            self.packing(packing.index).refuse_other(packing)
+            return
+        row = {field.name: getattr(packing, field.name) for field in fields(packing) if field.name in PACKING.c}
         grains = pack_arrays({name: getattr(packing, name) for name in ("x", "y", "radius")})
-        row |= {"number": packing.index, "grains": grains, "wall_stress": dict(packing.wall_stress)}
+        row |= {"campaign_id": self._campaign, "number": packing.index, "grains": grains}
         with self._writing() as connection:
-            is_it = and_(PACKING.c.campaign_id == self._campaign, PACKING.c.number == packing.index)
-            known = connection.scalar(select(PACKING.c.content_hash).where(is_it))
-            if replace_state and known is not None and known == packing.content_hash:
-                connection.execute(delete(PACKING).where(is_it))  # the same packing, though damaged
-            found = connection.execute(select(PACKING).where(is_it)).mappings().first()
-            if found is None:
-                seal(PACKING, [row])
-                connection.execute(insert(PACKING).values(row | {"campaign_id": self._campaign}))
-                return
-            self._packing_of(dict(found)).refuse_other(packing)
-            kept = dict(found) | {"content_hash": found["content_hash"] or packing.content_hash}
-            kept["state"] = packing.state if replace_state else found["state"]
-            connection.execute(update(PACKING).where(is_it).values(seal(PACKING, [kept])[0]))
+            connection.execute(insert(PACKING).values(row | {"wall_stress": dict(packing.wall_stress)}))
 
     def record_results(self, results: Iterable[CellResult | PackedResult], *, replace_done: bool = False) -> int:
         """Store outcomes in one transaction (rules 4 and 5), and return their number; rule 5 excludes the others.
@@ -363,8 +326,7 @@ class Store(StoreReader):
         An existing attempt with the same outcome keeps its row, since an import has restored it.
         """
         ids = [cell_id for cell_id, _ in accepted]
-        for table in (ARRAYS, RESULT):  # damage may leave arrays without an outcome, which would conflict
-            connection.execute(delete(table).where(table.c.cell_id.in_(ids)))
+        connection.execute(delete(RESULT).where(RESULT.c.cell_id.in_(ids)))  # with its arrays
         listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
         statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number, ATTEMPT.c.outcome).where(listed)
         existing = {(row.cell_id, row.number): row.outcome for row in connection.execute(statement)}
@@ -378,13 +340,13 @@ class Store(StoreReader):
             | {"run_id": self._run_id, "recorded": recorded, "forgiven": False}
             for cell_id, result in new
         ]
-        outcomes = [
-            {name: result.columns.get(name) for name in covered_columns(RESULT)}
-            | {"cell_id": cell_id, "arrays": arrays_text(result.arrays)}
-            for cell_id, result in accepted
-        ]
-        _insert(connection, ATTEMPT, seal(ATTEMPT, attempts, [result.key for _, result in new]))
-        _insert(connection, RESULT, seal(RESULT, outcomes, [result.key for _, result in accepted]))
+        columns = [column.name for column in RESULT.c if column.name != "cell_id"]
+        _insert(connection, ATTEMPT, attempts)
+        _insert(
+            connection,
+            RESULT,
+            [{"cell_id": i} | {name: result.columns.get(name) for name in columns} for i, result in accepted],
+        )
         arrays = [(i, name, content) for i, result in accepted for name, content in result.arrays.items()]
         _insert(connection, ARRAYS, [{"cell_id": i, "name": name, "content": content} for i, name, content in arrays])
 
@@ -431,11 +393,9 @@ class Store(StoreReader):
                 statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number).where(listed)
                 existing = {(cell_id, number) for cell_id, number in connection.execute(statement)}
                 new = [attempt for attempt in chunk if (ids[attempt.key], attempt.number) not in existing]
-                names = (*covered_columns(ATTEMPT), "forgiven")
-                rows = [
-                    {name: getattr(attempt, name) for name in names} | {"cell_id": ids[attempt.key]} for attempt in new
-                ]
-                _insert(connection, ATTEMPT, seal(ATTEMPT, rows, [attempt.key for attempt in new]))
+                names = [column.name for column in ATTEMPT.c if column.name != "cell_id"]
+                rows = [{name: getattr(attempt, name) for name in names} for attempt in new]
+                _insert(connection, ATTEMPT, [row | {"cell_id": ids[a.key]} for row, a in zip(rows, new, strict=True)])
 
     def retry(
         self, statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT, keys: Iterable[CellKey] | None = None
@@ -444,7 +404,7 @@ class Store(StoreReader):
 
         Their losses no longer count. `ValueError` if `statuses` contains done, pending or running.
         """
-        wrong = _NEVER_RETRIED & set(statuses)
+        wrong = {CellStatus.PENDING, CellStatus.RUNNING, CellStatus.DONE} & set(statuses)
         if wrong:
             raise ValueError(f"Cells that are {', '.join(sorted(wrong))} can't be retried; give other statuses.")
         wanted = None if keys is None else set(keys)
@@ -456,19 +416,6 @@ class Store(StoreReader):
             chosen = {key: cell_id for key, cell_id in ids.items() if wanted is None or key in wanted}
             _drop_outcomes(connection, chosen.values())
         return tuple(chosen)
-
-    def retry_damaged(self, keys: Collection[CellKey]) -> None:
-        """Make damaged cells (of `integrity`) pending again, and drop their damaged attempts."""
-        with self._writing() as connection:
-            for chunk in chunks(keys):
-                ids = {row.id: key for key, row in self._known_cells(connection, chunk).items()}
-                _drop_outcomes(connection, ids)
-                found = self._attempts_or_damage(connection, list(ids))
-                good = {(attempt.key, attempt.number) for _, attempt in found if attempt is not None}
-                statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number).where(ATTEMPT.c.cell_id.in_(ids))
-                stored = connection.execute(statement).all()
-                if bad := [(cell_id, number) for cell_id, number in stored if (ids[cell_id], number) not in good]:
-                    connection.execute(delete(ATTEMPT).where(_attempt_in(bad)))
 
     def _known_cells(self, connection: Connection, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
         """Rows of planned cells; `UnknownCellError` if one is not planned."""
@@ -529,6 +476,5 @@ def _attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
 def _drop_outcomes(connection: Connection, cell_ids: Iterable[int]) -> None:
     """Make cells pending, and reset their losses."""
     for chunk in chunks(cell_ids):
-        for table in (ARRAYS, RESULT):
-            connection.execute(delete(table).where(table.c.cell_id.in_(chunk)))
+        connection.execute(delete(RESULT).where(RESULT.c.cell_id.in_(chunk)))  # with their arrays
         connection.execute(update(ATTEMPT).where(ATTEMPT.c.cell_id.in_(chunk)).values(forgiven=True))

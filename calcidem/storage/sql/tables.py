@@ -1,8 +1,7 @@
 """Tables of a database, made from the frozen records, and their version.
 
 `CELL` has one row for each planned (campaign, seed, content). Its outcome, if any, is the row of `RESULT` with the same
-id, with arrays in `ARRAYS`. A cell without a result is pending. `ATTEMPT` keeps the history. A row with a wrong
-checksum is damaged (`calcidem.storage.sql.checksums`).
+id, with arrays in `ARRAYS`. A cell without a result is pending. `ATTEMPT` keeps the history.
 """
 
 from collections.abc import Iterable
@@ -12,7 +11,6 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 import sqlalchemy as sa
-from sqlalchemy.schema import CreateColumn
 from sqlalchemy.types import TypeEngine
 
 from calcidem.storage.errors import ForeignDatabaseError, OtherSchemaError
@@ -31,12 +29,8 @@ from calcidem.storage.records.quantity import Bound
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.store import LeaseHolder
 
-_SCHEMA = 1
+_SCHEMA = 2
 """Version of these tables."""
-
-_CREATION_LOCK = 0x63616C63  # "calc": any number that others are unlikely to choose
-
-_LARGEST = 1e300  # a bound that no physical number reaches, but infinity (and NaN, which PostgreSQL sorts last) does
 
 _METADATA = sa.MetaData(
     naming_convention={
@@ -94,11 +88,14 @@ def _columns_of(record: type, *left_out: str) -> list[sa.Column[Any]]:
 
 
 def _checks_of(quantities: Iterable[Quantity]) -> list[sa.CheckConstraint]:
-    """Constraints for the bounds of columns that are not NULL."""
-    least = {Bound.POSITIVE: "> 0", Bound.NOT_NEGATIVE: ">= 0", Bound.NONE: f"> -{_LARGEST}"}
+    """Constraints for the bounds of columns that are not NULL.
+
+    No physical number reaches 1e300, but infinity does, and NaN, which PostgreSQL sorts last.
+    """
+    least = {Bound.POSITIVE: "> 0", Bound.NOT_NEGATIVE: ">= 0", Bound.NONE: "> -1e300"}
     return [
         sa.CheckConstraint(
-            f"{quantity.name} {least[quantity.bound]} AND {quantity.name} < {_LARGEST}",
+            f"{quantity.name} {least[quantity.bound]} AND {quantity.name} < 1e300",
             name=f"{quantity.name}_{'finite' if quantity.bound is Bound.NONE else quantity.bound.name.lower()}",
         )
         for quantity in quantities
@@ -119,7 +116,6 @@ CAMPAIGN = sa.Table(
     _METADATA,
     sa.Column("id", sa.Integer, primary_key=True),
     *_columns_of(CampaignRecord, "seeds", "contents"),
-    sa.Column("checksum", sa.Text),
     sa.UniqueConstraint("hash"),
     sa.UniqueConstraint("name"),
 )
@@ -140,7 +136,6 @@ RUN = sa.Table(
     sa.Column("id", sa.Integer, primary_key=True),
     sa.Column("campaign_id", sa.ForeignKey("campaign.id"), nullable=False),
     *_columns_of(RunRecord),
-    sa.Column("checksum", sa.BigInteger),
     sa.CheckConstraint("ranks >= 1", name="ranks_positive"),
     sa.Index(None, "campaign_id"),
 )
@@ -154,7 +149,6 @@ PACKING = sa.Table(
     sa.Column("number", sa.Integer, nullable=False),
     sa.Column("grains", sa.LargeBinary, nullable=False),
     *_columns_of(PackingRecord, "index", "x", "y", "radius"),
-    sa.Column("checksum", sa.BigInteger),
     sa.UniqueConstraint("campaign_id", "number"),
     sa.CheckConstraint("number >= 0", name="number_not_negative"),
     *_checks_of(PackingRecord.quantities()),
@@ -182,7 +176,6 @@ ATTEMPT = sa.Table(
     sa.Column("number", sa.Integer, primary_key=True),
     sa.Column("run_id", sa.ForeignKey("run.id")),
     *_columns_of(AttemptRecord, "key", "number", "run_id"),
-    sa.Column("checksum", sa.BigInteger),
     *_checks_of(AttemptRecord.quantities()),
     _check_one_of("outcome", (*STORED_STATUSES, "lost", CellStatus.RUNNING.value)),
 )
@@ -194,17 +187,11 @@ _TABLES_ELSEWHERE = {"seed": CELL, "content": CELL, **dict.fromkeys(("reason", "
 _STORED_QUANTITIES = [q for q in QUANTITY_BY_NAME.values() if q.formula is None and q.name not in _TABLES_ELSEWHERE]
 """Quantities that are columns of the table `result`."""
 
-BRIEF_QUANTITIES = tuple(quantity.name for quantity in _STORED_QUANTITIES if quantity.is_brief)
-"""Quantities of an outcome with an additional checksum."""
-
 RESULT = sa.Table(
     "result",
     _METADATA,
     sa.Column("cell_id", sa.ForeignKey("cell.id"), primary_key=True),
     *(sa.Column(q.name, _TYPES[q.kind], nullable=q.is_optional) for q in _STORED_QUANTITIES),
-    sa.Column("arrays", sa.Text),
-    sa.Column("brief_checksum", sa.BigInteger),
-    sa.Column("checksum", sa.BigInteger),
     sa.ForeignKeyConstraint(["cell_id", "attempt"], ["attempt.cell_id", "attempt.number"]),
     _check_one_of("status", STORED_STATUSES),
     sa.CheckConstraint("(status = 'done') = (vs IS NOT NULL)", name="vs_if_and_only_if_done"),
@@ -217,7 +204,7 @@ RESULT = sa.Table(
     *_checks_of(_STORED_QUANTITIES),
     sa.Index(None, "status", "vs"),
 )
-"""Outcomes of cells (`CellResult`), with names and checksums of their arrays.
+"""Outcomes of cells (`CellResult`).
 
 The attempt of an outcome has its reason, rank, host and seconds.
 """
@@ -259,44 +246,38 @@ def join_results(statement: sa.Select[*tuple[Any, ...]]) -> sa.Select[*tuple[Any
     )
 
 
-def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bool) -> str | None:
-    """Create the tables of an empty database, or missing columns, within the connection's transaction.
+def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bool) -> None:
+    """Create the tables of an empty database, within the connection's transaction; refuse a database of another kind.
 
-    A reader changes nothing: it refuses an empty database. Return a statement that each connection has to execute
-    before reading, if any. Errors are those of `is_empty`, also if a server's table has unknown quantities or lacks
-    some, which only a writer can add there.
+    `ForeignDatabaseError` if it has tables but not calcidem's mark, or is empty and only read; `OtherSchemaError` if
+    another calcidem wrote it.
     """
     if not read_only and connection.dialect.name == "postgresql":  # SQLite's transaction already excludes others
-        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_CREATION_LOCK)))
-    if is_empty(connection, address):
+        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(0x63616C63)))  # "calc": a number of its own
+    inspector = sa.inspect(connection)
+    tables = inspector.get_table_names()
+    if not tables:
         if read_only:
             raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
         _METADATA.create_all(connection)
         connection.execute(sa.insert(_VERSION).values(version=_SCHEMA))
         _create_view(connection)
-        return None
-    present = {column["name"] for column in sa.inspect(connection).get_columns(RESULT.name)}
-    if unknown := present - set(RESULT.columns.keys()):
-        raise _newer(address, f"the quantities {', '.join(sorted(unknown))}")
-    missing = [quantity for quantity in _STORED_QUANTITIES if quantity.name not in present]
-    names = [quantity.name for quantity in missing]
-    if not missing:
-        return None
-    if not read_only:
-        for quantity in missing:
-            column = CreateColumn(RESULT.c[quantity.name]).compile(dialect=connection.dialect)
-            checks = [f" CONSTRAINT ck_result_{check.name} CHECK ({check.sqltext})" for check in _checks_of([quantity])]
-            connection.execute(sa.text(f"ALTER TABLE result ADD COLUMN {column}{''.join(checks)}"))
-        connection.execute(sa.text("DROP VIEW cells"))
-        _create_view(connection)
-        return None
-    if connection.dialect.name != "sqlite":
-        raise OtherSchemaError(
-            f"{address} lacks the quantities {', '.join(names)}, which an earlier calcidem did not know.",
-            "Open it for writing once, with 'calcidem run' for example; that adds them and keeps all values.",
+        return
+    if _VERSION.name not in tables:
+        raise ForeignDatabaseError(
+            f"{address} is a database of another program (its tables: {', '.join(sorted(tables)[:5])}).",
+            "Choose another name; it was left as it is.",
         )
-    nothing = ", ".join(f"NULL AS {name}" for name in names)
-    return f"CREATE TEMP VIEW result AS SELECT *, {nothing} FROM main.result"  # noqa: S608 - names of the catalogue
+    is_numbered = "version" in {column["name"] for column in inspector.get_columns(_VERSION.name)}  # not before 1.0
+    version = connection.scalar(sa.select(sa.func.max(_VERSION.c.version))) if is_numbered else 0
+    own = {column["name"] for column in inspector.get_columns(RESULT.name)} if version == _SCHEMA else set()
+    if own != set(RESULT.c.keys()):
+        differing = ", ".join(sorted(own ^ set(RESULT.c.keys()))) if own else f"schema {version}, not {_SCHEMA}"
+        raise OtherSchemaError(
+            f"{address} was written by another version of calcidem, whose tables this one does not read ({differing}).",
+            "Export it with that version ('calcidem export'), and import the file into a new database; it was left as "
+            "it is.",
+        )
 
 
 def _create_view(connection: sa.Connection) -> None:
@@ -310,36 +291,3 @@ def _create_view(connection: sa.Connection) -> None:
     statement = join_results(sa.select(CAMPAIGN.c.name.label("campaign"), *stored))
     statement = statement.join(CAMPAIGN, CAMPAIGN.c.id == CELL.c.campaign_id)
     connection.execute(sa.text(f"CREATE VIEW cells AS {statement.compile(dialect=connection.dialect)}"))
-
-
-def _newer(address: Address, what: str) -> OtherSchemaError:
-    return OtherSchemaError(
-        f"{address} has {what}, which this calcidem does not know: a later one wrote it.",
-        "Use that version (pip install --upgrade calcidem); the database was left as it is.",
-    )
-
-
-def is_empty(connection: sa.Connection, address: Address) -> bool:
-    """Whether a database has no tables yet; one of another schema is refused.
-
-    `ForeignDatabaseError` if it has tables but not calcidem's mark, `OtherSchemaError` if another calcidem
-    wrote it.
-    """
-    inspector = sa.inspect(connection)
-    tables = inspector.get_table_names()
-    if not tables:
-        return True
-    if _VERSION.name not in tables:
-        raise ForeignDatabaseError(
-            f"{address} is a database of another program (its tables: {', '.join(sorted(tables)[:5])}).",
-            "Choose another name; it was left as it is.",
-        )
-    if "version" not in {column["name"] for column in inspector.get_columns(_VERSION.name)}:
-        raise OtherSchemaError(
-            f"{address} was written by calcidem 0.1.0 or earlier, whose tables this calcidem does not read.",
-            "Use that version, or compute the campaign in a new database; it was left as it is.",
-        )
-    version = connection.scalar(sa.select(sa.func.max(_VERSION.c.version)))
-    if version != _SCHEMA:
-        raise _newer(address, f"schema {version}")
-    return False

@@ -17,7 +17,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, SQLColumnExpression, and_, literal, not_, or_
 
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import QUANTITY_BY_NAME
+from calcidem.storage.records import LARGEST_SEED, QUANTITY_BY_NAME
 from calcidem.storage.sql.tables import EXPRESSIONS
 
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
@@ -29,14 +29,6 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.NotEq: operator.ne,
 }
 
-_LONGEST_FILTER = 10_000
-_LARGEST_WHOLE = 2**63 - 1
-"""Larger whole numbers are compared as real numbers."""
-
-_MOST_COMPARISONS = 200
-_DEEPEST_FILTER = 50
-"""Depth of nesting that every database accepts; SQLite refuses expressions of a thousand levels."""
-
 _EXAMPLE = 'Write for example "vs > 1500 and status == \'done\'", "content in (4, 5)" or "vs_peak is None".'
 
 
@@ -47,15 +39,15 @@ def parse_where(text: str) -> ColumnElement[bool]:
     quoted words, joined by ``and``, ``or``, ``not`` and parentheses. `QueryError` for any other text or an unknown
     quantity.
     """
-    if len(text) > _LONGEST_FILTER:
-        raise QueryError(f"The filter has {len(text)} characters.", f"Write it in at most {_LONGEST_FILTER}.")
+    if len(text) > 10_000:
+        raise QueryError(f"The filter has {len(text)} characters.", "Write it in at most 10,000.")
     try:
         tree = ast.parse(_python_equality(text), mode="eval")
         comparisons = sum(len(node.ops) for node in ast.walk(tree) if isinstance(node, ast.Compare))
-        if comparisons > _MOST_COMPARISONS or _depth(tree) > _DEEPEST_FILTER:
+        if comparisons > 200 or _depth(tree) > 50:  # SQLite refuses expressions of a thousand levels
             raise QueryError(
                 f"The filter has {comparisons} comparisons, nested {_depth(tree)} deep.",
-                f"Write at most {_MOST_COMPARISONS}, at most {_DEEPEST_FILTER} deep; many values are 'seed in (1, 2)'.",
+                "Write at most 200, at most 50 deep; many values are 'seed in (1, 2)'.",
             )
         return _condition(tree.body, text)
     # Deep nesting makes Python's parser raise other errors.
@@ -133,7 +125,7 @@ def _operand(node: ast.expr, text: str) -> SQLColumnExpression[Any]:
         raise QueryError(
             f"'{ast.unparse(node)}' in the filter '{text}' is neither quantity, number nor word.", _EXAMPLE
         )
-    if isinstance(value, int) and abs(value) > _LARGEST_WHOLE:
+    if isinstance(value, int) and abs(value) > LARGEST_SEED:  # larger whole numbers are compared as real numbers
         value = float(value) if abs(value) < sys.float_info.max else math.inf if value > 0 else -math.inf
     if isinstance(value, str) and not _storable(value):
         raise QueryError(f"{value!r} in the filter can't be in a database.", "Write plain characters.")

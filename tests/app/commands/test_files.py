@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.app.campaign.stored_packing import identify_packing
 from calcidem.dem.sample.packing_file import _read_disks
 from calcidem.storage.errors import ForeignDatabaseError
 from calcidem.storage.netcdf.export import export_netcdf
@@ -24,7 +23,7 @@ def test_database_to_netcdf_to_database(campaign: Campaign, invoke: Invoke, tmp_
     with open_campaign(copy) as other:
         assert other.record == campaign.record
         assert list(other.select(with_arrays=True)) == list(campaign.select(with_arrays=True))
-        assert other.packing() == identify_packing(campaign.packing())
+        assert other.packing() == campaign.packing()
         assert [run for _, run in other.runs()] == [run for _, run in campaign.runs()]
         assert list(other.store.history()) == list(campaign.store.history())
         first, second = (opened.sample(seed=3, content=5.0) for opened in (other, campaign))

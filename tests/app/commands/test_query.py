@@ -136,7 +136,7 @@ def test_statuses_are_words_of_the_program(database: Path, invoke: Invoke) -> No
 def test_features_come_with_corrected_p_values(database: Path, invoke: Invoke, campaign: Campaign) -> None:
     """Each feature has the coefficient of the chosen cells alone; correction makes no p smaller."""
     rows = json.loads(invoke("query", database, "--features", "--content", 5, "--format", "json"))
-    assert [row["feature"] for row in rows] == [feature.name for feature in FEATURES]
+    assert [row["feature"] for row in rows] == list(FEATURES)
     table = campaign.to_dataframe([*(row["feature"] for row in rows), "vs"], content=5.0, status="done")
     for row in rows:
         assert row["pearson"] == pytest.approx(table[row["feature"]].corr(table["vs"]))

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from older import leave_out
 from places import SMALL_PACKING
 
 from calcidem.app.campaign import identity
@@ -146,21 +145,6 @@ def test_a_changed_status_is_found_out(change: Change, invoke: Invoke) -> None:
     assert "different (most of all status: stored no_arrival, computed done)" in output
 
 
-def test_a_quantity_that_is_newer_than_the_database_is_not_compared(
-    small: Path, stored: CellResult, tmp_path: Path, invoke: Invoke
-) -> None:
-    """It is named, also once a later run has added its column; what a cell has and no longer gets is different."""
-    older = leave_out(Path(shutil.copy(small, tmp_path / "older.db")))
-    for _ in range(2):
-        output = invoke("verify", older, "--cells", 1, "--choice", 1)
-        assert "1 cell: 1 same bits, 0 same to rounding, 0 different." in output
-        assert "Quantities that stored cells lack were not compared: broken_bonds." in output
-        Store(older).close()
-    lacking = replace(stored, broken_bonds=None)
-    assert _compare_outcomes(lacking, stored).lacking == ("broken_bonds",)
-    assert _compare_outcomes(stored, lacking).agreement is Agreement.DIFFERENT
-
-
 def test_another_version_of_the_physics_is_refused(
     small: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -228,7 +212,7 @@ def test_what_the_record_of_a_wave_tells_is_kept(small: Path) -> None:
         experiment = campaign.experiment(0)
     (measured,) = measure(experiment, 0.66, [1])
     again = dataclasses.replace(
-        measured, record=dataclasses.replace(measured.record, retry="the energy grew", broken_bonds=7)
+        measured, section=dataclasses.replace(measured.section, retry="the energy grew", broken_bonds=7)
     )
     assert cell_result(measured, experiment, store_sections=False).retry is None
     kept = cell_result(again, experiment, store_sections=False)

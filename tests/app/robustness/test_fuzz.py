@@ -23,7 +23,7 @@ from workbench import DISKS, OWN_DISKS, PLAN, TARGETS, Workbench
 
 from calcidem.app.cli import main as command_line
 from calcidem.app.config.presets import preset_text
-from calcidem.app.config.reader import SECTIONS
+from calcidem.app.config.schema import SECTIONS
 
 PRESET = tomllib.loads(preset_text("quick"))
 KEYS = sorted({field.name for types in SECTIONS.values() for kind in types.values() for field in fields(kind)})

@@ -14,7 +14,7 @@ from calcidem.storage.sql.store import Store
 
 PENDING_BEFORE = 6
 
-RETRIABLE = (CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.QUARANTINED, CellStatus.DAMAGED)
+RETRIABLE = (CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.QUARANTINED)
 """Outcomes that another attempt may change."""
 
 AsConfigured = Callable[[Path], Configuration]

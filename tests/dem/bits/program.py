@@ -28,6 +28,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
+from calcidem.ends import CellStatus
 
 SEEDS = (1, 2, 3)
 SMALL = PackingRule(width=0.03, height=0.06, unbalanced_force_ratio=1e-5)
@@ -82,9 +83,8 @@ def hash_of_cement(experiment: Experiment) -> str:
 
 def hashes_of_cells(cells: tuple[Measurement, ...]) -> Iterator[tuple[str, str]]:
     """Hashes of step, section and readings."""
-    records = [cell.record for cell in cells]
-    yield "step", digest(*((r.time_step, r.stability_limit, r.unbalanced_speed) for r in records))
-    sections = [record.section for record in records]
+    sections = [cell.section for cell in cells]
+    yield "step", digest(*((s.time_step, s.stability_limit, s.unbalanced_speed) for s in sections))
     yield (
         "section",
         digest(
@@ -92,10 +92,10 @@ def hashes_of_cells(cells: tuple[Measurement, ...]) -> Iterator[tuple[str, str]]
             *(counts for s in sections for counts in (s.across, s.along)),
         ),
     )
-    results = [cell.result for cell in cells]
-    readings = [result.reading for result in results if result.reading is not None]
-    numbers = [(r.peak, r.first_arrival, r.cross_correlation, r.error, r.path, r.path_error) for r in readings]
-    errors = [(e.expected, e.bound) for result in results if (e := result.error) is not None]
+    names = ("peak", "first_arrival", "cross_correlation", "error", "path", "path_error")
+    stable = [cell for cell in cells if cell.status is not CellStatus.UNSTABLE]
+    numbers = [tuple(cell.reading and getattr(cell.reading, name) for name in names) for cell in stable]
+    errors = [(cell.expected_error, cell.error_bound) for cell in cells if cell.error_bound is not None]
     yield "Vs", digest(*(n for row in numbers for n in row), *(cell.vs for cell in cells), *errors)
 
 

@@ -23,7 +23,7 @@ from calcidem.dem.engine.scene import Preload, Regime
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.reading import smooth
-from calcidem.dem.wave.recorder import WaveRecord
+from calcidem.dem.wave.section import Section
 
 Rows = list[dict[str, Any]]
 """Rows of a table by the names of its columns; None where a value is missing."""
@@ -110,17 +110,16 @@ def signal_convergence(
     )
     even = replace(even, early_stop=False, installation="preserve")
     runs = [cells.measure(with_wave(even, step_fraction=step), [content]) for step in CONVERGENCE_STEPS]
-    records = [[run[seed, content].record for run in runs] for seed in cells.seeds]
-    changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in records], axis=0)
+    sections = [[run[seed, content].section for run in runs] for seed in cells.seeds]
+    changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in sections], axis=0)
     return changes.tolist(), np.log2(changes[:-1] / changes[1:]).tolist()
 
 
-def _signal_changes(records: Sequence[WaveRecord], smoothing: float) -> Floats:
-    """Change from each record to the next, at the times of the first.
+def _signal_changes(sections: Sequence[Section], smoothing: float) -> Floats:
+    """Change from each section to the next, at the times of the first.
 
     Smoothing removes the quantisation of recorded velocities, which is as large as the smallest change.
     """
-    sections = [record.section for record in records]
     signals = [smooth(section.received, smoothing * section.period) for section in sections]
     times = [section.times[: len(signal)] for section, signal in zip(sections, signals, strict=True)]
     signals = at_common_times(times, signals, times[0])

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from calcidem.dem.wave.domain import domain_of
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
+from calcidem.dem.wave.scene import domain_of
 
 DEFAULT = "default"
 UNDAMPED = "damping 0"

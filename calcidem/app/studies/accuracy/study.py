@@ -57,7 +57,7 @@ class CellError:
     @classmethod
     def compare(cls, setting: str, found: Measurement, exact: Measurement) -> Self:
         """Compare a cell with the reference of the same cell."""
-        readings = (exact.result.reading, found.result.reading)
+        readings = (exact.reading, found.reading)
         exact_arrival, arrival = (None if one is None else one.first_arrival for one in readings)
         return cls(
             setting=setting,
@@ -67,9 +67,9 @@ class CellError:
             reference_vs=exact.vs,
             vs_error=relative_deviation(found.vs, exact.vs),
             arrival_error=relative_deviation(exact_arrival, arrival),
-            signal_error=signal_distance(found.record, exact.record),
-            expected=found.result.error and found.result.error.expected,
-            bound=found.result.error and found.result.error.bound,
+            signal_error=signal_distance(found.section, exact.section),
+            expected=found.expected_error,
+            bound=found.error_bound,
         )
 
 

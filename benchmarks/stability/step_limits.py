@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from extreme_scenes import REGIMES, Extreme
 
-from calcidem.app.studies.stability.scenes import REGIMES, Extreme
 from calcidem.dem.engine.leapfrog import State, duplicate, no_recording, run_kernel
 from calcidem.dem.engine.readout import energies
 from calcidem.dem.engine.scene import Regime
@@ -47,7 +47,7 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class _Detection:
+class Detection:
     """One run with a forced step."""
 
     factor: float
@@ -92,12 +92,12 @@ def _acceleration_matrix(state: State) -> Floats:
     return matrix
 
 
-def detections() -> tuple[_Detection, ...]:
+def detections() -> tuple[Detection, ...]:
     """Force steps around the true limit in all regimes of the plain lattice."""
-    return tuple(_force_step(factor, regime) for factor in _FACTORS for regime in REGIMES)
+    return tuple(force_step(factor, regime) for factor in _FACTORS for regime in REGIMES)
 
 
-def _force_step(factor: float, regime: Regime) -> _Detection:
+def force_step(factor: float, regime: Regime) -> Detection:
     """Transmit a pulse through the plain lattice with a step that configurations do not allow."""
     scene = Extreme(regime=regime, damping=0.0)
     experiment, content = scene.experiment()
@@ -107,7 +107,7 @@ def _force_step(factor: float, regime: Regime) -> _Detection:
     step = recorder.state.time_step * 0.0 + factor * Limits.of_scene(scene).true
     recorder.state = replace(recorder.state, time_step=step)
     record = recorder.run(lambda _: False, lambda: None)[0]
-    return _Detection(factor, regime, record.steps if record.problem else None, record.problem, recorder.steps_per_look)
+    return Detection(factor, regime, record.steps if record.problem else None, record.problem, recorder.steps_per_look)
 
 
 _LONG = 100_000  # steps
@@ -117,7 +117,7 @@ _PRESSED_LATTICE = Extreme(confinement=1e6)
 
 
 @dataclass(frozen=True, slots=True)
-class _Endurance:
+class Endurance:
     """Results of long runs of one regime."""
 
     regime: Regime
@@ -132,11 +132,11 @@ class _Endurance:
     """Whether a run continued from a stored state half-way ended with the same bits."""
 
 
-def endurance() -> tuple[_Endurance, ...]:
+def endurance() -> tuple[Endurance, ...]:
     """Long runs of a lattice with a third of its cement, in all regimes."""
     return tuple(
-        _Endurance(
-            regime, _LONG, _energy_drift(regime, _LONG), _residual_motion(regime, _LONG), _restart_keeps_bits(regime)
+        Endurance(
+            regime, _LONG, energy_drift(regime, _LONG), _residual_motion(regime, _LONG), _restart_keeps_bits(regime)
         )
         for regime in REGIMES
     )
@@ -151,7 +151,7 @@ def _moving_state(regime: Regime) -> State:
     return start(scene, features=features, velocity=speed * np.random.default_rng(1).standard_normal((scene.count, 2)))
 
 
-def _energy_drift(regime: Regime, steps: int) -> float:
+def energy_drift(regime: Regime, steps: int) -> float:
     """Largest change of the energy balance without damping, over the kinetic energy at the start.
 
     The linear regime has an exact invariant, ``v(n - 1/2) M v(n + 1/2) / 2 + x K x / 2``; the others have `energies`.

@@ -5,8 +5,7 @@ import pytest
 
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.first_look import suitable_frequency
+from calcidem.dem.wave.experiment import Experiment, suitable_frequency
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.static_speed import static_speed
 

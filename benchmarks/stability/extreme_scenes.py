@@ -5,15 +5,14 @@ packing of disks is isostatic at three contacts per disk with friction, at four 
 which limit is approached.
 """
 
-from collections.abc import Container, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import product
 from typing import Any, Self
 
 import numpy as np
-from scipy.stats import qmc
 
+from calcidem.app.studies.stability import Judgement, draw_latin, judge_scene, pressed_stiffness
 from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.scene import Preload, Regime, Scene
@@ -85,7 +84,7 @@ class Extreme:
         """
         sand = Sand()
         packing = _lattice(self, sand)
-        stiffness = _pressed_stiffness(packing, _RADIUS, sand)
+        stiffness = pressed_stiffness(_RADIUS, packing.report.mean_overlap, sand)
         modulus = self.contrast * stiffness
         stress = max(self.amplitude * np.sqrt(sand.density * modulus), 1e-3)
         cement = Cement(
@@ -119,6 +118,10 @@ class Extreme:
         )
         return experiment, self.content * experiment.ordering(self.seed).maximum_content
 
+    def judge(self) -> Judgement:
+        """Run the scene and compare it with a smaller step."""
+        return judge_scene(self.experiment, self.seed)
+
     def at_rest(self, damping: float) -> tuple[Scene, Packing]:
         """Cemented scene without a pulse, with one damping factor for all disks, and its packing."""
         experiment, content = self.experiment()
@@ -145,7 +148,7 @@ class Extreme:
         powers = {name for name, quantity in QUANTITIES.items() if quantity.powers}
         return tuple(
             cls(**values, regime=REGIMES[number % len(REGIMES)], seed=number)
-            for number, values in enumerate(draw_quantities(ranges, powers, count, seed))
+            for number, values in enumerate(draw_latin(ranges, powers, count, seed))
         )
 
 
@@ -240,9 +243,11 @@ class Packed:
 
     def experiment(self) -> tuple[Experiment, float]:
         """Experiment and content; its pulse is much smaller than the overlaps and far below the contacts' cut-off."""
-        sand, packing = Sand(), _small_packing(self.stress, self.friction, self.seed)
+        sand, packing = Sand(), small_packing(self.stress, self.friction, self.seed)
         radius = float(np.mean(packing.radius))
-        cut_off = cutoff_frequency(_pressed_stiffness(packing, radius, sand), sand.density * np.pi * radius**2)
+        cut_off = cutoff_frequency(
+            pressed_stiffness(radius, packing.report.mean_overlap, sand), sand.density * np.pi * radius**2
+        )
         frequency = _CEMENTED_FREQUENCY if self.content > 0.0 else _SLOW_PULSE * cut_off
         wave = WaveRule(
             amplitude=_STROKE * packing.report.mean_overlap * frequency,
@@ -256,16 +261,9 @@ class Packed:
         experiment = Experiment(packing, sand=sand, wave=wave, frequencies=((0.0, 100.0), (frequency, frequency)))
         return experiment, self.content
 
-
-def draw_quantities(
-    ranges: Mapping[str, tuple[float, float]], powers: Container[str], count: int, seed: int
-) -> list[dict[str, Any]]:
-    """Latin hypercube over ranges, for some quantities in powers of ten; returns the values of each scene."""
-    sample = qmc.scale(qmc.LatinHypercube(len(ranges), rng=seed).random(count), *np.array(list(ranges.values())).T)
-    return [
-        {name: float(10.0**value if name in powers else value) for name, value in zip(ranges, row, strict=True)}
-        for row in sample
-    ]
+    def judge(self) -> Judgement:
+        """Run the sample and compare it with a smaller step in the finite regime, which neglects nothing."""
+        return judge_scene(self.experiment, self.seed, reference="finite")
 
 
 def _lattice(extreme: Extreme, sand: Sand) -> Packing:
@@ -319,7 +317,7 @@ def _lattice(extreme: Extreme, sand: Sand) -> Packing:
 
 
 @lru_cache(maxsize=1)
-def _small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
+def small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
     """About 150 disks at rest under a stress, Pa."""
     rule = PackingRule(
         width=_BOX_WIDTH,
@@ -329,9 +327,3 @@ def _small_packing(stress: float, friction: float, seed: int = 1) -> Packing:
         unbalanced_force_ratio=_UNBALANCED_FORCE_RATIO,
     )
     return make_packing(rule, Sand(), np.random.default_rng(seed))
-
-
-def _pressed_stiffness(packing: Packing, radius: float, sand: Sand) -> float:
-    """Hertz normal stiffness, N/m, at the mean overlap, between disks of a radius, m."""
-    coefficient = float(sand.hertz_coefficient(np.array(radius), np.array(radius)))
-    return float(1.5 * coefficient * np.sqrt(packing.report.mean_overlap))

@@ -8,20 +8,19 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from step_limits import fastest_mode
 
-from calcidem.app.studies.stability.limits import fastest_mode
-from calcidem.app.studies.stability.scenes import draw_quantities
+from calcidem.app.studies.stability import Judgement, SceneVerdict, draw_latin
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import energies, unbalanced_ratio, wall_reactions
 from calcidem.dem.engine.scene import Bonds, Scene, Wall
 from calcidem.dem.engine.state import advance, choose_features, start
+from calcidem.dem.engine.step_control import UnstableRunError
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.compaction import box_walls
 from calcidem.dem.sample.packing import LID
 
-OWN_TOLERANCE = 0.02
-"""Relative error above which a run is wrong: at the limit the energy of a leapfrog varies by some percent."""
 _GREATEST = 1.0e-3  # radius of the largest disks, m
 _LOOK = 25  # steps between two checks of the energy
 _STEPS = 1500  # steps of a run; runs that wait for an event last up to `_TIMES_LONGER` times as long
@@ -46,7 +45,7 @@ class OwnScene:
     """Scene as a user of `calcidem.dem` may write it."""
 
     kind: str
-    """One of `_OWN_KINDS`."""
+    """One of `OWN_KINDS`."""
     step_fraction: float = 0.8
     """Argument of `start`; values above 1 must be refused."""
     factor: float = 1.0
@@ -69,19 +68,23 @@ class OwnScene:
     @classmethod
     def draw(cls, count: int, seed: int) -> tuple[Self, ...]:
         """Latin hypercube over all quantities with alternating kinds; a third of the scenes have a fixed step."""
-        kinds = tuple(_OWN_KINDS)
+        kinds = tuple(OWN_KINDS)
         scenes = []
-        for number, values in enumerate(draw_quantities(_OWN_RANGES, _OWN_RANGES.keys() - _PLAIN, count, seed)):
+        for number, values in enumerate(draw_latin(_OWN_RANGES, _OWN_RANGES.keys() - _PLAIN, count, seed)):
             turn = number // len(kinds)
             scenes.append(cls(kinds[number % len(kinds)], **values, fixed=not turn % 3, seed=number))
         return tuple(scenes)
 
-    def error(self) -> float:
-        """Run the scene and return its relative error, of the energy balance or of a closed-form result of its kind.
-
-        `ValueError` if the scene is refused; `UnstableRunError` if the run is ended.
-        """
-        return _OWN_KINDS[self.kind](self)
+    def judge(self) -> Judgement:
+        """Run the scene; its error is that of the energy balance or of a closed-form result of its kind."""
+        try:
+            error = OWN_KINDS[self.kind](self)
+        except ValueError as refusal:
+            return Judgement(SceneVerdict.REFUSED, str(refusal))
+        except UnstableRunError as end:
+            return Judgement(SceneVerdict.STOPPED, str(end))
+        # At the limit the energy of a leapfrog varies by some percent.
+        return Judgement(SceneVerdict.STABLE if error <= 0.02 else SceneVerdict.WRONG, error=error)
 
 
 def _begin(own: OwnScene, scene: Scene, velocity: Floats | None = None, spin: Floats | None = None) -> State:
@@ -200,7 +203,7 @@ def _gap_bonds(own: OwnScene) -> float:
     return _watch_energies(_begin(own, scene, velocity))[1]
 
 
-_OWN_KINDS: dict[str, Callable[[OwnScene], float]] = {
+OWN_KINDS: dict[str, Callable[[OwnScene], float]] = {
     "impact": _impact,
     "collisions": _collisions,
     "gravity": _column,
