@@ -7,7 +7,7 @@ Compute a campaign in this process and summarise it:
 ...     print(campaign.summary())
 
 `run` computes a campaign, `open_campaign` reads a stored one, and `load_paper_campaign` returns the numbers of the
-paper's campaign, which the package contains. `compare` compares campaigns. `load_configuration` reads and checks a TOML
+paper's campaign, which the package contains. `load_configuration` reads and checks a TOML
 file, `preset_text` returns one of the examples in `PRESETS`, and `import_packing` imports disks of another program.
 `calcidem.dem` simulates scenes of your own. `ConfigurationError`, `PackingError`, `StoreError`, `LaunchError` and
 `WorkersLostError` name the problem and a remedy.
@@ -20,7 +20,6 @@ from calcidem.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from calcidem import dem
-    from calcidem.app.campaign.comparison import CampaignComparison, compare
     from calcidem.app.campaign.opened import Campaign, load_paper_campaign, open_campaign
     from calcidem.app.campaign.progress import RunProgress, RunStage
     from calcidem.app.campaign.run import run
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
 __all__ = [
     "PRESETS",
     "Campaign",
-    "CampaignComparison",
     "Configuration",
     "ConfigurationError",
     "LaunchError",
@@ -45,7 +43,6 @@ __all__ = [
     "RunStage",
     "StoreError",
     "WorkersLostError",
-    "compare",
     "dem",
     "import_packing",
     "load_configuration",
@@ -57,7 +54,6 @@ __all__ = [
 
 _HOMES = {
     "Campaign": "calcidem.app.campaign.opened",
-    "CampaignComparison": "calcidem.app.campaign.comparison",
     "PRESETS": "calcidem.app.config.presets",
     "Configuration": "calcidem.app.config.schema",
     "ConfigurationError": "calcidem.app.config.errors",
@@ -67,7 +63,6 @@ _HOMES = {
     "RunStage": "calcidem.app.campaign.progress",
     "StoreError": "calcidem.storage.errors",
     "WorkersLostError": "calcidem.sweep.sweep_end",
-    "compare": "calcidem.app.campaign.comparison",
     "import_packing": "calcidem.app.disks.packing_import",
     "load_configuration": "calcidem.app.config.reader",
     "load_paper_campaign": "calcidem.app.campaign.opened",

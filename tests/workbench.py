@@ -23,7 +23,6 @@ from calcidem.storage.records import CellKey, CellResult, CellStatus
 from calcidem.storage.sql.store import Store
 
 PLAN = b'configuration = "good.toml"\ncontents = [5.0]\nseeds = 2\n[[variant]]\nchoice="a"\nvalue="b"'
-ERRORS = b'{"campaign_hash": "a", "packing_hash": "b", "study": {"cells": []}}'
 TARGETS = b"content,vs\n0.0,210\n0.66,640\n5.0,1300\n"
 
 EVIL_STORED = "\x1b]0;title\x07\x1b[31m[/red]\x9b2J\r\b[bold]"
@@ -68,7 +67,7 @@ LONG = (
     "calcidem.app.campaign.plots.CampaignAnalysis",
     "calcidem.app.report.page.CampaignAnalysis",
     "calcidem.app.studies.frequency_and_damping.send_waves",
-    "calcidem.app.studies.trials.ProcessPoolExecutor",
+    "calcidem.app.studies.campaigns.ProcessPoolExecutor",
     "calcidem.app.studies.verify.measure",
     "calcidem.dem.wave.measurement.send_waves",
 )
@@ -151,7 +150,6 @@ def open_workbench(folder: Path) -> Iterator[Workbench]:
         "empty": b"",
         "noise": bytes(range(256)) * 8,
         "plan.toml": PLAN,
-        "good.json": ERRORS,
         "targets.csv": TARGETS,
         "good.csv": DISKS.encode(),
     }

@@ -84,23 +84,6 @@ class Interval:
         return cls._around_mean(values, level, lambda n: 1 + 1 / n)
 
     @classmethod
-    def of_difference(cls, values: NDArray[np.float64], references: NDArray[np.float64], level: float = 0.95) -> Self:
-        """Return the confidence interval of the difference of two means, values minus references; variances may differ.
-
-        Welch (1947), doi:10.1093/biomet/34.1-2.28.
-        """
-        if min(values.size, references.size) <= 1:
-            return cls(math.nan, math.nan)
-        centre = float(mean(values) - mean(references))
-        parts = [float(standard_deviation(sample)) ** 2 / sample.size for sample in (values, references)]
-        variance = sum(parts)
-        if variance == 0:
-            return cls(centre, centre)
-        freedom = variance**2 / (parts[0] ** 2 / (values.size - 1) + parts[1] ** 2 / (references.size - 1))
-        half = float(scipy.special.stdtrit(freedom, (1 + level) / 2)) * math.sqrt(variance)
-        return cls(centre - half, centre + half)
-
-    @classmethod
     def of_ordered_prediction(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
         """Return a distribution-free prediction interval for one new value, with a probability of at least `level`.
 

@@ -18,9 +18,6 @@ from calcidem.analysis.intervals import Interval
 FEWEST_ROWS = 3
 """Samples that a predictor needs in addition to one for each feature."""
 
-_CONSTANT = 1e-12
-"""Relative variation below which a feature is constant."""
-
 Matrix = NDArray[np.float64]
 
 
@@ -81,7 +78,7 @@ class VelocityPredictor:
             raise ValueError(f"features {x.shape} and vs {y.shape}: give one row for each velocity, and {fewest}")
         centred = x - x.mean(axis=0)
         scale = np.linalg.norm(centred, axis=0)
-        varied = scale > _CONSTANT * np.linalg.norm(x, axis=0)
+        varied = scale > 1e-12 * np.linalg.norm(x, axis=0)  # the others are constant up to rounding
         standard = centred[:, varied] / scale[varied]
         # Pseudo-inverse, since features may be linearly dependent: some of a path are sums of others.
         inverse = np.linalg.pinv(standard, rcond=1e-9)
@@ -93,40 +90,15 @@ class VelocityPredictor:
         return cls(float(y.mean() - x.mean(axis=0) @ slopes), slopes, errors, level)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictorCheck:
-    """Performance of the predictor of a content on samples left out of the fit."""
+def check_samples(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> tuple[NDArray[np.bool_], Matrix]:
+    """Predict each sample of one content from all others: one more is needed than for `VelocityPredictor.fit`.
 
-    inside: NDArray[np.bool_]
-    """True for samples in their interval, shape (n,)."""
-    scores: Matrix
-    """Interval score of each sample in m/s, shape (n,)."""
-
-    @property
-    def n(self) -> int:
-        """Number of samples, each of a different seed."""
-        return self.scores.size
-
-    @property
-    def coverage(self) -> float:
-        """Share of samples in their interval."""
-        return float(self.inside.mean())
-
-    @property
-    def score(self) -> float:
-        """Mean interval score in m/s."""
-        return float(self.scores.mean())
-
-    @classmethod
-    def of_samples(cls, features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> Self:
-        """Predict each sample of one content from all others: one more is needed than for `VelocityPredictor.fit`."""
-        x, y = np.asarray(features, dtype=np.float64), np.asarray(vs, dtype=np.float64)
-        intervals = [
-            VelocityPredictor.fit(np.delete(x, out, axis=0), np.delete(y, out), level).predict(x[out]).interval
-            for out in range(len(y))
-        ]
-        pairs = list(zip(intervals, y.tolist(), strict=True))
-        return cls(
-            np.array([interval.contains(value) for interval, value in pairs]),
-            np.array([interval.score(value, level) for interval, value in pairs]),
-        )
+    Returns whether each lies in its interval, and its interval score (`Interval.score`) in m/s, both (n,).
+    """
+    x, y = np.asarray(features, dtype=np.float64), np.asarray(vs, dtype=np.float64)
+    pairs = [
+        (VelocityPredictor.fit(np.delete(x, out, axis=0), np.delete(y, out), level).predict(x[out]).interval, value)
+        for out, value in enumerate(y.tolist())
+    ]
+    inside = np.array([interval.contains(value) for interval, value in pairs])
+    return inside, np.array([interval.score(value, level) for interval, value in pairs])

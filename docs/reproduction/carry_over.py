@@ -13,7 +13,7 @@ from variance import variance_parts
 
 from calcidem.analysis.fits import PowerLawFit, fit_power_law
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.studies.sensitivity.plan import REFERENCE, Variant, VariantPlan
+from calcidem.app.studies.variants import REFERENCE, Variant, read_variants
 from calcidem.storage.errors import UnknownCampaignError
 
 PLAN = Path(__file__).with_name("beyond.toml")
@@ -25,7 +25,7 @@ def main() -> None:
     parser.add_argument("database")
     database = parser.parse_args().database
     cells = {}
-    for variant in VariantPlan.load(PLAN, database).variants:
+    for variant in read_variants(PLAN, database):
         try:
             with open_campaign(database, variant.name) as campaign:
                 cells[variant] = campaign.to_xarray()

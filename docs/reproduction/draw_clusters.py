@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from calcidem.analysis.figures.style import BLUE, FIGURE_WIDTH, GREEN, VERMILION, apply_style, render
 from calcidem.analysis.intervals import Interval
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.studies.sensitivity.plan import VariantPlan
+from calcidem.app.studies.variants import read_variants
 from calcidem.storage.errors import UnknownCampaignError
 
 HERE = Path(__file__).parent
@@ -28,7 +28,7 @@ Designs = dict[tuple[float, float], xr.Dataset]
 def read_designs(database: str) -> Designs:
     """Cells by diameter (mm) and calcite area of a cluster (mm^2)."""
     found: Designs = {}
-    for variant in VariantPlan.load(HERE / "clusters.toml", database).variants:
+    for variant in read_variants(HERE / "clusters.toml", database):
         pattern = variant.configuration.pattern
         try:
             with open_campaign(database, variant.name) as campaign:

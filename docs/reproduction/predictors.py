@@ -52,9 +52,9 @@ def read_cells(database: str) -> xr.Dataset:
     """Give the samples with a velocity at all contents where Vs scatters; NaN for those without a feature."""
     with open_campaign(database) as campaign:
         cells, analysis = campaign.to_xarray(), campaign.analyse()
-        shares = cement_shares(analysis, cells["content"].to_numpy().tolist(), CEMENT_FEATURES)
-    seeds, contents = cells["seed"].to_numpy().tolist(), cells["content"].to_numpy().tolist()
-    rows = np.array([[shares.get((seed, content), (np.nan, np.nan)) for content in contents] for seed in seeds])
+        shares = [cement_shares(analysis, content) for content in cells["content"].to_numpy().tolist()]
+    nothing, seeds = np.full(2, np.nan), cells["seed"].to_numpy().tolist()
+    rows = np.array([[by_seed.get(seed, nothing) for by_seed in shares] for seed in seeds])
     cells = cells.assign({name: (("seed", "content"), rows[..., n]) for n, name in enumerate(CEMENT_FEATURES)})
     return cells.sel(content=cells["vs"].std("seed") > 1e-9)  # round-off
 

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.studies.sensitivity.plan import VariantPlan
+from calcidem.app.studies.variants import read_variants
 from calcidem.storage.errors import UnknownCampaignError
 
 PLAN = Path(__file__).with_name("size.toml")
@@ -28,7 +28,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("database")
     database, found = parser.parse_args().database, dict[float, xr.Dataset]()
-    for variant in VariantPlan.load(PLAN, database).variants:
+    for variant in read_variants(PLAN, database):
         try:
             with open_campaign(database, variant.name) as campaign:
                 found[variant.configuration.packing.width] = campaign.to_xarray(["vs"])

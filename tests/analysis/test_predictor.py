@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from calcidem.analysis.intervals import Interval
-from calcidem.analysis.predictor import PredictorCheck, VelocityPredictor
+from calcidem.analysis.predictor import VelocityPredictor, check_samples
 
 SLOPES = np.array([0.10, -0.05, 0.0])
 NOISE = 0.05
@@ -95,13 +95,13 @@ def test_features_that_depend_on_one_another_are_no_error() -> None:
 def test_a_check_tells_the_gain_of_known_noise(within_binomial: Callable[[int, int, float], bool]) -> None:
     """Intervals shrink as the scatter does: to NOISE over that of content alone; both hold 95 % of left-out samples."""
     features, vs = drawn(6, 300)
-    check, alone = PredictorCheck.of_samples(features, vs), PredictorCheck.of_samples(features[:, :0], vs)
+    check, alone = check_samples(features, vs), check_samples(features[:, :0], vs)
     total = np.hypot(NOISE, np.linalg.norm(SLOPES))
-    assert check.score / alone.score == pytest.approx(NOISE / total, rel=0.15)
-    for found in (check, alone):
-        assert within_binomial(round(found.coverage * found.n), found.n, 0.95)
+    assert check[1].mean() / alone[1].mean() == pytest.approx(NOISE / total, rel=0.15)
+    for inside, scores in (check, alone):
+        assert within_binomial(int(inside.sum()), scores.size, 0.95)
     # The least possible: that of the true quantiles, 4.675 deviations of a normal value.
-    assert alone.score == pytest.approx(4.675 * total * 800.0, rel=0.15)
+    assert alone[1].mean() == pytest.approx(4.675 * total * 800.0, rel=0.15)
 
 
 def test_the_score_is_width_and_penalty() -> None:

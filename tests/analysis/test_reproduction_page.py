@@ -18,7 +18,6 @@ from calcidem.app.campaign.opened import open_campaign
 
 PAGE = Path(__file__).parents[2] / "docs" / "reproduction.md"
 SCATTER = PAGE.parent / "reproduction" / "scatter.md"
-SOBOL = SCATTER.with_name("ranges.nc")
 FEATURES = {
     "N": "path_contacts",
     "N_h": "path_hertz_contacts",
@@ -274,29 +273,6 @@ def test_sentences_on_shape(cells: xr.Dataset, published: dict[float, dict[str, 
     )
     assert [np.ceil((NORMAL * one / 0.02) ** 2) for one in (0.05, 0.1, 0.2)] == [25, 97, 385]
     assert [np.ceil((NORMAL / 0.1) ** 2 * (kurtosis - 1) / 4) for kurtosis in (3, 6)] == [193, 481]
-
-
-def test_sobol_indices_of_the_page() -> None:
-    """The samples in docs give the total indices of the page (Jansen 1999), and belong to the plan beside them."""
-    from calcidem.app.studies.sensitivity.sobol import SobolPlan  # noqa: PLC0415 - of this test
-
-    bases = 64
-    points = SobolPlan.load(SOBOL.with_suffix(".toml"), bases).stored(SOBOL)
-    assert bool(points["done"].all())
-    vs = np.ma.masked_invalid(points["vs"].transpose("point", "content", "seed").to_numpy())
-    mean = np.ma.masked_where(vs.count(axis=2) < 2, vs.mean(axis=2)).filled(np.nan)
-    names = points["parameter"].to_numpy().tolist()
-    header, rows = table_with("parameter", page=SCATTER)
-    for row in rows:
-        for place, content in enumerate(points["content"].to_numpy().tolist()):
-            expected = []
-            for output in (mean, vs.std(axis=2, ddof=1).filled(np.nan) / mean):
-                groups = output[:, place].reshape(bases, len(names) + 2)
-                groups = groups[np.isfinite(groups).all(axis=1)]
-                changed = groups[:, 1 + names.index(row[0].strip("`"))]
-                variance = np.concatenate([groups[:, 0], groups[:, -1]]).var()
-                expected.append(float(0.5 * np.mean((groups[:, 0] - changed) ** 2) / variance))
-            check(header, row, {f"{content:g} %": expected})
 
 
 def standardised(values: Array, known: NDArray[np.bool_]) -> Array:

@@ -22,6 +22,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.cli.main import _build_application
 from calcidem.app.config.reader import load_configuration
+from calcidem.app.config.schema import Configuration
 
 PATIENCE = 120.0
 """Seconds after which a program counts as hung; the longest needs 30 s, of which it compiles for 25."""
@@ -183,6 +184,15 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     packing_hash = load_configuration(configuration).packing_hash
     shutil.copy(SMALL_PACKING, folder / _cached_name(packing_hash))
     return folder
+
+
+@pytest.fixture
+def cached_packing(small_configuration: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a run of `small_configuration` find its packing, and make none."""
+    folder = tmp_path / "packing-cache"
+    folder.mkdir()
+    shutil.copy(SMALL_PACKING, folder / _cached_name(small_configuration.packing_hash))
+    monkeypatch.setenv("CALCIDEM_CACHE", str(folder))
 
 
 @pytest.fixture(scope="session")

@@ -1,24 +1,16 @@
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import binom
 
-from calcidem.app.studies.accuracy.command import parse_target
-from calcidem.app.studies.accuracy.questions import (
-    Findings,
-    MeasuredErrors,
-    _amplitude_rows,
-    _equilibrium_rows,
-)
-from calcidem.app.studies.accuracy.reference import _FINEST, HALVING, Convergence
-from calcidem.app.studies.accuracy.report import accuracy_page, draw_error_against_run_time
+from calcidem.app.config.schema import Configuration
+from calcidem.app.studies.accuracy.questions import amplitude_rows, equilibrium_rows, signal_convergence
+from calcidem.app.studies.accuracy.report import accuracy, accuracy_tables, draw_error_against_run_time, parse_target
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, with_wave
-from calcidem.app.studies.accuracy.study import Study, Summary, run_study
+from calcidem.app.studies.accuracy.study import FINEST, HALVING, Study, Summary, run_study
 from calcidem.app.studies.cells import Cells
-from calcidem.app.studies.explain import Explanation, _alternatives_of, _with_errors
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import make_packing
@@ -93,52 +85,50 @@ def test_the_default_is_as_exact_as_promised(study: Study) -> None:
     assert default.lost <= 0.05 * default.cells
 
 
-def test_a_study_is_written_as_tables_figure_and_json(study: Study) -> None:
+def test_a_study_is_written_as_tables_and_a_figure(study: Study) -> None:
     """The tables have a line for each setting and each content, and the figure has its axes."""
-    findings = Findings("0" * 64, "1" * 64, study)
-    text = accuracy_page(findings)
-    assert "| precision float32 |" in text
-    assert "<!-- settings -->\n| setting |" in text
-    assert all(f"| {content:g} |" in text for content in {cell.content for cell in study.cells})
-    assert json.loads(findings.as_json())["study"]["cells"][0]["setting"] == "default"
+    tables = accuracy_tables(study, {"scatter": [{"content %": 0.66, "mean with sign": 0.001, "of samples": 3}]})
+    assert "| precision float32 |" in tables["settings"]
+    assert all(f"| {content:g} |" in tables["contents"] for content in {cell.content for cell in study.cells})
+    assert tables["scatter"].endswith("| 0.66 | +1.0e-03 | 3 |")
     assert len(draw_error_against_run_time(study).axes) == 1
+
+
+@pytest.mark.full
+def test_what_is_left_out_has_a_reason_and_a_cost(experiment: Experiment, small_configuration: Configuration) -> None:
+    """Of each setting that computes more the table has one reason, the time and the change of Vs; nothing is open."""
+    cells = Cells(replace(with_wave(experiment, amplitude=1e-4), frequencies=HIGH), [0.66], SEEDS[1:3])
+    result = accuracy(small_configuration, cells, only=["regime finite", "whole domain", "early_stop False"])
+    _, table = result.page.split("<!-- left_out -->\n")
+    header, _, *rows = table.split("\n<!-- end -->")[0].splitlines()
+    assert header == "| left out | why that is safe | with it | Vs changes by at most |"
+    found = [row.strip("| ").split(" | ") for row in rows]
+    assert [row[0] for row in found] == ["new normals and overlaps", "disks out of reach", "steps after the pick"]
+    assert found[0][1].endswith(" mean overlaps")
+    assert all(float(row[2].removesuffix(" x the time")) > 0.0 for row in found)
+    assert [float(row[3]) < 1e-2 for row in found] == [True] * 3
+    assert float(found[2][3]) == 0.0
+    assert json.loads(result.json)["study"]["summaries"][1]["adds"] == "new normals and overlaps"
+
+
+def test_nothing_is_left_out_that_is_computed(experiment: Experiment) -> None:
+    """Single precision, the finite regime and whole records change what the rows are about."""
+    adds = {one.name: one.adds for one in settings(experiment, [0.66]) if one.adds}
+    regimes = {"regime small": "slip, opening and Hertz stiffening", "regime finite": "new normals and overlaps"}
+    stop = {"early_stop False": "steps after the pick"}
+    assert adds == regimes | {"contact search": "new contacts", "whole domain": "disks out of reach"} | stop
+    single = with_wave(replace(experiment, early_stop=False), regime="finite", precision="float32")
+    adds = {one.name: one.adds for one in settings(single, [0.66]) if one.adds}
+    assert adds == {"precision float64": "double precision"}  # disks without contacts may get some
 
 
 def test_the_references_step_is_halved_until_no_velocity_moves(study: Study) -> None:
     """The last halving moved every velocity by less than 1e-4, unless the finest step was reached."""
     cells = [cell for cell in study.references if cell.halving is not None]
     assert len(cells) >= 0.93 * len(study.references)
-    assert all(abs(cell.halving or 0.0) < HALVING or cell.step_fraction <= _FINEST for cell in cells)
+    assert all(abs(cell.halving or 0.0) < HALVING or cell.step_fraction <= FINEST for cell in cells)
     if len(cells) >= 30:  # a median of four tells nothing
         assert np.median([abs(cell.halving or 0.0) for cell in cells]) < HALVING
-
-
-def test_errors_are_read_back_for_the_same_campaign_and_packing_only(study: Study, tmp_path: Path) -> None:
-    """What a study wrote says the largest error of a setting at a content, and refuses to speak for anything else."""
-    file = tmp_path / "accuracy.json"
-    file.write_text(Findings("a" * 64, "c" * 64, study).as_json())
-    measured = MeasuredErrors.find("a" * 64, "c" * 64, file)
-    assert measured is not None
-    errors = [abs(cell.vs_error or 0.0) for cell in study.cells if (cell.setting, cell.content) == (DEFAULT, 0.66)]
-    assert measured.worst[DEFAULT, 0.66] == pytest.approx(max(errors), rel=1e-4)
-    assert measured.worst.get((DEFAULT, 4.0)) is None
-    with pytest.raises(ValueError, match="another campaign"):
-        MeasuredErrors.find("b" * 64, "c" * 64, file)
-    with pytest.raises(ValueError, match="another packing, cccccccccccc and not bbbbbbbbbbbb"):
-        MeasuredErrors.find("a" * 64, "b" * 64, file)
-    assert MeasuredErrors.find("b" * 64, "c" * 64) is None
-
-
-def test_explain_shows_the_measured_errors_of_both_ways(experiment: Experiment, study: Study, tmp_path: Path) -> None:
-    """A row has the error of the campaign's own way and of the other, and none where nothing was measured."""
-    file = tmp_path / "accuracy.json"
-    file.write_text(Findings("a" * 64, "c" * 64, study).as_json())
-    measured = MeasuredErrors.find("a" * 64, "c" * 64, file)
-    precision = next(one for one in _alternatives_of(experiment, 0.66) if one.what == "double precision")
-    row = _with_errors(Explanation(0.66, precision, 1.0, 0.0), measured)
-    assert row.error is not None
-    assert row.other_error is not None
-    assert _with_errors(Explanation(4.0, precision, 1.0, 0.0), measured).error is None
 
 
 @pytest.mark.full
@@ -161,25 +151,26 @@ def test_early_stop_changes_no_reading(experiment: Experiment) -> None:
 @pytest.mark.full
 def test_the_signal_converges_to_second_order_without_damping(experiment: Experiment) -> None:
     """Without damping each halving of the step divides the signal's change by four; with it by two to three."""
-    undamped = Convergence.measure(Cells(experiment, [5.0], SEEDS), 5.0, 1300.0, damped=False)
-    damped = Convergence.measure(Cells(experiment, [5.0], SEEDS), 5.0, 1300.0, damped=True)
+    cells = Cells(experiment, [5.0], SEEDS)
+    undamped_changes, undamped = signal_convergence(cells, 5.0, 1300.0, damped=False)
+    damped_changes, damped = signal_convergence(cells, 5.0, 1300.0, damped=True)
     # Velocities are recorded in steps, of which smoothing leaves half of the last change.
-    assert undamped.orders == pytest.approx([2.0, 2.0], abs=0.15)
+    assert undamped == pytest.approx([2.0, 2.0], abs=0.15)
     # The sign in local damping turns over at some instant within a step.
-    assert 0.5 < np.mean(damped.orders) < 1.6
-    assert damped.changes[0] > 100.0 * undamped.changes[0]
+    assert 0.5 < np.mean(damped) < 1.6
+    assert damped_changes[0] > 100.0 * undamped_changes[0]
 
 
 @pytest.mark.full
 def test_regimes_agree_for_a_small_pulse_and_part_for_a_strong_one(experiment: Experiment) -> None:
     """Constant stiffness is good to 1 % at 1 mm/s; at 10 cm/s it gives no velocity, and the sample itself another."""
     short = replace(experiment, frequencies=((0.0, 10.0), (1.7e4, 1.7e4)))  # waves, on so short a way
-    rows = _amplitude_rows(Cells(short, [0.66], SEEDS), [1e-3, 1e-1], regimes=["linear"])
-    found = {(row.amplitude, row.regime): row for row in rows}
-    assert (found[1e-3, "linear"].median or 1.0) < 0.01
-    assert found[1e-3, "finite"].worst == 0.0
-    assert found[1e-1, "linear"].lost > 0
-    assert (found[1e-1, "finite"].worst or 0.0) > 0.01
+    rows = amplitude_rows(Cells(short, [0.66], SEEDS), [1e-3, 1e-1], regimes=["linear"])
+    found = {(row["amplitude, m/s"], row["regime"].split(",")[0]): row for row in rows}
+    assert found[1e-3, "linear"]["Vs median"] < 0.01
+    assert found[1e-3, "finite"]["Vs worst"] == 0.0
+    assert found[1e-1, "linear"]["cells lost"] > 0
+    assert found[1e-1, "finite"]["Vs worst"] > 0.01
 
 
 @pytest.mark.full
@@ -191,11 +182,11 @@ def test_a_packing_closer_to_equilibrium_gives_the_same_velocity(experiment: Exp
         return make_packing(rule, Sand(), np.random.default_rng(1))
 
     best = replace(experiment, packing=packing_of(1e-6), frequencies=HIGH)
-    rows = _equilibrium_rows(Cells(best, [0.66], SEEDS), packing_of, (1e-4, 1e-5, 1e-6))
-    assert rows[0].worst > rows[1].worst
-    assert rows[1].median < 1e-3
-    assert rows[1].worst < 3e-3
-    assert rows[2].worst == 0.0
+    rows = equilibrium_rows(Cells(best, [0.66], SEEDS), packing_of, (1e-4, 1e-5, 1e-6))
+    assert rows[0]["Vs worst"] > rows[1]["Vs worst"]
+    assert rows[1]["Vs median"] < 1e-3
+    assert rows[1]["Vs worst"] < 3e-3
+    assert rows[2]["Vs worst"] == 0.0
 
 
 def test_a_bound_above_five_percent_is_no_velocity(experiment: Experiment) -> None:
@@ -208,7 +199,7 @@ def test_a_bound_above_five_percent_is_no_velocity(experiment: Experiment) -> No
 
 def test_every_setting_turns_one_knob_and_has_a_name_of_its_own(experiment: Experiment) -> None:
     """The default comes first and differs from every other setting; no two names are equal."""
-    rows = list(settings(experiment))
+    rows = list(settings(experiment, [0.66]))
     assert rows[0].name == DEFAULT
     assert len({row.name for row in rows}) == len(rows)
     assert all(row.experiment.wave != experiment.wave or not row.experiment.early_stop for row in rows[1:])
@@ -227,6 +218,7 @@ def summary_of(name: str, error: float, seconds: float, *, lost: int = 0) -> Sum
         signal=0,
         covered=1,
         seconds=seconds,
+        change=error,
     )
 
 

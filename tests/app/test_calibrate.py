@@ -1,7 +1,7 @@
 """Fitting parameters to measured Vs: what made the targets is found again, and what can't be fitted is refused."""
 
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +15,8 @@ from calcidem.app.config.measured import read_targets
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
+from calcidem.app.studies.campaigns import point_of_study, point_velocities
 from calcidem.app.studies.parameters import ParameterRange, refuse_unwritable, text_with_values, with_values
-from calcidem.app.studies.trials import KeptTrials, trial_workers
 from calcidem.dem.sample.packing import Packing
 
 STIFFNESS, MODULUS = "sand.wave_stiffness_factor", "cement.bond_modulus"
@@ -36,6 +36,7 @@ def configuration(small_configuration: Configuration) -> Configuration:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("cached_packing")
 def test_the_parameters_that_made_the_targets_are_found_again(
     configuration: Configuration, small_packing: Packing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -44,8 +45,8 @@ def test_the_parameters_that_made_the_targets_are_found_again(
     Every trial is kept, so that the same fit computes none again.
     """
     truth = {chosen.name: chosen.start_value(configuration, small_packing) for chosen in BOTH}
-    with trial_workers(small_packing, CONTENTS, SEEDS) as measure_trials:
-        (vs,) = measure_trials([configuration])
+    trials = tmp_path / "fitted.trials.db"
+    vs = point_velocities(point_of_study(configuration, trials, CONTENTS, SEEDS))
     read = np.isfinite(vs)
     columns = [column[known] for column, known in zip(vs.T, read.T, strict=True)]
     targets = [
@@ -54,8 +55,8 @@ def test_the_parameters_that_made_the_targets_are_found_again(
     ]
     start = with_values(configuration, {STIFFNESS: 0.8 * truth[STIFFNESS], MODULUS: 1.2 * truth[MODULUS]})
     told: list[str] = []
-    plan, kept = FitPlan(targets, BOTH, SEEDS, predict=(0.5,)), tmp_path / "fitted.trials.jsonl"
-    found = calibrate(start, small_packing, plan, tell=told.append, kept=kept)
+    plan = FitPlan(targets, BOTH, SEEDS, predict=(0.5,))
+    found = calibrate(start, small_packing, plan, trials, tell=told.append)
     # The scatter of Vs makes the deviations; on the seeds of the targets the fit itself is far better.
     assert found.values == pytest.approx(truth, rel=0.01)
     assert all(0.01 * value < found.deviations[name] < 0.3 * value for name, value in truth.items())
@@ -69,8 +70,8 @@ def test_the_parameters_that_made_the_targets_are_found_again(
     prediction = found.contents[2]
     assert (prediction.content, prediction.role, prediction.target) == (0.5, "predicted", None)
     assert found.contents[0].mean < prediction.mean < found.contents[1].mean
-    monkeypatch.setattr("calcidem.app.studies.trials._velocities", None)
-    again = calibrate(start, small_packing, plan, kept=kept)
+    monkeypatch.setattr("calcidem.app.campaign.task.measure", None)
+    again = calibrate(start, small_packing, plan, trials)
     assert (again.values, again.contents, again.doubts) == (found.values, found.contents, found.doubts)
 
 
@@ -259,41 +260,15 @@ def test_steps_that_no_seed_survives_are_a_doubt() -> None:
     assert any(text.startswith("it ended before it converged: a trial left 0 of 20 seeds") for text in found.doubts)
 
 
-def test_trials_that_a_stop_cut_off_are_measured_again(
-    configuration: Configuration, small_packing: Packing, tmp_path: Path
-) -> None:
-    """Whole lines are taken from the file; a last one that is not whole is measured and written again."""
-    file, velocities = tmp_path / "fitted.trials.jsonl", np.array([[300.0, np.nan], [310.0, 600.5]])
-    tried = [with_values(configuration, {STIFFNESS: value}) for value in (1.0, 2.0)]
-    asked: list[Configuration] = []
-
-    def measure(configurations: Sequence[Configuration]) -> Iterator[np.ndarray]:
-        asked.extend(configurations)
-        yield from (velocities * chosen.calibration.wave_stiffness_factor for chosen in configurations)
-
-    def trials() -> list[np.ndarray]:
-        return list(KeptTrials(file, small_packing).remembered(measure, CONTENTS, (1, 2))(tried))
-
-    first = trials()
-    file.write_bytes(file.read_bytes()[:-20])
-    np.testing.assert_array_equal(trials(), first)
-    np.testing.assert_array_equal(trials(), first)
-    assert asked == [*tried, tried[1]]
-    for other in (b"content,vs\n1,3\n", b"a note", b"\xff\n"):
-        file.write_bytes(other)
-        with pytest.raises(ConfigurationError, match="line 1: is not a trial of a calibration"):
-            trials()
-        assert file.read_bytes() == other
-
-
-def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_packing: Packing) -> None:
+@pytest.mark.usefixtures("cached_packing")
+def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_packing: Packing, tmp_path: Path) -> None:
     """Unknown names, numbers of the packing, ranges that are none or impossible, too many parameters: each is named."""
 
     def refuse(*names: str, match: str, content: float = 0.66, tolerance: float = 0.0) -> None:
         ranges = [ParameterRange.parse(name) for name in names]
         plan = FitPlan([Target(content, 380.0)], ranges, SEEDS, tolerance=tolerance)
         with pytest.raises(ConfigurationError, match=match):
-            calibrate(configuration, small_packing, plan)
+            calibrate(configuration, small_packing, plan, tmp_path / "trials.db")
 
     refuse(
         "sand.colour", match=r"sand\.colour: is not a number in the configuration; choose among cement\.bond_modulus"

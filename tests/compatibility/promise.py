@@ -53,7 +53,7 @@ def promised() -> dict[str, Names]:
 def _python_names() -> Names:
     """Public names, each with its parameters."""
     members = [("calcidem", calcidem), ("calcidem.dem", dem), ("calcidem.Campaign", calcidem.Campaign)]
-    members += [("calcidem.CampaignComparison", calcidem.CampaignComparison), ("Campaign.plot", CampaignPlots)]
+    members += [("Campaign.plot", CampaignPlots)]
     found = {}
     for place, owner in members:
         for name in sorted(getattr(owner, "__all__", dir(owner))):

@@ -19,13 +19,11 @@ from calcidem.analysis.figures.style import (
     KHZ,
     MS,
     SEQUENCE,
-    SKY,
     VS_LABEL,
     apply_style,
     letter_panels,
     new_figure,
 )
-from calcidem.analysis.sensitivity import OUTPUTS
 
 _FREQUENCY_LABEL = "excitation frequency (kHz)"
 _SHOWN_METHODS = ("peak", "first_arrival")
@@ -137,34 +135,6 @@ def _draw_damping_study(study: xr.Dataset) -> Figure:
     letter_panels(panels.ravel())
     panels[-1, 0].set_xlabel("time (ms)")
     panels[-1, 1].set_xlabel("damping factor")
-    return figure
-
-
-@apply_style
-def draw_sobol(indices: xr.Dataset) -> Figure:
-    """Draw first and total Sobol indices of each parameter, a panel for each output and content."""
-    names = [str(name) for name in indices["parameter"].to_numpy()]
-    contents = indices["content"].to_numpy()
-    figure = new_figure(height=0.9 + 3 * (0.5 + 0.22 * len(names)), width=1.6 + 1.7 * len(contents))
-    panels = figure.subplots(len(OUTPUTS), len(contents), squeeze=False, sharex=True, sharey=True)
-    places = np.arange(len(names))
-    for row, (output, label) in zip(panels, OUTPUTS.items(), strict=True):
-        for axes, content in zip(row, contents, strict=True):
-            chosen = indices.sel(output=output, content=content)
-            for name, colour, shift in (("first", SKY, -0.18), ("total", BLUE, 0.18)):
-                width = chosen[f"{name}_half_width"].to_numpy()
-                bars = {"color": colour, "error_kw": {"elinewidth": 1.0, "ecolor": GREY}, "label": f"{name} index"}
-                axes.barh(places + shift, chosen[name], 0.34, xerr=width, **bars)
-            if chosen["total"].isnull().all():
-                axes.text(0.5, 0.5, "does not vary", transform=axes.transAxes, ha="center", va="center", fontsize=8)
-            axes.set_title(f"{label}, {content:g} %", fontsize=8)
-    for axes in panels[:, 0]:
-        axes.set_yticks(places, names, fontsize=7)
-    panels[0, 0].invert_yaxis()
-    panels[0, 0].set_xlim(-0.1, 1.15)
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=2)
-    figure.supxlabel("share of the variance", fontsize=9)
     return figure
 
 

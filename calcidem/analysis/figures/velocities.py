@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -23,7 +22,6 @@ from calcidem.analysis.figures.style import (
     CONTENT_MAP,
     GREY,
     ORANGE,
-    SEQUENCE,
     SKY,
     VERMILION,
     VS_LABEL,
@@ -160,42 +158,6 @@ def _draw_measured(axes: Axes, measured: Sequence[Target]) -> None:
             zorder=5,
             label="measured mean and\nstandard deviation",
         )
-
-
-@apply_style
-def draw_comparison(comparison: xr.Dataset) -> Figure:
-    """Draw mean and scatter of Vs of several campaigns, and their differences from the first (`compare_velocities`)."""
-    figure = new_figure(height=5.2)
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[1.5, 1.0])
-    contents = comparison["content"].to_numpy()
-    step = 0.012 * (float(np.ptp(contents)) if contents.size > 1 else 1.0)  # so that no campaign hides another
-    middle = (comparison.sizes["campaign"] - 1) / 2
-    lower.axhline(0.0, color=GREY, linewidth=0.8)
-    for place, name in enumerate(comparison["campaign"].to_numpy()):
-        row = comparison.sel(campaign=name)
-        at, colour = contents + (place - middle) * step, SEQUENCE[place % len(SEQUENCE)]
-        means, deviations = row["mean"].to_numpy(), row["standard_deviation"].to_numpy()
-        upper.vlines(at, means - deviations, means + deviations, color=colour, alpha=0.3, linewidth=5)
-        _draw_bars(upper, at, row, "mean", fmt="o", color=colour, label=str(name))
-        if place:
-            paired = np.isfinite(row["paired_difference"].to_numpy())
-            _draw_bars(lower, np.where(paired, at, np.nan), row, "paired_difference", fmt="o", color=colour)
-            _draw_bars(lower, np.where(paired, np.nan, at), row, "difference", fmt="o", color=colour, mfc="white")
-    upper.set_title("mean, its interval (line) and standard deviation (bar)")
-    lower.set_title("difference of the mean to the first; filled: of the same seeds")
-    letter_panels((upper, lower))
-    upper.set_ylabel(VS_LABEL)
-    lower.set_ylabel("difference (m/s)")
-    lower.set_xlabel(CONTENT_LABEL)
-    upper.legend(loc="upper left")
-    return figure
-
-
-def _draw_bars(axes: Axes, at: NDArray[np.float64], row: xr.Dataset, name: str, **look: Any) -> None:  # noqa: ANN401 - of matplotlib
-    """Draw a quantity with its interval at places along content; unknown intervals are left out."""
-    values = row[name].to_numpy()
-    low, high = row[f"{name}_interval"].transpose("bound", "content").to_numpy()
-    axes.errorbar(at, values, yerr=np.nan_to_num([values - low, high - values]), markersize=4, capsize=2, **look)
 
 
 @apply_style

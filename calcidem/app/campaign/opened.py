@@ -5,13 +5,12 @@ The numbers of the paper's campaign, which the package contains, can be loaded w
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
 from importlib.resources import as_file, files
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -28,11 +27,10 @@ from calcidem.analysis.error_budget import BUDGET_QUANTITIES
 from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
-from calcidem.analysis.random_field import describe_fields
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
-from calcidem.app.campaign.prediction import draw_pattern, pattern_features, predict_velocity
+from calcidem.app.campaign.prediction import draw_pattern, predict_velocity
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -43,8 +41,7 @@ from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
-from calcidem.dem.wave.stiffness_field import StiffnessField, stiffness_field
-from calcidem.storage.dataset import campaign_attributes, campaign_dataset, cell_matrices
+from calcidem.storage.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import (
@@ -385,25 +382,6 @@ class Campaign(Closable):
         """
         return static_speed(*self.cemented(seed=seed, content=content))
 
-    def stiffness(
-        self, *, seed: int | Sequence[int], content: float | Sequence[float], window: float = 0.012
-    ) -> xr.Dataset:
-        """Compute the local shear stiffness of samples, its variance and its correlation length.
-
-        A sample takes a second. Stress and strain are averaged in square windows of this side, m; by default the
-        diameter of a cluster. See `calcidem.analysis.random_field.describe_fields` for the result, and
-        `calcidem.dem.wave.stiffness_field` for the modulus. ``to_netcdf`` writes it, `plot.stiffness` draws it.
-        `UnknownCellError` if no cell has an outcome and known cement; `ValueError` if the window is larger than the
-        samples inside their rim.
-        """
-        found: dict[tuple[int, float], StiffnessField] = {}
-        for cell in product(np.atleast_1d(seed).tolist(), np.atleast_1d(content).tolist()):
-            with suppress(UnknownCellError):
-                found[cell] = stiffness_field(*self.cemented(seed=cell[0], content=cell[1]), window)
-        if not found:
-            raise UnknownCellError("None of these cells has an outcome.", "'calcidem status DB' shows which have.")
-        return describe_fields(found).assign_attrs(campaign_attributes(self.store) | {"window": window})
-
     def dispersion(self, *, content: float) -> Dispersion:
         """Compute phase velocity against frequency, and the speed of long waves, from the sections of a content.
 
@@ -421,21 +399,14 @@ class Campaign(Closable):
         return experiment, _contact_kinds(experiment.packing, cement) != CementKind.NONE
 
     def predict(
-        self,
-        *,
-        content: float,
-        seed: int | None = None,
-        pattern: CementPattern | None = None,
-        features: Mapping[str, float] | None = None,
-        level: float = 0.95,
+        self, *, content: float, seed: int | None = None, pattern: CementPattern | None = None, level: float = 0.95
     ) -> Prediction:
         """Predict Vs of a sample, and an interval, from the campaign's samples of that content (%).
 
         Nothing is simulated. Give a seed, whose cement is drawn and which takes no part in the fit, or a cement
-        pattern, or features by name. Features are those of the path in `calcidem.analysis.packing_graph.FEATURES`,
-        `column_share` (cemented share of the contacts at the receiver's height) and `cemented_share` (of all contacts).
-        A seed or a pattern uses the last two. Without all three the prediction uses the content alone. `QueryError` if
-        the campaign has too few velocities at the content, or if pattern or features do not match it.
+        pattern; without both the prediction uses the content alone. The features of the cement are its share of the
+        contacts at the receiver's height and of all contacts. `QueryError` if the campaign has too few velocities at
+        the content, or if the pattern does not match it.
 
         Examples
         --------
@@ -443,11 +414,9 @@ class Campaign(Closable):
         >>> 500.0 < prediction.interval.low < prediction.vs < prediction.interval.high < 3000.0
         True
         """
-        if features is None and pattern is None and seed is not None:
+        if pattern is None and seed is not None:
             pattern = draw_pattern(self.experiment(), seed, content)
-        if features is None:
-            features = {} if pattern is None else pattern_features(self._graphs[0], pattern)
-        return predict_velocity(self.analyse(), content, features, level, without_seed=seed)
+        return predict_velocity(self.analyse(), content, pattern, level, without_seed=seed)
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
         """Return the contact graph of a sample as a `networkx.Graph`; errors as for `sample`.

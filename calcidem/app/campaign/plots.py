@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -20,7 +19,6 @@ from calcidem.analysis.figures.film import draw_film, movie_writer, write_movie
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals, load_arrival, read_arrival
-from calcidem.analysis.figures.stiffness import draw_stiffness
 from calcidem.analysis.figures.style import MM, MS, drawn_in
 from calcidem.app.campaign.patterns import read_candidates, section_of, stored_section
 from calcidem.dem.kernels.layout import Floats
@@ -182,11 +180,6 @@ class CampaignPlots:
         sample = self.analysis.sample(seed, content)
         with drawn_in(ax):
             return draw_preferential_paths(self.analysis.graphs[sample.packing_index], [sample])
-
-    def stiffness(self, fields: xr.Dataset, *, ax: Axes | None = None) -> Figure:
-        """Draw local stiffness of samples, as `calcidem.app.campaign.opened.Campaign.stiffness` gives it."""
-        with drawn_in(ax):
-            return draw_stiffness(fields)
 
     def _draw(self, name: str, ax: Axes | None) -> Figure:
         """Draw a figure of the report, in axes of the caller if given."""

@@ -34,16 +34,19 @@ def accuracy_command(
     out: StudyFolder = None,
     layout: FormatOption = Format.TABLE,
 ) -> None:
-    """Measure error against run time of every numerical setting, on cells of the campaign."""
+    """Measure error against run time of every numerical setting, on cells of the campaign.
+
+    A table has what the computation leaves out, why that is safe, and what it would cost.
+    """
     from calcidem.app.config.reader import change_configuration, load_configuration
-    from calcidem.app.studies.accuracy.command import accuracy, choose_settings, parse_target
+    from calcidem.app.studies.accuracy.report import accuracy, choose_settings, parse_target
     from calcidem.app.studies.cells import Cells
 
     loaded = load_configuration(configuration)
     planned = change_configuration(loaded, {"campaign.contents": sorted(set(content or loaded.campaign.contents))})
     cells, velocities = Cells.of_campaign(planned, seeds, db, tell)
     try:
-        choose_settings(cells.experiment, only or ())
+        choose_settings(cells, only or ())
         parse_target(target or "1%")
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error

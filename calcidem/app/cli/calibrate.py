@@ -65,6 +65,7 @@ def calibrate_command(
     from calcidem.app.config.measured import read_targets
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.calibrate import FITTED_BY_DEFAULT, FitPlan, calibrate
+    from calcidem.app.studies.campaigns import study_workers
     from calcidem.app.studies.parameters import ParameterRange, refuse_unwritable, text_with_values
     from calcidem.storage.files import refuse_to_replace, write_text_atomically
 
@@ -74,12 +75,13 @@ def calibrate_command(
     packing = provide_packing(loaded, None, tell)
     ranges = [ParameterRange.parse(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
     chosen = range(first_seed, first_seed + seeds)
-    plan = FitPlan(targets, ranges, chosen, tuple(predict or ()), tolerance)
+    plan = FitPlan(targets, ranges, chosen, tuple(dict.fromkeys(predict or ())), tolerance)
     text = configuration.read_text(encoding="utf-8-sig")
     refuse_unwritable(text, loaded, plan.start(loaded, packing), out)
-    kept = out.with_suffix(".trials.jsonl")
-    tell(f"Every trial is kept in {kept}; after a stop the same command continues.")
-    fitted = calibrate(loaded, packing, plan, cores or available_cores(), tell, kept)
+    trials = out.with_suffix(".trials.db")
+    tell(f"Every trial is a campaign in {trials}; after a stop the same command continues.")
+    with study_workers(cores or available_cores()) as executor:
+        fitted = calibrate(loaded, packing, plan, trials, executor, tell)
     typer.echo("\n".join(_calibration_lines(fitted)))
     if not fitted.is_fitted:
         typer.echo(f"Nothing was fitted: {out} is not written.")

@@ -42,16 +42,14 @@ PANELS = {
         "import": "An exported campaign, or disks of LAMMPS, YADE or PFC.",
         "merge": "Join databases of one campaign.",
     },
-    "Compare and fit": {
-        "compare": "Campaigns side by side, with their differences.",
+    "Vary and fit": {
         "predict": "Vs of a sample that was not simulated.",
         "sensitivity": "How Vs depends on frequency, damping and other choices.",
         "calibrate": "Fit parameters to measured velocities.",
     },
     "Check the method": {
         "verify": "Compute stored cells again and compare; check for damage.",
-        "explain": "What the computation leaves out, and why that is safe.",
-        "accuracy": "Error against run time of every numerical setting.",
+        "accuracy": "Error against run time of every setting, and what is left out.",
         "stability": "Extreme values: which are stable, refused or stopped.",
     },
 }

@@ -1,7 +1,7 @@
 """``calcidem sensitivity``: dependence of Vs on the choices of a campaign, its frequency and its damping."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -9,16 +9,13 @@ from calcidem.app.cli.arguments import CampaignName, OnlyContents, StudyCores, r
 from calcidem.app.cli.terminal import tell
 from calcidem.sweep.environment import available_cores
 
-if TYPE_CHECKING:  # loaded by the command itself, not by its help
-    from calcidem.app.studies.results import StudyResult
-
 
 def sensitivity_command(
     plan: Annotated[
         Path,
         typer.Argument(
             metavar="PLAN.toml|frequency|damping",
-            help="Variants or ranges of a configuration, or the quantity to vary.",
+            help="Variants of a configuration, or the quantity to vary.",
         ),
     ],
     database: Annotated[
@@ -26,7 +23,7 @@ def sensitivity_command(
         typer.Option(
             "--db",
             metavar="DB",
-            help="Database for all variants; --sobol: NetCDF file of points; frequency, damping: the campaign's.",
+            help="Database for all variants; frequency, damping: that of the campaign.",
         ),
     ],
     out: Annotated[
@@ -36,53 +33,32 @@ def sensitivity_command(
     content: OnlyContents = None,
     campaign: CampaignName = None,
     only_table: Annotated[bool, typer.Option("--only-table", help="Compute nothing; show what is stored.")] = False,
-    sobol: Annotated[
-        int | None,
-        typer.Option(
-            min=2,
-            max=2**20,
-            metavar="N",
-            help="Sobol indices of all \\[ranges] from N base points, a power of two: N (parameters + 2) campaigns.",
-        ),
-    ] = None,
     cores: StudyCores = 0,
 ) -> None:
-    r"""Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs.
+    """Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs.
 
-    --sobol varies all \[ranges] of the plan together and shows shares of the variance. 'frequency' or 'damping' instead
-    of a plan computes samples of a stored campaign with other values; its database is not written.
+    'frequency' or 'damping' instead of a plan computes samples of a stored campaign with other values; its database is
+    not written.
     """
+    from calcidem.app.studies.campaigns import study_workers
     from calcidem.app.studies.frequency_and_damping import vary_one
+    from calcidem.app.studies.variants import compute_variants, read_variants, variant_table
     from calcidem.storage.files import refuse_to_replace
 
     if out is not None:
         refuse_to_replace(out)
     if str(plan) in {"frequency", "damping"}:
-        refuse_options("leave it out: it is for a plan", {"--sobol": sobol, "--only-table": only_table})
+        refuse_options("leave it out: it is for a plan", {"--only-table": only_table, "--cores": cores or None})
         result = vary_one(str(plan), database, content, campaign)
     else:
         refuse_options("leave it out: the plan has it", {"--content": content, "--campaign": campaign})
-        result = _study_of_plan(plan, database, sobol, only_table=only_table, cores=cores)
+        variants = read_variants(plan, database)
+        if not only_table:
+            with study_workers(cores or available_cores()) as executor:
+                compute_variants(variants, tell, executor)
+        result = variant_table(variants)
     if out is None:
         typer.echo(result.text)
         return
     for written in result.write(out):
         typer.echo(f"Wrote {written}")
-
-
-def _study_of_plan(plan: Path, database: str, sobol: int | None, *, only_table: bool, cores: int) -> "StudyResult":
-    """Compute the variants of a plan, or its Sobol points."""
-    from calcidem.app.campaign.packing import provide_packing
-    from calcidem.app.studies.sensitivity.plan import VariantPlan
-    from calcidem.app.studies.sensitivity.sobol import SobolPlan
-
-    if sobol is None:
-        variants = VariantPlan.load(plan, database)
-        if not only_table:
-            variants.compute(tell)
-        return variants.result()
-    ranges, file = SobolPlan.load(plan, sobol), Path(database)
-    if only_table:
-        return ranges.result(ranges.stored(file))
-    packing = provide_packing(ranges.configuration, None, tell)
-    return ranges.result(ranges.evaluate(packing, file, cores or available_cores(), tell))

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,45 +13,23 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from calcidem.analysis.measured import Target
+from calcidem.app.config.checks import check_against_packing, cross_check
 from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
+from calcidem.app.studies.campaigns import point_of_study, point_velocities
 from calcidem.app.studies.parameters import ParameterRange, check_ranges, with_values
 from calcidem.app.studies.posterior import draw_posterior, linear_model
-from calcidem.app.studies.trials import KeptTrials, check_cells, trial_workers
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 
 FITTED_BY_DEFAULT = ("sand.wave_stiffness_factor", "pattern.p_share", "pattern.cluster_area")
 """Parameters fitted by default, as many as there are targets."""
 
-_STEP = 0.06
-"""Relative step of the derivatives; Vs is not smooth, since whole contacts and clusters change."""
-
-_CONVERGED = 0.01
-"""Relative change of the parameters at which the fit ends; their statistical error is larger."""
-
-_LARGEST_CHANGE = math.log(2.0)
-"""Largest change of a logarithm in one round."""
-
-_MOST_ROUNDS = 6
-"""Largest number of rounds; from a start within a factor of two, three suffice."""
-
-_MOST_HALVINGS = 3
-
-_LINEAR_WITHIN = 0.3
-"""Distance in the logarithm of each parameter within which trials count as linear."""
-
 ParameterValues = Mapping[str, float]
 """Value of each parameter by its name."""
 
 _FEWEST_SEEDS = 3
 """Fewest seeds with a velocity for a meaningful mean and standard deviation; contents with fewer are left out."""
-
-_FEW_SEEDS = 0.5
-"""Share of seeds with a velocity below which they may not represent the others."""
-
-_TOO_MUCH = 4.0
-"""Chi-square per degree of freedom above which deviations are not random."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +176,7 @@ class _Fit:
     def near(self, point: Floats) -> list[Floats]:
         """Trials near a point, within which Vs is linear in the logarithms of the parameters."""
         trials = [np.frombuffer(key) for key in self.trials]
-        return [other for other in trials if np.abs(other - point).max() < _LINEAR_WITHIN]
+        return [other for other in trials if np.abs(other - point).max() < 0.3]  # in the logarithm of each
 
     def deviation(self, point: Floats) -> Floats:
         """Logarithms of mean and, if targeted, standard deviation over their targets, (R,)."""
@@ -253,47 +232,45 @@ def calibrate(
     configuration: Configuration,
     packing: Packing,
     plan: FitPlan,
-    cores: int = 1,
+    database: Path,
+    executor: Executor | None = None,
     tell: Callable[[str], None] = lambda _: None,
-    kept: Path | None = None,
 ) -> FittedParameters:
     """Fit parameters to means and standard deviations of Vs by weighted least squares of their logarithms.
 
-    Batches of seeds run on ``cores`` processes. Every trial is reported by ``tell`` and stored at once in the file
-    ``kept``, which supplies it when the fit is repeated. `ConfigurationError` if a parameter cannot be fitted, there
-    are more parameters than numbers to meet, or the file has no trials.
+    Every trial is a campaign in ``database``, computed by the workers of ``executor`` or in this process, and reported
+    by ``tell``; a repeated fit computes only what is missing. `ConfigurationError` if a parameter cannot be fitted, the
+    packing cannot hold the cells, or there are more parameters than numbers to meet.
 
     The method is Gauss-Newton on the logarithms of the parameters, within their ranges, with one-sided differences. A
     step without improvement is halved. A content with fewer than three readable seeds is left out. The result lists
     objections to it.
     """
-    trials = KeptTrials(kept, packing)
     start = list(plan.start(configuration, packing).values())
-    check_cells(configuration, packing, sorted({row.content for row in plan.targets} | set(plan.predict)), plan.seeds)
+    every = sorted({row.content for row in plan.targets} | set(plan.predict))
+    try:
+        planned = point_of_study(configuration, database, every, plan.seeds)
+    except ValueError as error:
+        raise ConfigurationError("cells", [Problem(str(error))]) from error
+    if problems := cross_check(planned):
+        raise ConfigurationError("cells", problems)
+    check_against_packing(planned, packing)
     contents = [target.content for target in plan.met]
-    with trial_workers(packing, contents, plan.seeds, cores) as measure_trials:
-        measure = trials.remembered(measure_trials, contents, plan.seeds)
 
-        def velocities(tried: Sequence[ParameterValues]) -> list[Floats]:
-            possible: dict[int, Configuration] = {}
-            for place, values in enumerate(tried):
-                with suppress(ValueError):  # refused values give no velocity
-                    possible[place] = with_values(configuration, values)
-            found = measure(list(possible.values()))
-            none = np.full((len(plan.seeds), len(contents)), np.nan)
-            return [next(found) if place in possible else none for place in range(len(tried))]
+    def velocities(values: ParameterValues, contents: Sequence[float] = contents) -> Floats:
+        try:
+            tried = with_values(configuration, values)
+        except ValueError:  # refused values give no velocity
+            return np.full((len(plan.seeds), len(contents)), np.nan)
+        return point_velocities(point_of_study(tried, database, contents, plan.seeds), executor)
 
-        fitted = _fit_to_targets(velocities, plan, start, tell)
+    fitted = _fit_to_targets(lambda tried: [velocities(values) for values in tried], plan, start, tell)
     if not plan.predict:
         return fitted
     known = {target.content: target for target in plan.targets}
-    with trial_workers(packing, plan.predict, plan.seeds, cores) as measure_trials:
-        (found,) = trials.remembered(measure_trials, plan.predict, plan.seeds)(
-            [with_values(configuration, fitted.values)]
-        )
     predictions = (
         _summary(content, known.get(content), vs, np.isfinite(vs), "predicted")
-        for content, vs in zip(plan.predict, found.T, strict=True)
+        for content, vs in zip(plan.predict, velocities(fitted.values, plan.predict).T, strict=True)
     )
     return replace(fitted, contents=(*fitted.contents, *predictions))
 
@@ -356,7 +333,7 @@ def _fit_to_targets(
     at_limit = np.isclose(point[:, None], limits, atol=1e-6).any(axis=1)
     chi_square, freedom = float(np.sum((fit.deviation(point) / errors) ** 2)), fit.wanted - len(names)
     doubts += [f"{names[i]} ended at a limit of its range: widen it, or remove it" for i in np.flatnonzero(at_limit)]
-    if chi_square > _TOO_MUCH * max(1, freedom):
+    if chi_square > 4.0 * max(1, freedom):  # above that, deviations are not random
         doubts.append(
             "the targets are not met within their errors: free other parameters; the deviations are too small"
         )
@@ -409,7 +386,7 @@ def _open_questions(
         fresh.append((target.sd or vs.std(ddof=1)) / target.vs / math.sqrt(count))
         fresh += [] if target.sd is None else [math.sqrt(0.5 / (count - 1))]
     try:
-        found = draw_posterior(
+        points, predicted = draw_posterior(
             np.array(near),
             np.array([fit.deviation(other) for other in near]),
             np.zeros(len(wanted)),
@@ -420,9 +397,10 @@ def _open_questions(
     except (ValueError, np.linalg.LinAlgError):
         return [], {}
     scale = np.array([target.vs if of == "vs" else target.sd for target, of in wanted], dtype=float)
-    ends = (found.band() * scale).T.tolist()
+    within = (0.025, 0.975)
+    ends = (np.exp(np.quantile(predicted, within, axis=0)) * scale).T.tolist()
     bands = {(target.content, of): (low, high) for (target, of), (low, high) in zip(wanted, ends, strict=True)}
-    return [(low, high) for low, high in found.interval().T.tolist()], bands
+    return [(low, high) for low, high in np.exp(np.quantile(points, within, axis=0)).T.tolist()], bands
 
 
 def _doubts_of_content(row: FittedContent) -> Iterator[str]:
@@ -430,7 +408,7 @@ def _doubts_of_content(row: FittedContent) -> Iterator[str]:
     read = f"at {row.content:g} % {row.seeds} of {row.planned} seeds have a velocity in every trial"
     if row.seeds < _FEWEST_SEEDS:
         yield f"{read}, so it was left out: start from values with readable waves, or change wave.frequency"
-    elif row.seeds < _FEW_SEEDS * row.planned:
+    elif row.seeds < 0.5 * row.planned:
         yield f"{read}: the others may have another mean and scatter"
 
 
@@ -447,8 +425,11 @@ def _descend(
     Empty slopes mean that nothing could be fitted.
     """
     point, slopes, converged, nearer, unread = start, np.empty((0, 0)), False, None, ""
-    for number in range(_MOST_ROUNDS):
-        steps = np.where(point + _STEP > limits[:, 1], -_STEP, _STEP)
+    most_rounds = 6  # from a start within a factor of two, three suffice
+    relative = 0.06  # step of the derivatives; Vs is not smooth, since whole contacts and clusters change
+    largest = math.log(2.0)  # change of a logarithm in one round
+    for number in range(most_rounds):
+        steps = np.where(point + relative > limits[:, 1], -relative, relative)
         beside = [point + step * unit for step, unit in zip(steps, np.eye(len(point)), strict=True)]
         if number == 0:
             fit.begin([point, *beside])
@@ -463,16 +444,17 @@ def _descend(
         own, errors = fit.deviation(point), fit.errors(point)
         tell(_told(names, point, own, errors))
         slopes = np.array([(fit.deviation(other) - own) / step for other, step in zip(beside, steps, strict=True)]).T
-        low, high = np.maximum(limits.T[0] - point, -_LARGEST_CHANGE), np.minimum(limits.T[1] - point, _LARGEST_CHANGE)
+        low, high = np.maximum(limits.T[0] - point, -largest), np.minimum(limits.T[1] - point, largest)
         step = lsq_linear(slopes / errors[:, None], -own / errors, bounds=(low - 1e-9, high + 1e-9)).x.clip(low, high)
         step[~slopes.any(axis=0)] = 0.0  # the direction is unknown
         nearer, unread = _nearer(fit, point, step, errors)
-        converged = nearer is None or bool(np.abs(nearer - point).max() < _CONVERGED)
+        # The statistical error of the parameters is larger than 1 %.
+        converged = nearer is None or bool(np.abs(nearer - point).max() < 0.01)
         point = point if nearer is None else nearer
         if converged:
             break
     tell(_told(names, point, fit.deviation(point), fit.errors(point)))
-    doubts = [] if converged else [f"it has not converged in {_MOST_ROUNDS} rounds: restart from its result"]
+    doubts = [] if converged else [f"it has not converged in {most_rounds} rounds: restart from its result"]
     if nearer is None and unread:
         doubts.append(f"it ended before it converged: {unread}")
     return point, slopes, doubts
@@ -484,7 +466,7 @@ def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> tuple[Flo
     Also the reason why a trial among them could not be compared; empty if all could.
     """
     unread = ""
-    for halvings in range(_MOST_HALVINGS + 1):
+    for halvings in range(4):
         other = np.asarray(point + step / 2**halvings)
         try:
             fit.try_points([other])

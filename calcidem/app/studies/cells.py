@@ -21,7 +21,6 @@ from calcidem.dem.wave.measurement import Measurement, measure_all
 from calcidem.dem.wave.section import Section
 
 ROUNDS = 3
-_SLOW = 3.0  # time over the first experiment's above which an experiment is timed only once
 
 CellsFound = Mapping[tuple[int, float], Measurement]
 """Measurements by seed and content in percent."""
@@ -104,7 +103,8 @@ class Cells:
         first = next(iter(experiments))
         for number in range(rounds):
             for name, experiment in experiments.items():
-                if number and (name not in times or times[name][0] > _SLOW * times[first][0]):
+                # An experiment that takes three times as long as the first is timed only once.
+                if number and (name not in times or times[name][0] > 3.0 * times[first][0]):
                     continue
                 if not number:
                     self.progress(f"{content:g} %: {name}")

@@ -21,18 +21,13 @@ from calcidem.dem.wave.reading import Method
 from calcidem.storage.sql.store import read_campaign
 
 _METHODS: tuple[Method, ...] = get_args(Method)
-_FREQUENCIES = (4e3, 8e3, 12e3, 16e3, 20e3, 25e3)
-_DAMPING_FACTORS = (0.1, 0.2, 0.3, 0.5, 0.7)
-_RECORD_POINTS = 600
-_UNITS = {"content": "%", "seed": "1", "damping": "1", "time": "s"}
-_WHOLE_RANGE = (0.0, 100.0)
 
 
 def _frequency_study(
     experiment: Experiment,
     *,
     contents: Sequence[float] = (0.66, 3.17, 6.0, 8.0),
-    frequencies: Sequence[float] = _FREQUENCIES,
+    frequencies: Sequence[float] = (4e3, 8e3, 12e3, 16e3, 20e3, 25e3),
     seeds: Sequence[int] = (1, 2, 3, 4),
 ) -> xr.Dataset:
     """Measure the same samples at contents (%) at several frequencies, Hz (Figs. 6 and 9 of the paper).
@@ -45,7 +40,7 @@ def _frequency_study(
     values = {name: np.full(shape, np.nan) for name in (*(f"vs_{m}" for m in _METHODS), "received_frequency")}
     cells = Cells(experiment, contents, seeds)
     for column, frequency in enumerate(frequencies):
-        single = replace(experiment, frequencies=(_WHOLE_RANGE, (frequency, frequency)))
+        single = replace(experiment, frequencies=((0.0, 100.0), (frequency, frequency)))
         for (seed, content), measurement in cells.measure(single).items():
             for name, value in _readings(single, measurement).items():
                 values[name][contents.index(content), column, seeds.index(seed)] = value
@@ -64,7 +59,7 @@ def _damping_study(
     experiment: Experiment,
     *,
     contents: Sequence[float] = (0.11, 0.66),
-    factors: Sequence[float] = _DAMPING_FACTORS,
+    factors: Sequence[float] = (0.1, 0.2, 0.3, 0.5, 0.7),
     seed: int = 1,
     periods: float = 6.0,
 ) -> xr.Dataset:
@@ -74,8 +69,8 @@ def _damping_study(
     (velocity of the receiver, m/s) along (content, damping, sample), `time` (s) along (content, sample), and `vs_peak`
     (m/s) along (content, damping), NaN without a reliable reading.
     """
-    time = np.stack([np.linspace(0.0, periods / experiment.frequency(content), _RECORD_POINTS) for content in contents])
-    received = np.zeros((len(contents), len(factors), _RECORD_POINTS))
+    time = np.stack([np.linspace(0.0, periods / experiment.frequency(content), 600) for content in contents])
+    received = np.zeros((len(contents), len(factors), time.shape[1]))
     velocity = np.full(received.shape[:2], np.nan)
     for row, content in enumerate(contents):
         for column, factor in enumerate(factors):
@@ -145,8 +140,9 @@ def _long_measurement(experiment: Experiment, content: float, seed: int, duratio
 
 
 def _set_units(study: xr.Dataset) -> None:
+    units = {"content": "%", "seed": "1", "damping": "1", "time": "s"}
     for name, variable in study.variables.items():
-        variable.attrs["units"] = _UNITS.get(str(name), "Hz" if "frequency" in str(name) else "m/s")
+        variable.attrs["units"] = units.get(str(name), "Hz" if "frequency" in str(name) else "m/s")
 
 
 _STUDIES: dict[str, Callable[..., xr.Dataset]] = {"frequency": _frequency_study, "damping": _damping_study}

@@ -1,39 +1,9 @@
 """Uncertainty of a calibration: posterior draws of the parameters, and bands of mean and scatter."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import stats
 
 from calcidem.dem.kernels.layout import Floats
-
-_WIDER = 1.3
-"""Width of the proposal over the posterior of the linear model, which avoids a long tail of weights."""
-
-_FREEDOM = 5
-"""Degrees of freedom of the proposal, a Student's t distribution."""
-
-_SEED = 20_250_601
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Posterior:
-    """Draws of the parameters, and their predictions."""
-
-    points: Floats
-    """(D, P) logarithms of the parameters, with equal weights."""
-    predicted: Floats
-    """(D, R) logarithms of the means and standard deviations of a new campaign."""
-    effective: float
-    """Effective number of independent draws; if it is far below D, the trials do not determine the posterior."""
-
-    def band(self, level: float = 0.95) -> Floats:
-        """(2, R) lower and upper ends of the predictive bands, m/s."""
-        return np.exp(np.quantile(self.predicted, [(1 - level) / 2, (1 + level) / 2], axis=0))
-
-    def interval(self, level: float = 0.95) -> Floats:
-        """(2, P) lower and upper ends of the intervals of the parameters."""
-        return np.exp(np.quantile(self.points, [(1 - level) / 2, (1 + level) / 2], axis=0))
 
 
 def linear_model(trials: Floats, statistics: Floats) -> tuple[Floats, Floats]:
@@ -57,10 +27,12 @@ def draw_posterior(
     fresh: Floats,
     limits: Floats,
     draws: int = 4000,
-) -> _Posterior:
+) -> tuple[Floats, Floats]:
     """Draw parameters by importance sampling with a linear model of the trials of a calibration.
 
-    `ValueError` unless there are more trials than parameters and they do not lie in a hyperplane.
+    Returns the logarithms of the parameters (D, P), with equal weights, and those of the means and standard deviations
+    of a new campaign with them (D, R). `ValueError` unless there are more trials than parameters and they do not lie in
+    a hyperplane.
 
     Parameters
     ----------
@@ -90,8 +62,9 @@ def draw_posterior(
     slopes = line[1:].T  # (R, P)
     spread = np.linalg.inv(slopes.T @ inverse @ slopes)
     mode = spread @ slopes.T @ inverse @ (wanted - line[0])
-    generator = np.random.default_rng(_SEED)
-    proposal = stats.multivariate_t(mode, _WIDER * 0.5 * (spread + spread.T), _FREEDOM, seed=generator)
+    generator = np.random.default_rng(20_250_601)
+    # A proposal wider than the posterior of the linear model avoids a long tail of weights.
+    proposal = stats.multivariate_t(mode, 1.3 * 0.5 * (spread + spread.T), df=5, seed=generator)
     found = np.atleast_2d(proposal.rvs(4 * draws)).reshape(-1, parameters)
     left = wanted - line[0] - found @ slopes.T
     inside = ((found >= limits[:, 0]) & (found <= limits[:, 1])).all(axis=1)
@@ -102,4 +75,4 @@ def draw_posterior(
     weights /= weights.sum()
     chosen = found[generator.choice(len(found), size=draws, p=weights)]
     noise = generator.standard_normal((draws, len(wanted))) * np.hypot(np.sqrt(missed), fresh)
-    return _Posterior(chosen, line[0] + chosen @ slopes.T + noise, float(1.0 / np.sum(weights**2)))
+    return chosen, line[0] + chosen @ slopes.T + noise

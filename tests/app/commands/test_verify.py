@@ -21,10 +21,8 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import _velocity_remarks
 from calcidem.app.studies.cells import Cells
-from calcidem.app.studies.explain import Explanation, _Alternative
 from calcidem.app.studies.verify import Agreement, _compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
@@ -239,39 +237,20 @@ def test_accuracy_judges_the_packing_of_the_database(small: Path, toml: Path, sm
 
 @pytest.mark.full
 @pytest.mark.usefixtures("no_packing_is_made")
-def test_accuracy_and_explain_measure_on_the_packing_of_the_database(small: Path, toml: Path, invoke: Invoke) -> None:
-    """With --db both commands measure cells of the stored packing; none is made."""
+def test_accuracy_measures_on_the_packing_of_the_database(small: Path, toml: Path, invoke: Invoke) -> None:
+    """With --db the command measures cells of the stored packing; none is made."""
     limits = ("--content", 0.66, "--seeds", 1, "--only", "precision float32")
     assert "precision float32" in invoke("accuracy", toml, "--db", small, *limits)
-    assert "disks out of reach" in invoke("explain", toml, "--db", small, "--content", 0.66)
 
 
-@pytest.mark.usefixtures("no_packing_is_made")
-def test_explain_judges_the_packing_of_the_database(
-    small: Path, toml: Path, small_packing: Packing, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With --db the cells to measure are those of the stored packing; none is made."""
-    judged: list[Experiment] = []
-
-    def note(cells: Cells, _: object) -> list[Explanation]:
-        judged.append(cells.experiment)
-        alternative = _Alternative("double precision", False, "", None)
-        return [Explanation(content, alternative, None, None) for content in cells.contents]
-
-    monkeypatch.setattr("calcidem.app.studies.explain.explain", note)
-    assert "double precision" in invoke("explain", toml, "--db", small, "--content", 0.66)
-    assert [experiment.packing.content_hash for experiment in judged] == [small_packing.content_hash]
-
-
-@pytest.mark.parametrize("command", ["accuracy", "explain"])
 def test_a_database_of_another_configuration_is_refused(
-    small: Path, toml: Path, tmp_path: Path, invoke: Invoke, command: str
+    small: Path, toml: Path, tmp_path: Path, invoke: Invoke
 ) -> None:
     """Before anything is measured; the message names both hashes and what differs."""
     other = tmp_path / "other.toml"
     other.write_text(CONFIGURATION.format(p_share=0.5), encoding="utf-8")
     with pytest.raises(CampaignMismatchError, match=r"pattern\.p_share: 0\.77 -> 0\.5") as refused:
-        invoke(command, other, "--db", small)
+        invoke("accuracy", other, "--db", small)
     assert load_configuration(toml).hash in str(refused.value)
     assert load_configuration(other).hash in str(refused.value)
     assert _exit_code_of(refused.value) == 2

@@ -65,7 +65,7 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
         {"device_toml": OWN_DISKS.replace("own.csv", "/dev/zero").encode()},
         "device",
     ),
-    "a content that is none": (("explain", "good.toml", "--content", "nan"), {}, "'nan' is not a content"),
+    "a content that is none": (("accuracy", "good.toml", "--content", "nan"), {}, "'nan' is not a content"),
     "an array that is none": (
         ("export", "quick.db", "new.nc", "--without", "paths"),
         {},

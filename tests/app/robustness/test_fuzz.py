@@ -19,7 +19,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from typer.models import OptionInfo
-from workbench import DISKS, ERRORS, OWN_DISKS, PLAN, TARGETS, Workbench
+from workbench import DISKS, OWN_DISKS, PLAN, TARGETS, Workbench
 
 from calcidem.app.cli import main as command_line
 from calcidem.app.config.presets import preset_text
@@ -224,7 +224,6 @@ PLAUSIBLE = {
     "where": ("vs > 1300", "status == 'done'", "vs is None", "seed in (1, 2)"),
     "only": ("step_fraction 0.4", "precision float64"),
     "parameter": ("sand.wave_stiffness_factor", "cement.bond_modulus=1e9:1e12", "pattern.p_share"),
-    "accuracy": ("good.json", "good.toml"),
 }
 """What people give, by the name of the function's parameter."""
 
@@ -291,11 +290,6 @@ def use_plan(bench: Workbench, content: bytes) -> None:
     bench.judge("sensitivity", "own.toml", "--db", "new.db", own_toml=content)
 
 
-def use_errors(bench: Workbench, content: bytes) -> None:
-    """Explain a campaign with measured errors from a file."""
-    bench.judge("explain", "good.toml", "--accuracy", "own.json", own_json=content)
-
-
 @dataclass(frozen=True)
 class Subject:
     """A kind of input.
@@ -322,7 +316,6 @@ SUBJECTS = {
     "tables of disks": Subject(spoiled(DISKS.encode(), CELLS), use_disks, 30, 700),
     "tables of targets": Subject(spoiled(TARGETS, CELLS), use_targets, 8, 500),
     "plans of variants": Subject(spoiled(PLAN), use_plan, 10, 500),
-    "measured errors": Subject(spoiled(ERRORS), use_errors, 4, 200),
     "filters": Subject(filters, use_filter, 40, 1000),
     "command lines": Subject(command_lines, use_words, 12, 2000),
 }

@@ -1,105 +1,146 @@
-"""Questions with their own reference: strength of the pulse, balance of the packing, scatter of the samples.
+"""Tables with their own reference: order of convergence, strength of the pulse, balance of the packing, scatter.
 
 Another amplitude of the pulse is another physical problem. The reference of every amplitude is therefore the finite
 regime at the same step and samples. The reference of a packing is the same packing closer to equilibrium. The numerical
 error of a mean is compared with its statistical error.
 """
 
-import json
+import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
-from typing import Self
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from calcidem.analysis.distribution import Distribution
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.accuracy.reference import Convergence
-from calcidem.app.studies.accuracy.settings import DEFAULT, with_wave
+from calcidem.app.studies.accuracy.settings import DEFAULT, REFERENCE_SAMPLES, with_wave
 from calcidem.app.studies.accuracy.study import Study
-from calcidem.app.studies.cells import Cells, CellsFound, errors_of_vs
+from calcidem.app.studies.cells import Cells, CellsFound, at_common_times, errors_of_vs
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Preload, Regime
+from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.reading import smooth
+from calcidem.dem.wave.section import Section
 
-_SCATTER_SEEDS = 16  # seeds for the scatter without a stored campaign
-_AMPLITUDES = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1)  # m/s
-_DENSE_SAMPLES = 400  # samples per period of the pulse
-_RATIOS = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)  # unbalanced-force ratios; the smallest is the reference
-
-_CONVERGENCE_CASES: tuple[tuple[bool, Regime], ...] = ((True, "linear"), (False, "linear"), (False, "finite"))
+Rows = list[dict[str, Any]]
+"""Rows of a table by the names of its columns; None where a value is missing."""
 
 
-@dataclass(frozen=True, slots=True)
-class _AmplitudeRow:
-    """One regime at one amplitude, over all cells."""
+def answer_questions(
+    study: Study, configuration: Configuration, cells: Cells, velocities: Mapping[float, Sequence[float]] | None
+) -> dict[str, Rows]:
+    """Tables with their own reference, by name.
 
-    amplitude: float
-    """v0 of the pulse, m/s."""
-    regime: Regime
-    """Regime of the cells."""
-    cells: int
-    """Cells with a velocity here and in the finite regime."""
-    lost: int
-    """Cells with a velocity in the finite regime only: refused, or with a stated error above 5 %."""
-    median: float | None
-    worst: float | None
-    """Relative error of Vs against the finite regime of this amplitude. For the finite regime itself it is the
-    deviation from the velocity at the experiment's amplitude: not an error, but the effect of the pulse's strength.
+    Velocities of a stored campaign at each content, m/s, give the scatter; with None a few samples are measured.
     """
-    refusal: str = ""
-    """Reason if the pulse was refused beforehand."""
+    all_seeds = configuration.campaign.seed_numbers
+
+    def packing_of(ratio: float) -> Packing:
+        # A stored packing may come from another version and then be another sample, not the same at another ratio.
+        rule = replace(configuration.packing, unbalanced_force_ratio=ratio)
+        return new_packing(replace(configuration, packing=rule), cells.progress)
+
+    convergence = _convergence_rows(cells, study)
+    if velocities is None:
+        cells.progress("scatter of the samples")
+        found = cells.measure(cells.experiment, seeds=all_seeds[:16])
+        velocities = {
+            content: [cell.vs for cell in found.values() if cell.content == content and cell.vs is not None]
+            for content in cells.contents
+        }
+    return {
+        "convergence": convergence,
+        "amplitudes": amplitude_rows(cells),
+        "equilibrium": equilibrium_rows(cells, packing_of),
+        "scatter": _scatter_rows(study, velocities, len(all_seeds)),
+    }
 
 
-@dataclass(frozen=True, slots=True)
-class _EquilibriumRow:
-    """Packing with one unbalanced-force ratio, over all cells."""
+def _convergence_rows(cells: Cells, study: Study) -> Rows:
+    """Order of convergence at each content with a velocity of the reference."""
+    rows, own = [], cells.experiment.wave.regime
+    for content in dict.fromkeys(cell.content for cell in study.references if cell.vs is not None):
+        slowest = min(cell.vs for cell in study.references if cell.content == content and cell.vs is not None)
+        # The linear regime refuses a strong pulse, so the configuration's regime replaces it.
+        known: tuple[tuple[bool, Regime], ...] = ((True, own), (False, own), (False, "finite"))
+        for damped, regime in dict.fromkeys(known):
+            words = "as configured" if damped else "none"
+            cells.progress(f"{content:g} %: order of convergence, damping {words}, {regime}")
+            changes, orders = signal_convergence(cells, content, slowest, damped=damped, regime=regime)
+            columns = (f"signal, {2 * step:g} to {step:g}" for step in CONVERGENCE_STEPS[1:])
+            rows.append(
+                {
+                    "content %": content,
+                    "regime": regime,
+                    "local damping": words,
+                    **dict(zip(columns, changes, strict=True)),
+                    **{f"order {place}": order for place, order in enumerate(orders, 1)},
+                }
+            )
+    return rows
 
-    unbalanced_force_ratio: float
-    """Unbalanced-force ratio."""
-    changed_contacts: int
-    """Contacts that touch either here or in the packing with the smallest ratio."""
-    cells: int
-    """Compared cells."""
-    median: float
-    worst: float
-    """Relative error of Vs against the packing with the smallest ratio, all else equal."""
+
+CONVERGENCE_STEPS = (0.8, 0.4, 0.2, 0.1)
+"""Steps over the limit; each is half of the previous one."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Scatter:
-    """Scatter and errors at one content."""
+def signal_convergence(
+    cells: Cells, content: float, velocity: float, *, damped: bool, regime: Regime = "linear"
+) -> tuple[list[float], list[float]]:
+    """Change of the signal by each halving of the step, and the orders of convergence, medians over the cells.
 
-    content: float
-    """Percent."""
-    samples: int
-    """Number of samples for the scatter."""
-    deviation: float
-    """Standard deviation of Vs over its mean."""
-    seeds: int
-    """Number of seeds of the campaign."""
-    statistical: float
-    """Relative standard error of the campaign's mean, ``deviation / sqrt(seeds)``."""
-    numerical: float
-    worst: float
-    """Median and largest of the numerical errors of the default setting."""
-    bias: float
-    """Their mean with sign: the bias of the campaign's mean. Unlike the statistical error it does not fall with the
-    number of seeds.
+    A change is the normalised L2 distance at the sampling times of the largest step. An order is the logarithm to base
+    2 of a change over the next, without an exact solution. Records last until a wave with two thirds of ``velocity``
+    (m/s) has arrived; without ``damped`` there is no damping.
+
+    Local damping opposes the velocity half a step before, whose sign changes within a step: an error of first order.
+    The shear-force increment of a sticking contact with changing stiffness, as in the small and finite regimes, has the
+    same order. All other errors are of second order, as the linear regime without damping shows.
     """
+    even = with_wave(
+        cells.experiment,
+        regime=regime,
+        precision="float64",
+        samples_per_period=REFERENCE_SAMPLES,
+        slowest=velocity / 1.5,
+        **({} if damped else {"damping": 0.0, "boundary_damping": 0.0}),
+    )
+    even = replace(even, early_stop=False, installation="preserve")
+    runs = [cells.measure(with_wave(even, step_fraction=step), [content]) for step in CONVERGENCE_STEPS]
+    sections = [[run[seed, content].section for run in runs] for seed in cells.seeds]
+    changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in sections], axis=0)
+    return changes.tolist(), np.log2(changes[:-1] / changes[1:]).tolist()
 
 
-def _amplitude_rows(
+def _signal_changes(sections: Sequence[Section], smoothing: float) -> Floats:
+    """Change from each section to the next, at the times of the first.
+
+    Smoothing removes the quantisation of recorded velocities, which is as large as the smallest change.
+    """
+    signals = [smooth(section.received, smoothing * section.period) for section in sections]
+    times = [section.times[: len(signal)] for section, signal in zip(sections, signals, strict=True)]
+    signals = at_common_times(times, signals, times[0])
+    size = np.linalg.norm(signals[-1])
+    return np.array([np.linalg.norm(fine - coarse) / size for coarse, fine in itertools.pairwise(signals)])
+
+
+def amplitude_rows(
     cells: Cells,
-    amplitudes: Sequence[float] = _AMPLITUDES,
+    amplitudes: Sequence[float] = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1),  # m/s
     regimes: Sequence[Regime] = ("linear", "small"),
-) -> tuple[_AmplitudeRow, ...]:
-    """Measure regimes at several amplitudes against the finite regime."""
+) -> Rows:
+    """Measure regimes at several amplitudes against the finite regime of the same amplitude.
+
+    For the finite regime itself the row has the deviation from the velocity at the experiment's amplitude: not an
+    error, but the effect of the pulse's strength. Lost cells have a velocity in the finite regime only.
+    """
 
     def measured(regime: Regime, amplitude: float) -> tuple[CellsFound, str]:
-        setting = with_wave(cells.experiment, regime=regime, amplitude=amplitude, samples_per_period=_DENSE_SAMPLES)
+        dense = {"samples_per_period": 400}
+        setting = with_wave(cells.experiment, regime=regime, amplitude=amplitude, **dense)
         found: CellsFound = {}
         refusal = ""
         for content in cells.contents:
@@ -114,24 +155,34 @@ def _amplitude_rows(
     for amplitude in amplitudes:
         cells.progress(f"regimes at {amplitude:g} m/s")
         finite, refusal = measured("finite", amplitude)
-        compared: list[tuple[Regime, CellsFound, CellsFound, str]] = [("finite", finite, own, refusal)]
+        compared: list[tuple[str, CellsFound, CellsFound, str]] = [
+            ("finite, effect of the amplitude", finite, own, refusal)
+        ]
         for regime in regimes:
             found, refusal = measured(regime, amplitude)
             compared.append((regime, found, finite, refusal))
-        for regime, found, exact, refusal in compared:
+        for name, found, exact, refusal in compared:
             errors = errors_of_vs(found, exact)
-            lost = sum(cell.vs is not None for cell in exact.values()) - len(errors)
-            median = float(np.median(errors)) if errors else None
-            rows.append(_AmplitudeRow(amplitude, regime, len(errors), lost, median, max(errors, default=None), refusal))
-    return tuple(rows)
+            rows.append(
+                {
+                    "amplitude, m/s": amplitude,
+                    "regime": name,
+                    "Vs median": float(np.median(errors)) if errors else None,
+                    "Vs worst": max(errors, default=None),
+                    "cells": len(errors),
+                    "cells lost": sum(cell.vs is not None for cell in exact.values()) - len(errors),
+                    "refused": refusal.split(":")[0],
+                }
+            )
+    return rows
 
 
-def _equilibrium_rows(
-    cells: Cells, packing_of: Callable[[float], Packing], ratios: Sequence[float] = _RATIOS
-) -> tuple[_EquilibriumRow, ...]:
+def equilibrium_rows(
+    cells: Cells, packing_of: Callable[[float], Packing], ratios: Sequence[float] = (1.0e-4, 1.0e-5, 1.0e-6, 1.0e-7)
+) -> Rows:
     """Measure Vs in packings of several unbalanced-force ratios, with the cement at the same contacts.
 
-    ``packing_of`` makes the experiment's packing for a ratio.
+    ``packing_of`` makes the experiment's packing for a ratio; that of the smallest ratio is the reference.
     """
     packings = {}
     for ratio in ratios:
@@ -145,11 +196,16 @@ def _equilibrium_rows(
     rows = []
     for ratio, packing in packings.items():
         errors = errors_of_vs(found[ratio], found[min(ratios)])
-        changed = set(_keys_of(packing)) ^ set(_keys_of(best))
         rows.append(
-            _EquilibriumRow(ratio, len(changed), len(errors), float(np.median(errors)), max(errors, default=np.inf))
+            {
+                "unbalanced-force ratio": ratio,
+                "changed contacts": len(set(_keys_of(packing)) ^ set(_keys_of(best))),
+                "Vs median": float(np.median(errors)),
+                "Vs worst": max(errors, default=np.inf),
+                "cells": len(errors),
+            }
         )
-    return tuple(rows)
+    return rows
 
 
 def _same_contacts(packing: Packing, model: Packing) -> Packing:
@@ -168,10 +224,12 @@ def _keys_of(packing: Packing) -> list[int]:
     return keys
 
 
-def _scatter_rows(study: Study, velocities: Mapping[float, Sequence[float]], seeds: int) -> tuple[_Scatter, ...]:
+def _scatter_rows(study: Study, velocities: Mapping[float, Sequence[float]], seeds: int) -> Rows:
     """Compare the errors of a study's default setting with the scatter of the samples.
 
-    ``velocities`` has samples of Vs at each content, m/s; ``seeds`` is the number of seeds of the campaign's mean.
+    ``velocities`` has samples of Vs at each content, m/s; ``seeds`` is the number of seeds of the campaign's mean. The
+    mean error with its sign is the bias of the campaign's mean: unlike the statistical error it does not fall with the
+    number of seeds.
     """
     errors: dict[float, list[float]] = {}
     for cell in study.cells:
@@ -183,140 +241,16 @@ def _scatter_rows(study: Study, velocities: Mapping[float, Sequence[float]], see
         if len(samples) < 2:  # a scatter needs two
             continue
         spread = Distribution.of_sample(list(samples))
-        deviation = spread.standard_deviation / spread.mean
-        sizes = np.abs(found)
+        deviation, sizes = spread.standard_deviation / spread.mean, np.abs(found)
         rows.append(
-            _Scatter(
-                content=content,
-                samples=len(samples),
-                deviation=deviation,
-                seeds=seeds,
-                statistical=deviation / float(np.sqrt(seeds)),
-                numerical=float(np.median(sizes)),
-                worst=float(np.max(sizes)),
-                bias=float(np.mean(found)),
-            )
+            {
+                "content %": content,
+                "numerical error: median": float(np.median(sizes)),
+                "worst": float(np.max(sizes)),
+                "mean with sign": float(np.mean(found)),
+                "scatter (sd / mean)": deviation,
+                "of samples": len(samples),
+                f"statistical error of the mean of {seeds} seeds": deviation / float(np.sqrt(seeds)),
+            }
         )
-    return tuple(rows)
-
-
-_PACKAGED = Path(__file__).with_name("measured.json")
-"""Excerpt of the results for ``examples/paper-small-pulse.toml``, see benchmarks/accuracy/publish.py."""
-
-
-@dataclass(frozen=True, slots=True)
-class Findings:
-    """Results of one run of the command."""
-
-    campaign_hash: str
-    """Identity of the campaign's physics."""
-    packing_hash: str
-    """`Packing.content_hash` of the packing."""
-    study: Study
-    """Errors of the settings."""
-    convergence: tuple[Convergence, ...] = ()
-    amplitudes: tuple[_AmplitudeRow, ...] = ()
-    equilibrium: tuple[_EquilibriumRow, ...] = ()
-    scatter: tuple[_Scatter, ...] = ()
-    """Rows of the other tables, empty if not measured."""
-
-    def as_json(self) -> str:
-        """Results as JSON: numbers to five digits, null for values that are not finite."""
-
-        def rounded(value: object) -> object:
-            if isinstance(value, dict):
-                return {
-                    f"{key:g}" if isinstance(key, float) else str(key): rounded(item) for key, item in value.items()
-                }
-            if isinstance(value, list | tuple):
-                return [rounded(item) for item in value]
-            if isinstance(value, float):
-                return float(f"{value:.5g}") if np.isfinite(value) else None
-            return value
-
-        return json.dumps(rounded(asdict(self)), separators=(",", ":"))
-
-
-def answer_questions(
-    findings: Findings, configuration: Configuration, cells: Cells, velocities: Mapping[float, Sequence[float]] | None
-) -> Findings:
-    """Add the results that have their own reference to those of a study.
-
-    Velocities of a stored campaign at each content, m/s, give the scatter; with None a few samples are measured.
-    """
-    all_seeds = configuration.campaign.seed_numbers
-
-    def packing_of(ratio: float) -> Packing:
-        # A stored packing may come from another version and then be another sample, not the same at another ratio.
-        rule = replace(configuration.packing, unbalanced_force_ratio=ratio)
-        return new_packing(replace(configuration, packing=rule), cells.progress)
-
-    orders = _orders(cells, findings.study)
-    if velocities is None:
-        cells.progress("scatter of the samples")
-        found = cells.measure(cells.experiment, seeds=all_seeds[:_SCATTER_SEEDS])
-        velocities = {
-            content: [cell.vs for cell in found.values() if cell.content == content and cell.vs is not None]
-            for content in cells.contents
-        }
-    return replace(
-        findings,
-        convergence=orders,
-        amplitudes=_amplitude_rows(cells),
-        equilibrium=_equilibrium_rows(cells, packing_of),
-        scatter=_scatter_rows(findings.study, velocities, len(all_seeds)),
-    )
-
-
-def _orders(cells: Cells, study: Study) -> tuple[Convergence, ...]:
-    """Order of convergence at each content with a velocity of the reference."""
-    orders, own = [], cells.experiment.wave.regime
-    for content in dict.fromkeys(cell.content for cell in study.references if cell.vs is not None):
-        slowest = min(cell.vs for cell in study.references if cell.content == content and cell.vs is not None)
-        # The linear regime refuses a strong pulse, so the configuration's regime replaces it.
-        cases = ((damped, own if regime == "linear" else regime) for damped, regime in _CONVERGENCE_CASES)
-        for damped, regime in dict.fromkeys(cases):
-            cells.progress(f"{content:g} %: order of convergence, {'damped' if damped else 'undamped'}, {regime}")
-            orders.append(Convergence.measure(cells, content, slowest, damped=damped, regime=regime))
-    return tuple(orders)
-
-
-@dataclass(frozen=True, slots=True)
-class MeasuredErrors:
-    """Largest relative errors of Vs against a converged reference."""
-
-    source: Path
-    """Source file."""
-    worst: dict[tuple[str, float], float]
-    """Largest error by name of the setting and content in percent."""
-
-    @classmethod
-    def find(cls, campaign_hash: str, packing_hash: str, path: Path | None = None) -> Self | None:
-        """Errors measured for a campaign's physics and packing (`Packing.content_hash`).
-
-        They are read from a JSON of `calcidem accuracy`, by default the packaged one if it matches both. `ValueError`
-        if the given file is not such a JSON, or has another campaign or packing.
-        """
-        source = path or _PACKAGED
-        try:
-            found = json.loads(source.read_text())
-            hashes = found["campaign_hash"], found["packing_hash"]
-            worst: dict[tuple[str, float], float] = {}
-            for cell in found["study"]["cells"]:
-                if cell["vs_error"] is not None:
-                    key = (cell["setting"], cell["content"])
-                    worst[key] = max(abs(cell["vs_error"]), worst.get(key, 0.0))
-        except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-            raise ValueError(f"accuracy = {source}: give the accuracy.json of 'calcidem accuracy --out DIR'") from error
-        if hashes != (campaign_hash, packing_hash):
-            if path is None:
-                return None
-            other = (
-                "campaign"
-                if hashes[0] != campaign_hash
-                else f"packing, {str(hashes[1])[:12]} and not {packing_hash[:12]}"
-            )
-            raise ValueError(
-                f"accuracy = {source}: it is about another {other}; measure this one with 'calcidem accuracy'"
-            )
-        return cls(source, worst)
+    return rows

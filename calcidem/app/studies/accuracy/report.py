@@ -1,44 +1,123 @@
-"""Results as Markdown tables and as a figure of error over run time."""
+"""Command `calcidem accuracy`: a study of the configuration's scenes, as Markdown tables, JSON and a figure."""
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from calcidem.analysis.figures.style import BLACK, BLUE, GREY, VERMILION, apply_style, new_figure
-from calcidem.app.studies.accuracy.questions import Findings
-from calcidem.app.studies.accuracy.reference import CONVERGENCE_STEPS, HALVING, CellError
-from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED
-from calcidem.app.studies.accuracy.study import Study, covered_share
-from calcidem.app.studies.results import markdown_table, number
-
-_TARGETS = (0.005, 0.002, 0.001)
-_MANY_CELLS = 40  # most cells in a table; more are only in the JSON
-_SMALLEST = 1e-6  # smaller errors, including zero, are drawn here
-_STAIRS = 4  # levels of staggered labels
+from calcidem.app.config.schema import Configuration
+from calcidem.app.studies.accuracy.questions import Rows, answer_questions
+from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED, Setting, settings
+from calcidem.app.studies.accuracy.study import HALVING, CellError, Study, covered_share, run_study
+from calcidem.app.studies.cells import Cells
+from calcidem.app.studies.results import StudyResult, markdown_table, number
 
 
-def accuracy_tables(findings: Findings, targets: Sequence[float] = _TARGETS) -> dict[str, str]:
+def accuracy(
+    configuration: Configuration,
+    cells: Cells,
+    velocities: Mapping[float, Sequence[float]] | None = None,
+    *,
+    only: Sequence[str] = (),
+    target: str | None = None,
+) -> StudyResult:
+    """Measure error over run time.
+
+    ``velocities`` at each content, m/s, supply the scatter of the samples; without them a few samples are measured.
+    With names of settings in ``only``, only these and the default are compared with the reference. ``target`` is an
+    error for which the text names the cheapest setting. `ValueError` for an unknown name or target.
+    """
+    rounds = {"rounds": 1} if only else {}
+    study = run_study(cells, compared=choose_settings(cells, only), **rounds)
+    questions = {} if only else answer_questions(study, configuration, cells, velocities)
+    parts = accuracy_tables(study, questions)
+    text = "\n\n".join(parts.values())
+    if target is not None:
+        chosen = study.cheapest_in_words(parse_target(target))
+        text += f"\nCheapest setting with an error of at most {target}: {chosen}"
+    page = "\n\n".join(f"<!-- {name} -->\n{table}\n<!-- end -->" for name, table in parts.items()) + "\n"
+    hashes = {"campaign_hash": configuration.hash, "packing_hash": cells.experiment.packing.content_hash}
+    found = _rounded({**hashes, "study": asdict(study), **questions})
+    told = json.dumps(found, separators=(",", ":"))
+    figures = {"": partial(draw_error_against_run_time, study)}
+    return StudyResult(text, page, json.loads(told)["study"]["cells"], told, figures=figures)
+
+
+def choose_settings(cells: Cells, only: Sequence[str]) -> list[Setting]:
+    """Return the default and the settings of these names, all without names; `ValueError` for an unknown name."""
+    known = {setting.name: setting for setting in settings(cells.experiment, cells.contents)}
+    for name in only:
+        if name not in known:
+            raise ValueError(f"only = {name}: choose among {', '.join(known)}")
+    return [known[DEFAULT], *(known[name] for name in only or known if name != DEFAULT)]
+
+
+def parse_target(text: str) -> float:
+    """Parse ``0.5%`` or ``0.005`` as 0.005."""
+    digits, scale = (text[:-1], 0.01) if text.rstrip().endswith("%") else (text, 1.0)
+    try:
+        value = float(digits) * scale
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1.0:
+        raise ValueError(f"target = {text}: give a part of Vs such as 0.5% or 0.005")
+    return value
+
+
+def _rounded(value: object) -> object:
+    """A value for JSON: numbers to five digits, None for those that are not finite."""
+    if isinstance(value, dict):
+        return {f"{key:g}" if isinstance(key, float) else str(key): _rounded(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.5g}") if np.isfinite(value) else None
+    return value
+
+
+def accuracy_tables(study: Study, questions: Mapping[str, Rows]) -> dict[str, str]:
     """Return all measured tables as Markdown, by name."""
-    study = findings.study
-    wanted = [f"- {100 * target:g} %: {study.cheapest_in_words(target)}" for target in targets]
+    wanted = [f"- {100 * target:g} %: {study.cheapest_in_words(target)}" for target in (0.005, 0.002, 0.001)]
     parts = {
         "opening": _opening(study),
         "settings": _settings_table(study),
+        "left_out": _left_out_table(study),
         "targets": "\n".join(["Cheapest setting whose worst error stays below a target:\n", *wanted]),
         "contents": _content_table(study),
         "cells": _cell_table(study),
         "damping": _damping_table(study),
-        **_other_tables(findings),
+        **{name: _table_of(rows) for name, rows in questions.items()},
     }
     return {name: table for name, table in parts.items() if table}
 
 
-def accuracy_page(findings: Findings) -> str:
-    """Return all tables as a page of Markdown, each between comments with its name for other programs."""
-    parts = accuracy_tables(findings).items()
-    return "\n\n".join(f"<!-- {name} -->\n{table}\n<!-- end -->" for name, table in parts) + "\n"
+def _table_of(rows: Rows) -> str:
+    """Markdown table of the rows of a question."""
+    forms = {"mean with sign": "+.1e", "order 1": ".2f", "order 2": ".2f"}
+    forms |= dict.fromkeys(("content %", "amplitude, m/s", "unbalanced-force ratio"), "g")
+    shown = [[format(value, forms[name]) if name in forms else value for name, value in row.items()] for row in rows]
+    return markdown_table(tuple(rows[0]), shown) if rows else ""
+
+
+def _left_out_table(study: Study) -> str:
+    """Return what the computation leaves out, why that is safe, and what it would cost."""
+    own = study.summaries[0]
+    rows = [
+        (
+            row.adds,
+            row.why,
+            f"{row.seconds / own.seconds:.2f} x the time",
+            f"{row.change:.1e}" if np.isfinite(row.change) else "no velocity to compare",
+        )
+        for row in study.summaries
+        if row.adds and np.isfinite(row.seconds)
+    ]
+    return markdown_table(("left out", "why that is safe", "with it", "Vs changes by at most"), rows)
 
 
 def _own_cells(study: Study) -> list[CellError]:
@@ -103,9 +182,9 @@ def _content_table(study: Study) -> str:
 
 
 def _cell_table(study: Study) -> str:
-    """Return every cell of the default with its reference, unless there are too many."""
+    """Return every cell of the default with its reference, unless there are many: those are in the JSON."""
     found = {(cell.seed, cell.content): cell for cell in _own_cells(study)}
-    if not found or len(study.references) > _MANY_CELLS:
+    if not found or len(study.references) > 40:
         return ""
     rows = []
     for exact in study.references:
@@ -133,53 +212,6 @@ def _damping_table(study: Study) -> str:
     return markdown_table(header, rows)
 
 
-def _other_tables(findings: Findings) -> dict[str, str]:
-    """Return the tables with their own reference; the finite regime's line is an effect of the amplitude."""
-    halvings = [f"{2 * step:g} to {step:g}" for step in CONVERGENCE_STEPS[1:]]
-    orders = [
-        (
-            *(f"{row.content:g}", row.regime, "as configured" if row.damped else "none"),
-            *row.changes,
-            *(f"{order:.2f}" for order in row.orders),
-        )
-        for row in findings.convergence
-    ]
-    amplitudes = [
-        (
-            f"{row.amplitude:g}",
-            f"*{row.regime}, effect of the amplitude*" if row.regime == "finite" else row.regime,
-            *(row.median, row.worst, row.cells, row.lost),
-            row.refusal.split(":")[0],
-        )
-        for row in findings.amplitudes
-    ]
-    equilibrium = [
-        (f"{row.unbalanced_force_ratio:g}", row.changed_contacts, row.median, row.worst, row.cells)
-        for row in findings.equilibrium
-    ]
-    scatter = [
-        (
-            *(f"{row.content:g}", row.numerical, row.worst, f"{row.bias:+.1e}"),
-            *(row.deviation, row.samples, row.statistical),
-        )
-        for row in findings.scatter
-    ]
-    seeds = findings.scatter[0].seeds if findings.scatter else 0
-    of_scatter = (
-        *("content %", "numerical error: median", "worst", "mean with sign", "scatter (sd / mean)"),
-        *("of samples", f"statistical error of the mean of {seeds} seeds"),
-    )
-    of_orders = ("content %", "regime", "local damping", f"signal, {halvings[0]}", *halvings[1:], "order", "order")
-    of_amplitudes = ("amplitude, m/s", "regime", "Vs median", "Vs worst", "cells", "cells lost", "refused")
-    of_equilibrium = ("unbalanced-force ratio", "changed contacts", "Vs median", "Vs worst", "cells")
-    return {
-        "convergence": markdown_table(of_orders, orders),
-        "amplitudes": markdown_table(of_amplitudes, amplitudes),
-        "equilibrium": markdown_table(of_equilibrium, equilibrium),
-        "scatter": markdown_table(of_scatter, scatter),
-    }
-
-
 @apply_style
 def draw_error_against_run_time(study: Study) -> "Figure":
     """Draw median and largest error of Vs over the processor time of a cell."""
@@ -189,7 +221,7 @@ def draw_error_against_run_time(study: Study) -> "Figure":
     front = study.pareto
 
     def drawable(error: float) -> float:
-        return max(error, _SMALLEST)
+        return max(error, 1e-6)  # smaller errors, including zero, are drawn there
 
     axes.plot([row.seconds for row in front], [drawable(row.median) for row in front], color=BLUE, label="Pareto front")
     for row in rows:
@@ -203,7 +235,7 @@ def draw_error_against_run_time(study: Study) -> "Figure":
         axes.annotate(
             row.setting,
             (row.seconds, drawable(row.median)),
-            xytext=(-10, -10 - 9 * (place % _STAIRS)),
+            xytext=(-10, -10 - 9 * (place % 4)),
             textcoords="offset points",
             fontsize=6.5,
             color=BLACK,

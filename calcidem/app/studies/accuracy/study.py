@@ -1,14 +1,76 @@
-"""Runs a study: the reference of every cell, then the comparison of every setting with it."""
+"""Reference of every cell, and the error of every setting against it."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
-from calcidem.app.studies.accuracy.reference import COARSEST, CellError, ReferenceCell, find_reference
-from calcidem.app.studies.accuracy.settings import Setting, settings
-from calcidem.app.studies.cells import ROUNDS, Cells
+from calcidem.app.studies.accuracy.settings import DEFAULT, REFERENCE_SAMPLES, Setting, settings, with_wave
+from calcidem.app.studies.cells import ROUNDS, Cells, CellsFound, relative_deviation, signal_distance
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement
+from calcidem.dem.wave.rule import WHOLE_DOMAIN
+
+HALVING = 1.0e-4  # largest relative change of Vs by halving the step
+FINEST = 0.05  # smallest step of a reference over the limit
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceCell:
+    """Reference of one cell."""
+
+    seed: int
+    content: float
+    """The cell; content in percent."""
+    vs: float | None
+    """m/s; None if the reference has no reliable pick either."""
+    step_fraction: float
+    """Step over the stability limit."""
+    halving: float | None
+    """Relative change of Vs by halving twice this step; None without a velocity."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellError:
+    """Deviation of one cell with one setting from the reference."""
+
+    setting: str
+    """`Setting.name`."""
+    seed: int
+    content: float
+    """The cell; content in percent."""
+    vs: float | None
+    reference_vs: float | None
+    """m/s; None without a reliable pick."""
+    vs_error: float | None
+    """Relative, signed; None unless both have a velocity."""
+    arrival_error: float | None
+    """Relative error of the travel time of the first arrival, signed; None unless both have one."""
+    signal_error: float
+    """See `signal_distance`."""
+    expected: float | None
+    bound: float | None
+    """Relative error estimated by the cell itself, and its bound."""
+
+    @classmethod
+    def compare(cls, setting: str, found: Measurement, exact: Measurement) -> Self:
+        """Compare a cell with the reference of the same cell."""
+        readings = (exact.reading, found.reading)
+        exact_arrival, arrival = (None if one is None else one.first_arrival for one in readings)
+        return cls(
+            setting=setting,
+            seed=found.seed,
+            content=found.content,
+            vs=found.vs,
+            reference_vs=exact.vs,
+            vs_error=relative_deviation(found.vs, exact.vs),
+            arrival_error=relative_deviation(exact_arrival, arrival),
+            signal_error=signal_distance(found.section, exact.section),
+            expected=found.expected_error,
+            bound=found.error_bound,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +94,11 @@ class Summary:
     """Share of cells whose error of Vs is within their stated bound."""
     seconds: float
     """Processor time of a cell."""
+    change: float
+    """Largest relative change of Vs against the experiment's own setting."""
+    adds: str = ""
+    why: str = ""
+    """See `Setting`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +142,7 @@ def run_study(
     cells: Cells,
     *,
     compared: Iterable[Setting] | None = None,
-    coarsest: float = COARSEST,
+    coarsest: float = 0.4,
     rounds: int = ROUNDS,
 ) -> Study:
     """Measure the errors of settings.
@@ -83,7 +150,7 @@ def run_study(
     The experiment's own setting comes first in ``compared``, by default all of `settings.settings`. The search for the
     reference starts at a step of ``coarsest`` times the limit. Settings are timed alternately in ``rounds``.
     """
-    compared = tuple(settings(cells.experiment) if compared is None else compared)
+    compared = tuple(settings(cells.experiment, cells.contents) if compared is None else compared)
     errors: list[CellError] = []
     references: list[ReferenceCell] = []
     reference_seconds: list[float] = []
@@ -97,10 +164,11 @@ def run_study(
         errors += [CellError.compare(name, own[key], exact[key]) for name, own in found.items() for key in exact]
         for name, value in times.items():
             seconds[name][content] = value
+    own = {(cell.seed, cell.content): cell.vs for cell in errors if cell.setting == DEFAULT}
     return Study(
         cells=tuple(errors),
         summaries=tuple(
-            _summary_of(one, [cell for cell in errors if cell.setting == one.name], seconds.get(one.name, {}))
+            _summary_of(one, [cell for cell in errors if cell.setting == one.name], own, seconds.get(one.name, {}))
             for one in compared
         ),
         references=tuple(references),
@@ -109,10 +177,16 @@ def run_study(
     )
 
 
-def _summary_of(setting: Setting, cells: Sequence[CellError], seconds: Mapping[float, float]) -> Summary:
-    """Summary of the cells of one setting; ``seconds`` are processor times of a cell at each content."""
+def _summary_of(
+    setting: Setting,
+    cells: Sequence[CellError],
+    own: Mapping[tuple[int, float], float | None],
+    seconds: Mapping[float, float],
+) -> Summary:
+    """Summary of the cells of one setting; ``own`` are the default's velocities, ``seconds`` times at each content."""
     errors = [abs(cell.vs_error) for cell in cells if cell.vs_error is not None]
     arrivals = [abs(cell.arrival_error) for cell in cells if cell.arrival_error is not None]
+    changes = [relative_deviation(cell.vs, own.get((cell.seed, cell.content))) for cell in cells]
 
     def middle(values: Sequence[float]) -> float:
         return float(np.median(values)) if values else np.inf
@@ -128,6 +202,9 @@ def _summary_of(setting: Setting, cells: Sequence[CellError], seconds: Mapping[f
         signal=middle([cell.signal_error for cell in cells]),
         covered=covered_share(cells),
         seconds=float(np.mean(list(seconds.values()))) if seconds else np.inf,
+        change=max((abs(change) for change in changes if change is not None), default=np.inf),
+        adds=setting.adds,
+        why=setting.why,
     )
 
 
@@ -137,3 +214,43 @@ def covered_share(cells: Iterable[CellError]) -> float:
         abs(cell.vs_error) <= cell.bound for cell in cells if cell.vs_error is not None and cell.bound is not None
     ]
     return float(np.mean(honest)) if honest else np.nan
+
+
+def find_reference(
+    cells: Cells, content: float, coarsest: float = 0.4
+) -> tuple[CellsFound, tuple[ReferenceCell, ...], float]:
+    """Measure a content accurately: the step of each cell is halved until its Vs changes by less than `HALVING`.
+
+    A cell that still changes at `FINEST` keeps this step and records its change. Returns the measurements, their
+    reference cells, and the mean processor time of a cell, s.
+    """
+    step, waiting = coarsest, list(cells.seeds)
+    before = cells.measure(_reference_experiment(cells.experiment, step), [content])
+    done: dict[int, tuple[Measurement, ReferenceCell, float]] = {}
+    while waiting:
+        step /= 2.0
+        now, seconds = cells.measure_and_time(_reference_experiment(cells.experiment, step), content, waiting)
+        for seed in waiting:
+            cell = now[seed, content]
+            change = relative_deviation(cell.vs, before[seed, content].vs)
+            if change is None or abs(change) < HALVING or step <= FINEST:
+                done[seed] = cell, ReferenceCell(seed, content, cell.vs, step, change), seconds
+        waiting = [seed for seed in waiting if seed not in done]
+        before = now
+    found = {(seed, content): done[seed][0] for seed in cells.seeds}
+    return found, tuple(done[seed][1] for seed in cells.seeds), float(np.mean([one[2] for one in done.values()]))
+
+
+def _reference_experiment(experiment: Experiment, step_fraction: float) -> Experiment:
+    """Return the experiment at the highest accuracy: float64, finite displacement, all disks, dense samples.
+
+    Early stop keeps its setting; as a separate knob it is shown to change no reading.
+    """
+    return with_wave(
+        experiment,
+        precision="float64",
+        regime="finite",
+        keep=(WHOLE_DOMAIN,),
+        step_fraction=step_fraction,
+        samples_per_period=max(REFERENCE_SAMPLES, experiment.wave.samples_per_period),
+    )

@@ -2,11 +2,12 @@
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Any
 
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -56,8 +57,6 @@ class _ListedPlan(BaseModel):
     contents: list[float]
     seeds: int = Field(ge=2)
     variant: list[_ListedVariant] = Field(default_factory=list)
-    ranges: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] = Field(default_factory=dict)
-    """Lowest and highest value by ``section.key``, for Sobol indices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,98 +74,79 @@ class Variant:
     """Configuration to compute."""
 
 
-@dataclass(frozen=True, slots=True)
-class VariantPlan:
-    """Variants of one configuration, with the same seeds."""
+def read_variants(path: str | os.PathLike[str], database: str) -> tuple[Variant, ...]:
+    """Read a file (`_ListedPlan`): the variants of a configuration, with the same seeds; the reference comes first.
 
-    variants: tuple[Variant, ...]
-    """The reference comes first."""
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str], database: str) -> Self:
-        """Read a file (`_ListedPlan`).
-
-        The database stores each variant as a separate campaign. `ConfigurationError` lists all problems of the file and
-        of the resulting configurations.
-        """
-        source = os.fspath(path)
-        listed = _parse_plan(path)
-        base = parse_file(Path(path).parent / listed.configuration)
-        _change(base, "run", {"database": database, "store_sections": False})
-        known = {REFERENCE, *(variant.name for variant in listed.variant)}
-        problems = [
-            Problem(f'variant "{variant.name}": against = "{variant.against}" is none of the variants; correct it')
-            for variant in listed.variant
-            if variant.against not in known
-        ]
-        if len(known) != 1 + len(listed.variant):
-            problems.append(Problem("two variants have the same choice and value; rename one"))
-        if problems:
-            raise ConfigurationError(source, problems)
-        first = _ListedVariant(choice=REFERENCE, value="")
-        return cls(tuple(_variant(entry, base, listed, source) for entry in (first, *listed.variant)))
-
-    def compute(self, say: Callable[[str], None]) -> None:
-        """Compute all cells that the database lacks, variant by variant; the same call continues after a stop.
-
-        `CampaignMismatchError` if the database has a variant of that name with other parameters.
-        """
-        for number, variant in enumerate(self.variants, start=1):
-            say(f"{number} of {len(self.variants)}: {variant.name}")
-            run(variant.configuration).close()
-
-    def changes(self) -> dict[str, tuple[Change, ...]]:
-        """Compare every computed variant with its reference variant, by its name."""
-        found = {variant.name: _variant_velocities(variant) for variant in self.variants}
-        compared = {}
-        for variant in self.variants:
-            own, other = found[variant.name], found[variant.against]
-            if own is not None and other is not None:
-                compared[variant.name] = paired_changes(own, other)
-        return compared
-
-    def result(self) -> StudyResult:
-        """Table of the `changes`: a row for each variant, a column for each content of the reference.
-
-        An entry has mean and standard deviation in m/s. Below them are the change of the mean, and the ratio of
-        standard deviations with its 95 % interval, in bold if the interval excludes 1.
-        """
-        changes = self.changes()
-        contents = [change.content for change in changes.get(REFERENCE, ())]
-        rows = []
-        former = ""
-        for variant in self.variants:
-            found = {change.content: change for change in changes.get(variant.name, ())}
-            if not found:
-                continue
-            choice = variant.choice if variant.choice != former else ""
-            former = variant.choice
-            entries = [_table_entry(found.get(content), is_reference=variant.name == REFERENCE) for content in contents]
-            value = variant.value if variant.against == REFERENCE else f"{variant.value} (against {variant.against})"
-            rows.append((choice, value, *entries))
-        header = ("choice", "value", *(f"{content:g} %" for content in contents))
-        return StudyResult(markdown_table(header, rows) + "\n")
-
-
-def read_plan(path: str | os.PathLike[str]) -> tuple[_ListedPlan, Configuration]:
-    """Read a file of variants or ranges, and its configuration with its cells; errors as for `VariantPlan.load`."""
-    listed = _parse_plan(path)
-    base = parse_file(Path(path).parent / listed.configuration)
-    _change(base, "campaign", {"seeds": listed.seeds, "contents": listed.contents})
-    return listed, read_configuration(base, os.fspath(path))
-
-
-def _parse_plan(path: str | os.PathLike[str]) -> _ListedPlan:
-    """Read the file."""
+    The database stores each variant as a separate campaign. `ConfigurationError` lists all problems of the file and of
+    the resulting configurations.
+    """
     source = os.fspath(path)
     try:
-        return _ListedPlan.model_validate(parse_file(Path(path)))
+        listed = _ListedPlan.model_validate(parse_file(Path(path)))
     except ValidationError as error:
         words = {"missing": "is missing; add it", "extra_forbidden": "is not known; leave it out"}
         found = (
             (".".join(map(str, detail["loc"])), words.get(detail["type"], detail["msg"])) for detail in error.errors()
         )
         raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
+    base = parse_file(Path(path).parent / listed.configuration)
+    _change(base, "run", {"database": database, "store_sections": False})
+    known = {REFERENCE, *(variant.name for variant in listed.variant)}
+    problems = [
+        Problem(f'variant "{variant.name}": against = "{variant.against}" is none of the variants; correct it')
+        for variant in listed.variant
+        if variant.against not in known
+    ]
+    if len(known) != 1 + len(listed.variant):
+        problems.append(Problem("two variants have the same choice and value; rename one"))
+    if problems:
+        raise ConfigurationError(source, problems)
+    first = _ListedVariant(choice=REFERENCE, value="")
+    return tuple(_variant(entry, base, listed, source) for entry in (first, *listed.variant))
+
+
+def compute_variants(variants: Sequence[Variant], say: Callable[[str], None], executor: Executor | None = None) -> None:
+    """Compute all cells that the database lacks, variant by variant; the same call continues after a stop.
+
+    `CampaignMismatchError` if the database has a variant of that name with other parameters.
+    """
+    for number, variant in enumerate(variants, start=1):
+        say(f"{number} of {len(variants)}: {variant.name}")
+        run(variant.configuration, executor=executor).close()
+
+
+def variant_changes(variants: Sequence[Variant]) -> dict[str, tuple[Change, ...]]:
+    """Compare every computed variant with its reference variant, by its name."""
+    found = {variant.name: _variant_velocities(variant) for variant in variants}
+    compared = {}
+    for variant in variants:
+        own, other = found[variant.name], found.get(variant.against)
+        if own is not None and other is not None:
+            compared[variant.name] = paired_changes(own, other)
+    return compared
+
+
+def variant_table(variants: Sequence[Variant]) -> StudyResult:
+    """Table of the `variant_changes`: a row for each variant, a column for each content of the reference.
+
+    An entry has mean and standard deviation in m/s. Below them are the change of the mean, and the ratio of standard
+    deviations with its 95 % interval, in bold if the interval excludes 1.
+    """
+    changes = variant_changes(variants)
+    contents = [change.content for change in changes.get(REFERENCE, ())]
+    rows = []
+    former = ""
+    for variant in variants:
+        found = {change.content: change for change in changes.get(variant.name, ())}
+        if not found:
+            continue
+        choice = variant.choice if variant.choice != former else ""
+        former = variant.choice
+        entries = [_table_entry(found.get(content), is_reference=variant.name == REFERENCE) for content in contents]
+        value = variant.value if variant.against == REFERENCE else f"{variant.value} (against {variant.against})"
+        rows.append((choice, value, *entries))
+    header = ("choice", "value", *(f"{content:g} %" for content in contents))
+    return StudyResult(markdown_table(header, rows) + "\n")
 
 
 def _change(document: dict[str, Any], section: str, values: Mapping[str, Any], without: str = "") -> None:

@@ -1,0 +1,80 @@
+"""Two campaigns in one figure: mean and scatter of Vs, and the differences of the same seeds.
+
+    python examples/compare_campaigns.py ONE.db OTHER.db FIGURE.png
+
+The same seed places cement alike if both campaigns have the same packing, pattern and root_seed. Then the paired
+difference has a narrower 95 % interval than the difference of the means of all samples (Welch).
+"""
+
+import argparse
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from scipy import stats
+
+import calcidem
+
+
+def differing(one: calcidem.Campaign, other: calcidem.Campaign) -> dict[str, tuple[object, object]]:
+    """Values of the keys in which the physical configurations differ."""
+    first, second = (pd.json_normalize(campaign.config).iloc[0].to_dict() for campaign in (one, other))
+    keys = sorted(first.keys() | second.keys())
+    return {key: (first.get(key), second.get(key)) for key in keys if str(first.get(key)) != str(second.get(key))}
+
+
+def half_width(*samples: np.ndarray) -> float:
+    """Half the 95 % interval of the mean of a sample, or of the difference of two means (Welch 1947)."""
+    parts = np.array([values.var(ddof=1) / values.size for values in samples])
+    if not parts.sum() > 0.0:
+        return float(parts.sum())
+    freedom = parts.sum() ** 2 / sum(part**2 / (values.size - 1) for part, values in zip(parts, samples, strict=True))
+    return float(stats.t.ppf(0.975, freedom) * np.sqrt(parts.sum()))
+
+
+def compare(one: calcidem.Campaign, other: calcidem.Campaign) -> pd.DataFrame:
+    """Means, deviations, differences (other minus one) and their half-widths, m/s, by content."""
+    first, second = one.vs(), other.vs()
+    rows = {}
+    for content in np.intersect1d(first.content, second.content):
+        a, b = (vs.sel(content=content).dropna("seed") for vs in (first, second))
+        pairs, a, b = ((b - a).to_numpy(), a.to_numpy(), b.to_numpy())  # xarray pairs the seeds that both have
+        if min(pairs.size, a.size, b.size) < 2:  # no scatter is known
+            continue
+        row = {"n": a.size, "mean": a.mean(), "sd": a.std(ddof=1)}
+        row |= {"other n": b.size, "other mean": b.mean(), "other sd": b.std(ddof=1)}
+        row |= {"difference": b.mean() - a.mean(), "+-": half_width(a, b)}
+        rows[content] = row | {"pairs": pairs.size, "paired": pairs.mean(), "paired +-": half_width(pairs)}
+    return pd.DataFrame(rows).T.rename_axis("content, %")
+
+
+def draw(table: pd.DataFrame, names: tuple[str, str]) -> Figure:
+    """Means with standard deviations above, paired differences with their intervals below."""
+    figure, (upper, lower) = plt.subplots(2, 1, sharex=True, layout="constrained")
+    aside = 0.006 * np.ptp(table.index)
+    for name, which, shift in zip(names, ("", "other "), (-aside, aside), strict=True):
+        upper.errorbar(table.index + shift, table[f"{which}mean"], table[f"{which}sd"], fmt="o", capsize=3, label=name)
+    lower.errorbar(table.index, table["paired"], table["paired +-"], fmt="o", capsize=3)
+    lower.axhline(0.0, color="grey", linewidth=0.8)
+    upper.set_ylabel("$V_s$ (m/s), mean and sd")
+    lower.set_ylabel("paired difference (m/s)")
+    lower.set_xlabel("calcite content (%)")
+    upper.legend()
+    return figure
+
+
+def main() -> None:
+    """Print the table and draw the figure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in ("one", "other", "figure"):
+        parser.add_argument(name)
+    options = parser.parse_args()
+    with calcidem.open_campaign(options.one) as one, calcidem.open_campaign(options.other) as other:
+        table = compare(one, other)
+        print(table.round(1).to_string(), *map(str, differing(one, other).items()), sep="\n")
+        draw(table, (options.one, options.other)).savefig(options.figure)
+
+
+if __name__ == "__main__":
+    main()
