@@ -10,7 +10,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from hypothesis import settings
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_record
 from calcidem.app.campaign.task import cell_result
-from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import _write_files, write_report
 from calcidem.dem.sample.cement import CementRule
@@ -149,7 +147,7 @@ def _fill_database(path: Path, small_configuration: Configuration, small_packing
             )
         )
         run = RunRecord({"python": "3", "calcidem": "test"}, "here", "some CPU", 1, "pytest", now)
-        store.begin_run(replace(run, workers=(describe_worker(rank=0),)))
+        store.begin_run(run)
         store.save_packing(packing_record(small_packing, index=0, packing_hash=small_configuration.packing_hash))
         for content in CONTENTS:
             measured = measure(experiment, content, SEEDS)

@@ -27,8 +27,7 @@ from calcidem.dem.engine.fields import written
 from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.sample.packing import PackingFileError
 from calcidem.dem.sample.settling import SettlingError
-from calcidem.dem.wave.reading import Verdict
-from calcidem.storage.records import CellStatus
+from calcidem.ends import CellStatus, Verdict
 from calcidem.sweep.sweep_end import LaunchError, MasterLostError
 
 ROOT = Path(__file__).parents[1]

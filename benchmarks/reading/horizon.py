@@ -14,8 +14,9 @@ from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.wave.measurement import measure_all
-from calcidem.dem.wave.reading import PickRule, Reading, Verdict, find_candidates, read_section
+from calcidem.dem.wave.reading import PickRule, Reading, find_candidates, read_section
 from calcidem.dem.wave.section import Section
+from calcidem.ends import Verdict
 
 _LANES = 16
 

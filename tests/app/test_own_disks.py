@@ -12,7 +12,6 @@ from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.campaign.run import run
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.report.crate import open_crate, write_crate
 from calcidem.app.studies.verify import random_cells, verify
 from calcidem.dem.sample.packing import PackingError
 from calcidem.dem.sample.packing_file import _read_disks
@@ -69,11 +68,6 @@ def test_own_disks_make_a_campaign(workshop: "Workshop", own: Path, monkeypatch:
         assert str(own) not in campaign.record.config
         found = list(verify(campaign.store, random_cells(campaign.store, 2), campaign.experiment, lanes=2))
     assert [verification.differences for verification in found] == [{}, {}]
-
-    # A crate has the disks at rest, and not the file.
-    monkeypatch.setattr("calcidem.app.report.crate.write_report", lambda _, out, **__: out.write_text("the report"))
-    with open_crate(write_crate(workshop.database, own / "crate")) as campaign:
-        assert sorted(campaign.packing().radius) == sorted(radius)
 
     # Elsewhere, under another name: it is the content that counts. What is stored is not computed again.
     (own / "disks.csv").rename(own / "same.csv")

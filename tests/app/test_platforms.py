@@ -51,14 +51,14 @@ def platform(request: pytest.FixtureRequest) -> str:
 
 @pytest.mark.full
 def test_one_process_computes_off_linux(workshop: "Workshop", platform: str) -> None:
-    """A campaign in one process is computed, stored and continued, and doctor finds no problem but one core."""
+    """A campaign in one process is computed, stored and continued; ranks are refused by the check, too."""
     workshop.configure(seeds=1, contents=(0.0,))
     done = workshop.wait(workshop.start(platform, "run", "c.toml", program=ELSEWHERE))
     assert done.code == 0, done.errors
     assert len(workshop.cells()) == 1
     again = workshop.wait(workshop.start(platform, "run", "c.toml", program=ELSEWHERE))
     assert again.code == 0, again.errors
-    told = workshop.wait(workshop.start(platform, "doctor", "results", program=ELSEWHERE))
+    told = workshop.wait(workshop.start(platform, "run", "c.toml", "--check", "--ranks", "2", program=ELSEWHERE))
     assert told.code == 0, told.output + told.errors
     assert f"MPI ranks need Linux, and this is {platform}" in told.output
 

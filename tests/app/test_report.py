@@ -301,11 +301,11 @@ def test_no_table_of_the_folder_holds_a_formula(
 
 
 def test_one_cell_is_shown_with_its_pictures(small_database: Path, tmp_path: Path, invoke: Callable[..., str]) -> None:
-    """A cell is described by its quantities and drawn with cement, path and signals."""
+    """A cell is described by its quantities and drawn with cement, path, signals and section."""
     told = invoke("show", small_database, "--seed", 1, "--content", 0.66, "--out", tmp_path / "cell")
     assert re.search("outcome of the cell +done", told)
     assert {file.name for file in (tmp_path / "cell").glob("*.png")} == {
-        f"seed1_content0.66_{part}.png" for part in ("cement", "path", "signals")
+        f"seed1_content0.66_{part}.png" for part in ("cement", "path", "signals", "section")
     }
     with pytest.raises(UnknownCellError):
         invoke("show", small_database, "--seed", 6, "--content", 0.34)

@@ -31,9 +31,9 @@ def test_the_program_has_the_names_that_are_promised() -> None:
 
 def test_a_lost_name_is_found() -> None:
     """An option, a whole command, and a command without options are missed when they go away; new ones are not."""
-    before = {"commands": {"run": ["--ranks", "--db"], "doctor": []}}
+    before = {"commands": {"run": ["--ranks", "--db"], "former": []}}
     now = {"commands": {"run": ["--db", "--new"], "later": []}}
-    assert lost_names(before, now) == ["commands: run --ranks", "commands: doctor"]
+    assert lost_names(before, now) == ["commands: run --ranks", "commands: former"]
     assert lost_names(now, now) == []
 
 

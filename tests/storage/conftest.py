@@ -23,7 +23,6 @@ from calcidem.storage.records import (
     PathFeatures,
     RecordedSection,
     RunRecord,
-    WorkerRecord,
 )
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
 from calcidem.storage.sql.store import Store
@@ -65,16 +64,6 @@ class Records:
             slurm_job_id="4711",
         )
         return dataclasses.replace(record, **changes)
-
-    def workers(self) -> tuple[WorkerRecord, ...]:
-        """Build what the processes of a run on two kinds of machines were."""
-        versions = {"calcidem": "0.1.0", "numpy": "2.4.6"}
-        return (
-            WorkerRecord(
-                (0, 1), ("node7",), "x86_64", "znver4", ("avx2", "fma"), "Zen", ("X86_V3", "X86_V4"), versions
-            ),
-            WorkerRecord((2, 3), ("node8", "node9"), "aarch64", "neoverse-v2", ("sve",), None, (), versions),
-        )
 
     def done(self, seed: int = 0, content: float = 5.0, **changes: Any) -> CellResult:  # noqa: ANN401
         """Build a done cell without arrays, its velocity depending on the cell."""

@@ -182,12 +182,12 @@ def test_losses_are_counted_over_restarts_and_forgiven_by_retry(
 
 def test_attempts_belong_to_runs(store: Store, records: "Records") -> None:
     """Attempts recorded during a run carry its number, and the run keeps its provenance and end."""
-    number = store.begin_run(records.run(workers=records.workers()))
+    number = store.begin_run(records.run())
     store.record_results([records.done(1, 5.0)])
     ended = records.run().started + timedelta(hours=2)
     store.end_run("complete", ended)
     assert [attempt.run_id for attempt in store.history()] == [number]
-    assert store.runs() == ((number, records.run(ended=ended, exit_state="complete", workers=records.workers())),)
+    assert store.runs() == ((number, records.run(ended=ended, exit_state="complete")),)
 
 
 def test_packing_round_trip(store: Store, records: "Records") -> None:

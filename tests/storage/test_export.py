@@ -60,7 +60,7 @@ def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 def filled(store: Store, records: "Records") -> Store:
     """Fill a store with something of everything."""
     store.extend((7,), (9.0,))
-    store.begin_run(records.run(workers=records.workers()))
+    store.begin_run(records.run())
     for index in (0, 1):
         store.save_packing(records.packing(index))
     store.record_results(records.with_arrays(seed, content) for seed in (0, 1) for content in (0.0, 0.3, 5.0))

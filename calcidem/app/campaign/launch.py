@@ -102,7 +102,7 @@ class Launch:
         self, mpirun: str, ranks: int, configuration: Configuration, relay: "_Relay", display: ProgressDisplay
     ) -> int:
         """Start the launcher, and again after deaths; return the exit code."""
-        fruitless = False
+        begun = fruitless = False
         for restart in range(self.restarts + 1):
             start = _Start(mpirun, ranks, self.arguments, configuration, display)
             why = start.attend(relay, self.start_timeout)
@@ -118,13 +118,15 @@ class Launch:
                 raise SweepInterrupted
             else:
                 why = f"The run did not begin ({why}); nothing was computed."
-            display.note(why)
-            if relay.asked or restart == self.restarts or (found is None and fruitless):
-                return EXIT_ERROR if found is None and restart == 0 else EXIT_RESUMABLE
+            sys.stderr.write(f"{why}\n")
+            begun |= found is not None
+            if relay.asked or (found is None and fruitless):
+                break
             fruitless = found is None
-            time.sleep(1.0)  # s, in which the last processes of this start end
-            display.note(f"Start {restart + 2} of at most {self.restarts + 1}.")
-        return EXIT_RESUMABLE
+            if restart < self.restarts:
+                time.sleep(1.0)  # s, in which the last processes of this start end
+                sys.stderr.write(f"Start {restart + 2} of at most {self.restarts + 1}.\n")
+        return EXIT_RESUMABLE if begun else EXIT_ERROR
 
 
 class _Start:

@@ -28,7 +28,6 @@ from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
-from calcidem.app.campaign.diagnosis import Diagnosis, diagnose
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
 from calcidem.app.campaign.prediction import draw_pattern, predict_velocity
@@ -461,21 +460,6 @@ class Campaign(Closable):
     def experiment(self, packing_index: int = 0) -> Experiment:
         """Return the experiment of the cells of a packing, for `dem.wave.measurement`; errors as for `sample`."""
         return stored_experiment(self.store, packing_index)
-
-    def diagnose(
-        self, *, seed: int | Collection[int] | None = None, content: float | Collection[float] | None = None
-    ) -> tuple[Diagnosis, ...]:
-        """Explain why cells have no velocity, and find values that give one.
-
-        See `calcidem.app.campaign.diagnosis.diagnose`; ``draw()`` of a result draws its section.
-
-        Examples
-        --------
-        >>> campaign = open_campaign("quick.db")
-        >>> for cell in campaign.diagnose(content=9.0):  # all of 9 % have a velocity
-        ...     print(cell.key, cell.reason, cell.remedies, cell.vs)
-        """
-        return tuple(diagnose(self.store, Selection(seed, content)))
 
     def content_hash(self, packing_index: int = 0) -> str:
         """Return the content hash of a packing.

@@ -1,8 +1,9 @@
 """Conversion of cement and sections between store and simulation; cement that is not stored is drawn again."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.sample.cement import CementCapacityError, PlacedCement
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.reading import LEAST_COHERENCE, Candidate, PickRule, find_candidates
 from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import CellResult, CementPattern, RecordedSection
@@ -78,3 +80,17 @@ def section_of(stored: RecordedSection) -> Section:
         across=stored.across,
         along=stored.along,
     )
+
+
+def read_candidates(
+    section: Section, config: Mapping[str, Any]
+) -> tuple[float, tuple[Candidate, ...], Candidate | None]:
+    """Return the smoothing of a configuration, peaks that may be the S wave, and that which is; None if none is."""
+    smoothing = config.get("pick", {}).get("smoothing", PickRule().smoothing)
+    candidates = find_candidates(section, smoothing)
+    for one in candidates:
+        if one.decided > section.duration:
+            break
+        if one.coherence >= max(one.rival, LEAST_COHERENCE):
+            return smoothing, candidates, one
+    return smoothing, candidates, None

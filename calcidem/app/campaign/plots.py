@@ -1,4 +1,4 @@
-"""Figures of a campaign in Python, ``campaign.plot``, and the picture of a diagnosis."""
+"""Figures of a campaign in Python, ``campaign.plot``."""
 
 import math
 import os
@@ -6,33 +6,37 @@ import textwrap
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.film import draw_film, movie_writer, write_movie
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals, load_arrival, read_arrival
 from calcidem.analysis.figures.style import MM, MS, drawn_in
-from calcidem.app.campaign.diagnosis import Diagnosis
-from calcidem.app.campaign.patterns import stored_section
+from calcidem.app.campaign.patterns import read_candidates, section_of, stored_section
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import film_wave
-from calcidem.dem.wave.reading import LEAST_COHERENCE, Reading, find_candidates, prepare, velocity_spectrum
+from calcidem.dem.wave.reading import LEAST_COHERENCE, prepare, velocity_spectrum
 from calcidem.dem.wave.section import Section
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CellResult
 
 _FIGURES = {figure.name: figure for figure in CAMPAIGN_FIGURES}
 
-_ARGUMENTS = """Parameters
+_Method = TypeVar("_Method", bound=Callable[..., Figure])
+
+
+def _with_caption(method: _Method) -> _Method:
+    """Add the caption to the documentation of a method that draws a figure of the report."""
+    arguments = """Parameters
 ----------
 ax
     Axes of the caller in which, or in whose place, it is drawn; None for a figure of its own.
@@ -41,18 +45,7 @@ Returns
 -------
 matplotlib.figure.Figure
     The whole figure."""
-
-_MOST_LINES = 6  # number of displayed candidates, the most coherent ones
-_EXCURSION = 0.75  # largest value of a trace over the mean distance of the stations
-_CHARACTERS = 100  # in a line of text
-_TICKS = tuple(digit * 10**power for power in (1, 2, 3, 4) for digit in (1, 2, 3, 5))  # m/s
-
-_Method = TypeVar("_Method", bound=Callable[..., Figure])
-
-
-def _with_caption(method: _Method) -> _Method:
-    """Add the caption to the documentation of a method that draws a figure of the report."""
-    method.__doc__ = f"{method.__doc__}\n\n{_FIGURES[method.__name__].caption}\n\n{_ARGUMENTS}"
+    method.__doc__ = f"{method.__doc__}\n\n{_FIGURES[method.__name__].caption}\n\n{arguments}"
     return method
 
 
@@ -162,6 +155,20 @@ class CampaignPlots:
         with drawn_in(ax):
             return draw_signals([load_arrival(self.analysis, seed, content)])
 
+    def section(self, *, seed: int, content: float, ax: Axes | None = None) -> Figure:
+        """Draw the section of one sample with the candidates for its S wave, and its stack against velocity.
+
+        Traces are divided by their largest value, without the P wave (dark) and with it (light). Lines lead from the
+        transmitted peak to the six most coherent peaks of the receiver; the solid one is the S wave. A peak whose stack
+        is below the dotted line is none.
+        """
+        cell = self.analysis.cell(seed, content)
+        if cell.section is None:
+            raise UnavailableError(f"no section is stored for seed {seed} at {content:g} %")
+        said = f"{cell.key}: {cell.reason or f'Vs = {cell.vs:.0f} m/s'}"
+        with drawn_in(ax):
+            return _draw_section(section_of(cell.section), self.analysis.config, said)
+
     def cement(self, *, seed: int, content: float, ax: Axes | None = None) -> Figure:
         """Draw one sample with its cement."""
         sample = self.analysis.sample(seed, content)
@@ -230,35 +237,26 @@ class CampaignPlots:
 
 
 @style.apply_style
-def draw_diagnosis(one: Diagnosis) -> Figure:
+def _draw_section(section: Section, config: dict[str, Any], title: str) -> Figure:
     """Draw the traces at their places with the line of each candidate, and below the stack against velocity."""
-    section, smoothing, expected = one.section, one.experiment.pick.smoothing, one.expected
-    arrival = one.reading.index if isinstance(one.reading, Reading) else None
-    said = f"No velocity: {one.reason}.", one.finding, *one.describe_remedies()
-    lines = [line for text in said for line in textwrap.wrap(text, _CHARACTERS)]
-    heights = (3.6, 1.5, 0.1 + 0.17 * len(lines))
-    figure = style.new_figure(height=sum(heights))
-    traces, spectrum, below = figure.subplots(3, 1, height_ratios=heights)
-    candidates = find_candidates(section, smoothing)
-    shown = sorted(candidates, key=lambda peak: (peak.index != arrival, -peak.coherence))[:_MOST_LINES]
+    smoothing, candidates, arrival = read_candidates(section, config)
+    shown = sorted(candidates, key=lambda peak: (peak is not arrival, -peak.coherence))[:6]
+    figure = style.new_figure(height=5.1)
+    traces, spectrum = figure.subplots(2, 1, height_ratios=(3.6, 1.5))
     _draw_traces(traces, section, smoothing, shown[0].clean if shown else None)
-    found = [section.distance / peak.travel_time for peak in candidates] + ([one.vs] if one.vs is not None else [])
-    _draw_spectrum(spectrum, section, smoothing, found)
-    if expected[0] > 0.0:
-        late, early = (MS * (0.5 / section.frequency + section.distance / velocity) for velocity in expected)
-        begin, end = 0.5 * MS / section.frequency, MM * section.distance
-        traces.fill([begin, late, early], [0.0, end, end], color=style.BLUE, alpha=0.08, linewidth=0)
-        spectrum.axvspan(*expected, color=style.BLUE, alpha=0.12, linewidth=0)
+    _draw_spectrum(spectrum, section, smoothing, [section.distance / peak.travel_time for peak in candidates])
+    begin, end = 0.5 * MS / section.frequency, MM * section.distance
     for number, peak in enumerate(sorted(shown, key=lambda peak: peak.index), start=1):
-        color, place = style.VERMILION if peak.index == arrival else style.GREY, (peak.travel_time, peak.coherence)
-        _draw_line((traces, spectrum), section, place, str(number), color)
-    if one.vs is not None:
-        place = section.distance / one.vs, float(velocity_spectrum(section, smoothing, np.array([one.vs]))[0])
-        _draw_line((traces, spectrum), section, place, "remedy", style.GREEN)
-    traces.set_title(f"{one.key.content:g} %, seed {one.key.seed}")
+        color, dashes = (style.VERMILION, "-") if peak is arrival else (style.GREY, "--")
+        arrived, velocity = begin + MS * peak.travel_time, section.distance / peak.travel_time
+        traces.plot([begin, arrived], [0.0, end], color=color, linewidth=1.0, linestyle=dashes)
+        spectrum.plot(velocity, peak.coherence, "o", markersize=4.0, color=color, zorder=4.0)
+        for axes, point in ((traces, (arrived, 1.1 * end)), (spectrum, (velocity, peak.coherence))):
+            axes.annotate(
+                str(number), point, (0, 3), textcoords="offset points", ha="center", fontsize=8.0, color=color
+            )
+    traces.set_title(textwrap.fill(title, 72))
     style.letter_panels((traces, spectrum))
-    below.set_axis_off()
-    below.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=7.5, linespacing=1.35, transform=below.transAxes)
     return figure
 
 
@@ -267,7 +265,8 @@ def _draw_traces(axes: Axes, section: Section, smoothing: float, clean: Floats |
     across, place = prepare(section, smoothing).across, np.array(section.places) * MM
     time, clean = section.times[: len(across)] * MS, across if clean is None else clean
     largest = np.abs(clean).max(axis=0, initial=0.0)
-    scale = _EXCURSION * place[-1] / len(place) / np.where(largest > 0.0, largest, 1.0)
+    # The largest value of a trace is three quarters of the mean distance of the stations.
+    scale = 0.75 * place[-1] / len(place) / np.where(largest > 0.0, largest, 1.0)
     axes.plot(time, place + np.clip(across * scale, -place, place[-1]), color=style.SKY, linewidth=0.8)
     axes.plot(time, place + clean * scale, color=style.BLUE, linewidth=1.2)
     for offset, value in zip(place, largest, strict=True):
@@ -283,16 +282,7 @@ def _draw_spectrum(axes: Axes, section: Section, smoothing: float, found: list[f
     axes.plot(velocities, velocity_spectrum(section, smoothing, velocities), color=style.BLUE)
     axes.axhline(LEAST_COHERENCE, color=style.GREY, linewidth=0.8, linestyle=":")
     axes.set(xscale="log", xlim=(velocities[0], velocities[-1]), ylim=(-0.25, 1.15))
-    axes.set_xticks(seen := [tick for tick in _TICKS if velocities[0] <= tick <= velocities[-1]], map(str, seen))
+    ticks = [digit * 10**power for power in (1, 2, 3, 4) for digit in (1, 2, 3, 5)]  # m/s
+    axes.set_xticks(seen := [tick for tick in ticks if velocities[0] <= tick <= velocities[-1]], map(str, seen))
     axes.minorticks_off()
     axes.set(title="stack along the line of each velocity", xlabel="velocity (m/s)", ylabel="coherence")
-
-
-def _draw_line(panels: tuple[Axes, Axes], section: Section, peak: tuple[float, float], name: str, color: str) -> None:
-    """Draw the line of a travel time, s, through the traces, and its coherence in the spectrum."""
-    begin, end, shift = 0.5 / section.frequency, MM * section.distance, -11 if name == "remedy" else 3
-    arrived, velocity, dashes = MS * (begin + peak[0]), section.distance / peak[0], "--" if color == style.GREY else "-"
-    panels[0].plot([MS * begin, arrived], [0.0, end], color=color, linewidth=1.0, linestyle=dashes)
-    panels[1].plot(velocity, peak[1], "o", markersize=4.0, color=color, zorder=4.0)
-    for axes, point in zip(panels, ((arrived, 1.1 * end), (velocity, peak[1])), strict=True):
-        axes.annotate(name, point, (0, shift), textcoords="offset points", ha="center", fontsize=8.0, color=color)

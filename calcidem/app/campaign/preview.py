@@ -2,6 +2,8 @@
 
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -11,11 +13,13 @@ from time import thread_time
 import numpy as np
 
 from calcidem.app.campaign.identity import choose_campaign
+from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
 from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.parts import planned_batches, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
-from calcidem.app.campaign.stored_packing import stored_packing
+from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder, stored_packing
 from calcidem.app.config.checks import (
+    can_make_files,
     check_against_packing,
     cutoff_estimate,
     disks_in_box,
@@ -25,45 +29,22 @@ from calcidem.app.config.reference import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import WAVELENGTHS, expected_speed
+from calcidem.storage.files import filesystem_type, is_network_filesystem
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.environment import available_cores
+from calcidem.sweep.environment import (
+    LAUNCHER_VARIABLES,
+    available_cores,
+    mpi_library_version,
+    refuse_ranks_off_linux,
+)
 from calcidem.sweep.progress import duration
+from calcidem.sweep.sweep_end import LaunchError
 
-_LOOSE_DISKS = 20
-"""Time to bring a loose lattice to rest (porosity 0.33, 1,440 disks of two sizes) over that to make a packing."""
-_SHORTEST_PATH = 1.0
-"""Number of wavelengths on the path below which P and S wave arrive as one."""
-_SHORTEST_WAVE = 6.0
-"""Number of grains in a wavelength below which samples scatter the wave."""
-
-
-_RECORDED_PART = 1.25  # over `time_of_wave`, when readings are settled
-
-# Stability limit of a cemented sample over that of mean disks: 1.18 to 1.20 from 0.66 to 9 % of `paper`.
-_STEP_OVER_MEAN_DISKS = 1.19
-
-_SECONDS_OF_CELL = 0.02  # reading, numerical error, graph
-
-# For a disk and a sample, eight samples side by side.
-_SECONDS_OF_DISK_STEP = {"linear": 5e-9, "small": 9e-9, "finite": 22e-9}
-
-_SECONDS_WHERE_MEASURED = 2.7e-3  # of `_seconds_of_arithmetic`
-
-_PACKING_SECONDS, _PACKING_DISKS = 15.0, 4700  # the time varies as the power 3/2 of their number
-
-# Memory: of Python with NumPy and numba, of each disk, and of each disk of each lane.
-_BYTES_OF_PROCESS, _BYTES_OF_DISK, _BYTES_OF_DISK_AND_LANE = 210e6, 1e3, 800.0
-
-# Bytes in a database; the NetCDF file has as many.
-_BYTES_OF_CAMPAIGN, _BYTES_OF_CELL, _BYTES_OF_CELL_AND_DISK = 150e3, 18e3, 2.0
-
-_MOST_SOLVED = 20_000  # disks whose static stiffness takes a second or two
-
-_PACKINGS_OVER_LATTICE = 0.5  # velocity of packings over that of the hexagonal lattice, without cement
+SECONDS_WHERE_MEASURED = 2.7e-3  # of `_seconds_of_arithmetic`
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +61,10 @@ class _ExpectedCost:
     """Bytes of the database and the NetCDF file."""
 
 
-def preview_lines(configuration: Configuration) -> Iterator[str]:
-    """Check a configuration against its database and packing, if any, and describe the run.
+def preview_lines(configuration: Configuration, ranks: int | None = None) -> Iterator[str]:
+    """Check a configuration against its database, its packing, if any, and this machine, and describe the run.
+
+    MPI ``ranks`` are started for a moment; None for a run without them.
 
     `ConfigurationError` if the packing cannot hold the planned cement; `StoreError` if the database cannot be read, or
     has another campaign of that name, or this one under another name.
@@ -121,6 +104,9 @@ def preview_lines(configuration: Configuration) -> Iterator[str]:
     kept = [(batch, [cell for cell in batch.cells if CellKey(*cell) not in settled]) for batch in batches]
     left = [replace(batch, cells=tuple(cells)) for batch, cells in kept if cells]
     yield from _cost_lines(configuration, speeds, left, is_packed=packing is not None)
+    yield from _machine_warnings(address.path)
+    if ranks is not None and ranks != 1:
+        yield _describe_ranks(Launch((), ranks).ranks)
     if packing is None:
         yield (
             "Packing: not made yet. Make it with 'calcidem run CONFIG --packing-only', then check again for contents"
@@ -155,7 +141,8 @@ def _cost_lines(
         return
     cost, cores = _expected_cost(configuration, speeds, batches), available_cores()
     busy = max(1, min(cores, len(batches)))
-    loose = "" if configuration.packing_draw.file is None else f" ({_LOOSE_DISKS} times as long if its disks are loose)"
+    # A loose lattice (porosity 0.33, 1,440 disks of two sizes) took 20 times as long as a packing.
+    loose = "" if configuration.packing_draw.file is None else " (20 times as long if its disks are loose)"
     packing = "" if is_packed else f", after {duration(max(1.0, cost.packing_seconds))} for the packing{loose}"
     all_cores = "" if busy == 1 else f", {duration(max(1.0, cost.seconds / busy))} with --ranks 0 on {cores} cores"
     yield f"Time: about {duration(max(1.0, cost.seconds))} on one core{all_cores}{packing}, kernels compiled."
@@ -175,6 +162,58 @@ def _cost_lines(
         yield "Warning: run.output: results need more space than is free; free some space, or give another folder."
 
 
+def _machine_warnings(database: Path | None) -> Iterator[str]:
+    """Warnings about the places of database and caches; the database is None on a server."""
+    from calcidem.dem.kernels.steps import advance_steps  # noqa: PLC0415 - takes a second to import
+
+    if database is not None and is_network_filesystem(database):
+        yield (
+            f"Warning: run.database: {filesystem_type(database)} is shared between machines, so each commit is slow; a "
+            "local disk is faster, if you copy the database back."
+        )
+    if not can_make_files(cache_folder()):
+        yield (
+            f"Warning: {CACHE_VARIABLE}: {cache_folder()} cannot be written, so each campaign makes its packing again; "
+            "give a folder in which you may write."
+        )
+    kernels = getattr(getattr(advance_steps, "stats", None), "cache_path", None)
+    if kernels is not None and not can_make_files(Path(kernels)):
+        yield (
+            f"Warning: NUMBA_CACHE_DIR: {kernels} cannot be written, so every process compiles its kernels; give "
+            "a folder in which you may write."
+        )
+    elif kernels is not None and is_network_filesystem(Path(kernels)):
+        yield f"Warning: NUMBA_CACHE_DIR: {kernels} is shared between machines; set it to a disk of the node."
+
+
+def _describe_ranks(ranks: int) -> str:
+    """Start MPI ranks as a run does, and say whether they communicate."""
+    try:
+        refuse_ranks_off_linux()
+        mpirun = find_mpirun()
+        done = subprocess.run(  # noqa: S603 - our own program
+            [
+                *(mpirun, *launcher_options(mpirun, ranks)),
+                *(sys.executable, "-c", "from mpi4py import MPI; print(MPI.COMM_WORLD.Get_size(), 'ranks')"),
+            ],
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=120.0,  # s; a network file system without cache is slow
+            env={name: value for name, value in os.environ.items() if name not in LAUNCHER_VARIABLES},
+            stdin=subprocess.DEVNULL,
+        )
+    except (LaunchError, OSError, subprocess.SubprocessError) as error:
+        written = [line for line in str(getattr(error, "stderr", None) or "").splitlines() if line.strip(" -")]
+        return f"Warning: --ranks {ranks}: {written[-1].strip() if written else error}."
+    if done.stdout.splitlines().count(f"{ranks} ranks") != ranks:
+        return (
+            f"Warning: --ranks {ranks}: {mpirun} starts them, but they do not communicate; set MPIRUN to the launcher "
+            "of the MPI library that mpi4py loads."
+        )
+    return f"Ranks: {mpirun} starts {ranks}, and they communicate ({mpi_library_version()})."
+
+
 def _waves(configuration: Configuration, packing: Packing, speeds: Mapping[float, float]) -> Iterator[str]:
     """Chosen frequencies, and contents whose wavelength does not suit the path or the grains."""
     experiment, diameter = configuration.experiment(packing), 2.0 * float(np.mean(packing.radius))
@@ -184,14 +223,15 @@ def _waves(configuration: Configuration, packing: Packing, speeds: Mapping[float
     for content, speed in sorted(speeds.items()):
         frequency = experiment.frequency(content)
         waves, grains = frequency * experiment.distance / speed, speed / (frequency * diameter)
-        if waves >= _SHORTEST_PATH and grains >= _SHORTEST_WAVE:
+        # On a path of less than one wavelength P and S wave arrive as one; shorter waves than six grains are scattered.
+        if waves >= 1.0 and grains >= 6.0:
             continue
         why = (
             f"{waves:.1f} wavelengths on the path, so that P and S wave arrive as one"
-            if waves < _SHORTEST_PATH
+            if waves < 1.0
             else f"{grains:.1f} grains in a wavelength, which samples scatter"
         )
-        longest = speed / (_SHORTEST_WAVE * diameter)
+        longest = speed / (6.0 * diameter)
         cure = (
             f"wave.frequency = {min(WAVELENGTHS * speed / experiment.distance, longest):.2g}"
             if configuration.excitation.table is not None
@@ -226,8 +266,8 @@ def _expected_speeds(configuration: Configuration, packing: Packing | None) -> d
     """
     contents = configuration.campaign.contents
     lattice = np.pi * float(np.mean(configuration.packing.diameter)) * cutoff_estimate(configuration, cemented=False)
-    rough = {content: _PACKINGS_OVER_LATTICE * float(lattice) * (1.0 + content) for content in contents}
-    if packing is None or len(packing.radius) > _MOST_SOLVED:
+    rough = {content: 0.5 * float(lattice) * (1.0 + content) for content in contents}
+    if packing is None or len(packing.radius) > 20_000:  # whose static stiffness takes a second or two
         return rough
     experiment = configuration.experiment(packing)
     found = {}
@@ -244,20 +284,26 @@ def _expected_cost(
 ) -> _ExpectedCost:
     """Cost of the batches of a configuration with these speeds of waves, m/s, at each content."""
     wave, lanes, disks = configuration.wave, configuration.run.lanes, disks_in_box(configuration)
+    # Seconds for a disk, a step and a sample, eight samples side by side.
+    seconds_of_step = {"linear": 5e-9, "small": 9e-9, "finite": 22e-9}[wave.regime]
     seconds, cells = 0.0, 0
     for batch in batches:
         content = batch.cells[0][1]
-        longer = _STEP_OVER_MEAN_DISKS if content > 0.0 else 1.0
+        # The stability limit of a cemented sample is 1.18 to 1.20 times that of mean disks, at 0.66 to 9 % of `paper`.
+        longer = 1.19 if content > 0.0 else 1.0
         step = wave.step_fraction * longer * limit_of_mean_disks(configuration, cemented=content > 0.0)
-        steps = _RECORDED_PART * time_of_wave(configuration, content, speeds[content]) / step
-        seconds += lanes * steps * disks * _SECONDS_OF_DISK_STEP[wave.regime] + _SECONDS_OF_CELL * len(batch.cells)
+        steps = 1.25 * time_of_wave(configuration, content, speeds[content]) / step  # until the reading is settled
+        # Reading, numerical error and graph take 0.02 s.
+        seconds += lanes * steps * disks * seconds_of_step + 0.02 * len(batch.cells)
         cells += len(batch.cells)
-    slower = _seconds_of_arithmetic() / _SECONDS_WHERE_MEASURED
+    slower = _seconds_of_arithmetic() / SECONDS_WHERE_MEASURED
     return _ExpectedCost(
         seconds=slower * seconds,
-        packing_seconds=slower * _PACKING_SECONDS * (disks / _PACKING_DISKS) ** 1.5,
-        memory=_BYTES_OF_PROCESS + disks * (_BYTES_OF_DISK + lanes * _BYTES_OF_DISK_AND_LANE),
-        disk=2.0 * (_BYTES_OF_CAMPAIGN + cells * (_BYTES_OF_CELL + disks * _BYTES_OF_CELL_AND_DISK)),
+        packing_seconds=slower * 15.0 * (disks / 4700) ** 1.5,  # 15 s for 4,700 disks
+        # Bytes of Python with NumPy and numba, of each disk, and of each disk of each lane.
+        memory=210e6 + disks * (1e3 + lanes * 800.0),
+        # Bytes of a campaign, of a cell, and of a cell and disk in the database; the NetCDF file has as many.
+        disk=2.0 * (150e3 + cells * (18e3 + disks * 2.0)),
     )
 
 

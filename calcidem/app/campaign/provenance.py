@@ -14,9 +14,6 @@ from calcidem.storage.records import RunRecord
 from calcidem.sweep.environment import mpi_library_version
 from calcidem.version import __version__
 
-_LIBRARIES = ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy")
-"""Packages on which numbers and files depend, besides Python and calcidem."""
-
 
 def describe_run(ranks: int) -> RunRecord:
     """Provenance of a run that begins now, on rank 0 of this number of ranks."""
@@ -38,16 +35,12 @@ def describe_run(ranks: int) -> RunRecord:
 def library_versions() -> dict[str, str]:
     """Versions of Python, of the packages on which numbers and files depend, and of the C library if known."""
     versions = {"python": platform.python_version(), "calcidem": __version__}
-    versions |= {name: _version_of(name) for name in _LIBRARIES}
+    for name in ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy"):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = ""
     return versions | ({"libc": " ".join(platform.libc_ver())} if any(platform.libc_ver()) else {})
-
-
-def _version_of(name: str) -> str:
-    """Version of an installed distribution; empty if it is not installed."""
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return ""
 
 
 def _cpu_model() -> str:

@@ -206,7 +206,7 @@ def _finite_or_none(value: float) -> float | None:
 def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
     """Computing time of each cell, s; in a large campaign only of some seeds, else NaN.
 
-    They are read in a separate query: they belong to attempts, and a cell with a damaged attempt is not damaged itself.
+    They are read in a separate query, since they belong to attempts.
     """
     seconds = np.full(len(columns["seed"]), np.nan)
     seeds = np.unique(columns["seed"][columns["status"] != CellStatus.PENDING.value])
@@ -285,7 +285,7 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
             statuses[key],
             count.attempts,
             count.losses,
-            reasons.get(key, ""),
+            reasons.get(key) or ("its attempt is missing" if statuses[key] in _TROUBLES else ""),
             retries.get(key, ""),
         )
         for key, count in attempts.items()

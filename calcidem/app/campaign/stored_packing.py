@@ -53,8 +53,8 @@ def packing_from_bytes(archive: bytes) -> Packing:
 
     `DamagedPackingError` if the bytes were changed or truncated, or are something else.
     """
-    if not archive:
-        raise DamagedPackingError("it is empty")
+    if not archive or not isinstance(archive, bytes):  # a damaged database may give a text
+        raise DamagedPackingError("it is empty, or a text")
     start = len(_HEADING) + _DIGEST_LENGTH + 1
     head, body = archive[:start], archive[start:]
     if head != _HEADING + sha256(body).hexdigest().encode() + b"\n":

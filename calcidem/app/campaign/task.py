@@ -19,7 +19,6 @@ from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.patterns import pattern_of, stored_section
 from calcidem.app.campaign.stored_packing import packing_record
-from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
 from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
@@ -74,8 +73,7 @@ class CellComputation:
                 replace(result, static_speed=found.speed if found.error <= LARGEST_STATIC_ERROR else None)
                 for result, found in zip(results, speeds, strict=True)
             ]
-        worker = describe_worker(rank=0)  # the master sets the rank
-        return tuple(replace(result.packed(), worker=worker) for result in results)
+        return tuple(result.packed() for result in results)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle for preparation in another process, without the URL of the database, which may have a password."""

@@ -1,7 +1,6 @@
 """``calcidem import``: a database from an exported file, or a packing from the disks of another program."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -68,13 +67,14 @@ def import_command(
 def _import_campaign(file: Path, database: str) -> None:
     """Rebuild a campaign's database from its exported file."""
     from calcidem.app.campaign.stored_packing import stored_packing
+    from calcidem.storage.errors import DamagedStoreError, InvalidRecordError
     from calcidem.storage.netcdf.import_netcdf import import_netcdf
     from calcidem.storage.sql.engine import Address
     from calcidem.storage.sql.lease import replace_database
     from calcidem.storage.sql.store import Store
 
     path = Address.parse(database).path
-    with told_as_damage(file):
+    try:
         if path is None:  # opening a server's database creates tables, which would remain after a refusal
             with TemporaryDirectory() as folder, Store(Path(folder) / "trial.db") as trial:
                 import_netcdf(file, trial, stored_packing)
@@ -82,17 +82,8 @@ def _import_campaign(file: Path, database: str) -> None:
         place = replace_database(path) if path and is_new else nullcontext(database)
         with place as target, Store(target) as store:
             campaign = import_netcdf(file, store, stored_packing)
-    cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
-    typer.echo(printable(f"Wrote {database}: campaign '{campaign.name}', {cells}"))
-
-
-@contextmanager
-def told_as_damage(file: Path) -> Iterator[None]:
-    """Turn exceptions from changed bytes of an exported file into an error message."""
-    from calcidem.storage.errors import DamagedStoreError, InvalidRecordError
-
-    try:
-        yield
     except (*_RAISED_BY_DAMAGE, InvalidRecordError) as error:
         problem = f"{file} is damaged ({type(error).__name__}: {error})."
         raise DamagedStoreError(problem, "Export it again, and import it again; nothing was written.") from error
+    cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
+    typer.echo(printable(f"Wrote {database}: campaign '{campaign.name}', {cells}"))

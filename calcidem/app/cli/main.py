@@ -29,15 +29,13 @@ PANELS = {
     "Compute": {
         "init": "Write a configuration to start from.",
         "run": "Compute a campaign, or continue it after a stop.",
-        "doctor": "Check what this machine lacks.",
     },
     "See results": {
         "status": "Progress, Vs so far, what went wrong; also while it runs.",
         "report": "One HTML page with all tables, figures and cells.",
         "serve": "The same in the browser, live.",
         "query": "Cells that meet conditions, as a table or a file.",
-        "show": "One cell: its quantities, figures, and a movie of its wave.",
-        "diagnose": "Why cells have no velocity, and what to try.",
+        "show": "One cell: its quantities, why it has no velocity, figures, a movie.",
     },
     "Move data": {
         "export": "A campaign as NetCDF, or one sample for ParaView or as CSV.",

@@ -55,7 +55,8 @@ def run_command(
         typer.Option(help="Also compute cells of this status again; may be repeated."),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Compute nothing: check the configuration and estimate time and memory.")
+        bool,
+        typer.Option("--check", help="Compute nothing: check configuration and machine, estimate time and memory."),
     ] = False,
     serve: Annotated[bool, typer.Option("--serve", help="Show the run in the browser.")] = False,
     packing_only: Annotated[
@@ -74,7 +75,13 @@ def run_command(
     if check or packing_only:
         refuse_options("leave it out: no cell is computed", {"--serve": serve, "--retry": retry})
         refuse_options("leave it or --check out: no packing is made", {"--packing-only": check and packing_only})
-        (_preview if check else _make_packing_alone)(_read_overridden(configuration, overrides))
+        loaded = _read_overridden(configuration, overrides)
+        if check:
+            from calcidem.app.campaign.preview import preview_lines
+
+            typer.echo(printable("\n".join(preview_lines(loaded, ranks))))
+        else:
+            _make_packing_alone(loaded)
         return
     if dask is not None and ranks is not None:
         raise typer.BadParameter("leave --ranks out: the workers of the cluster compute", param_hint="--dask")
@@ -112,13 +119,6 @@ def run_command(
                 )
             )
         raise typer.Exit(code)
-
-
-def _preview(configuration: "Configuration") -> None:
-    """Describe the run, or only the errors of the configuration."""
-    from calcidem.app.campaign.preview import preview_lines
-
-    typer.echo(printable("\n".join(preview_lines(configuration))))
 
 
 def _make_packing_alone(configuration: "Configuration") -> None:

@@ -149,6 +149,6 @@ def _vs_table(store: Store, selection: Selection) -> Table:
             f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
         )
     if any(found.counts.get(status) for status in UNREAD):
-        remarks.append("'calcidem diagnose DB' explains why cells have no velocity and proposes remedies")
+        remarks.append("'calcidem status DB' has reasons and remedies of cells without velocity")
     table.caption = "\n".join(remarks)
     return table

@@ -11,6 +11,7 @@ from rich.text import Text
 from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable, progress_bar
+from calcidem.ends import Verdict
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.campaign.opened import Campaign
@@ -28,7 +29,10 @@ def show_command(
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
-    """Show one cell: its quantities and, with --out, its packing, cement, path and signals as figures."""
+    """Show one cell: its quantities, or why it has no velocity and what may give one.
+
+    With --out also figures: cement, path, signals, and the section with the candidates for the S wave.
+    """
     from calcidem.app.cli.query import as_rows
     from calcidem.storage.records import QUANTITY_BY_NAME
     from calcidem.storage.sql.store import read_campaign
@@ -43,6 +47,8 @@ def show_command(
         table = make_table(f"Seed {seed} at {content:g} %.", "quantity", "value")
         for meaning, value in _cell_rows(row):
             table.add_row(meaning, Text(printable(value)))
+        if verdict := Verdict.of(row["reason"] or ""):
+            table.add_row("remedy", verdict.remedy)
         make_console().print(table)
     else:
         tell_rows([row], layout)
@@ -80,6 +86,8 @@ def _draw_cell(opened: "Campaign", seed: int, content: float, folder: Path) -> I
     from calcidem.analysis.campaign_analysis import UnavailableError
     from calcidem.analysis.figures.style import save
 
-    for name, draw in {"cement": opened.plot.cement, "path": opened.plot.path, "signals": opened.plot.signal}.items():
+    plot = opened.plot
+    figures = {"cement": plot.cement, "path": plot.path, "signals": plot.signal, "section": plot.section}
+    for name, draw in figures.items():
         with suppress(UnavailableError):
             yield from save(draw(seed=seed, content=content), folder, f"seed{seed}_content{content:g}_{name}")

@@ -12,6 +12,7 @@ from rich.text import Text
 from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, URGENCY, CampaignStatus, ContentStatus, Trouble
 from calcidem.app.cli.tables import format_number, marks_of, remarks_on
 from calcidem.app.cli.terminal import printable
+from calcidem.ends import Verdict
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, first_of, pluralize
 
@@ -52,6 +53,8 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
     if half_width is not None:
         parts += map(Text, _seed_lines(status, half_width))
     parts += [Text(printable(line), overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
+    verdicts = {Verdict.of(trouble.reason) for trouble in status.troubles}
+    parts += [Text(f"No arrival: {verdict.explained}.") for verdict in Verdict if verdict in verdicts]
     return Group(*parts)
 
 
@@ -142,7 +145,7 @@ def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
     went_wrong = {trouble.status for trouble in status.troubles if trouble.reason}
     if went_wrong & {*UNREAD}:
         kinds = " and ".join(kind.words for kind in UNREAD if kind in went_wrong)
-        yield f"Cells with {kinds} give the same again; 'calcidem diagnose DB' explains why and proposes remedies."
+        yield f"Cells with {kinds} give the same again; 'calcidem show DB --seed S --content C --out DIR' draws them."
     for kind in sorted(went_wrong - {*UNREAD}):
         yield f"'calcidem run CONFIG --retry {kind}' computes cells that are {kind.words} again."
 

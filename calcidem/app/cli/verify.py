@@ -2,14 +2,11 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calcidem.app.cli.arguments import CampaignName
+from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
 from calcidem.app.cli.terminal import printable
 from calcidem.sweep.progress import pluralize
@@ -21,7 +18,7 @@ if TYPE_CHECKING:  # loaded by the command itself, not by its help
 
 
 def verify_command(
-    database: Annotated[str, typer.Argument(metavar="DB|CRATE", help="SQLite file, database URL, or RO-Crate.")],
+    database: Database,
     cells: Annotated[int, typer.Option(min=1, help="Number of cells to compute again.")] = 4,
     choice: Annotated[
         int | None,
@@ -35,16 +32,17 @@ def verify_command(
 ) -> None:
     """Compute random cells of a campaign again, on its own packing, and compare them with the stored ones.
 
-    Status, readings, step, cement and stored sections are compared; of a crate also configuration and packing.
-    --integrity names the damage that SQLite finds in the file; exit code 1 if there is any.
+    Status, readings, step, cement and stored sections are compared. --integrity names the damage that SQLite finds in
+    the file; exit code 1 if there is any.
 
     Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 not comparable,
     such as cells of another physics version.
     """
+    from calcidem.app.campaign.opened import open_campaign
     from calcidem.app.cli.exit_codes import EXIT_ROUNDING
     from calcidem.app.studies.verify import Agreement, random_cells, verify
 
-    with _open_any(database, campaign) as opened:
+    with open_campaign(database, campaign) as opened:
         if integrity:
             _verify_integrity(opened, layout)
             return
@@ -63,25 +61,6 @@ def verify_command(
     codes = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
     if code := codes[max(counts, key=list(Agreement).index)]:  # the worst of them
         raise typer.Exit(code)
-
-
-@contextmanager
-def _open_any(path: str, campaign_name: str | None) -> Iterator["Campaign"]:
-    """Open a campaign of a database or of a crate."""
-    from calcidem.app.campaign.opened import open_campaign
-    from calcidem.app.cli.import_ import told_as_damage
-    from calcidem.app.report.crate import is_crate, open_crate
-
-    if not is_crate(path):
-        with open_campaign(path, campaign_name) as opened:
-            yield opened
-        return
-    if campaign_name is not None:
-        raise typer.BadParameter("leave it out: a crate has one campaign", param_hint="--campaign")
-    with ExitStack() as stack:
-        with told_as_damage(Path(path)):
-            campaign = stack.enter_context(open_crate(path))
-        yield campaign
 
 
 def _verify_integrity(opened: "Campaign", layout: Format) -> None:

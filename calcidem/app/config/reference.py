@@ -4,7 +4,6 @@ import inspect
 import re
 import textwrap
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from types import NoneType
@@ -14,7 +13,6 @@ from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import SECTIONS, TAKEN_FROM_ELSEWHERE, Configuration
 from calcidem.dem.engine.fields import accepted_values, field_hints, unit_of, written
-from calcidem.storage.records import CampaignRecord
 
 CALIBRATED = (
     "sand.wave_stiffness_factor",
@@ -119,28 +117,3 @@ def calibration_note(configuration: Configuration) -> str:
                 "values out, or fit them to measurements of this material with 'calcidem calibrate'."
             )
     return ""
-
-
-def stored_text(record: CampaignRecord, disks: str) -> str:
-    """Text of a configuration with the identity of a stored campaign.
-
-    ``disks`` is a CSV file with the disks at rest, which replaces the campaign's own file of disks, since databases do
-    not contain that. With ``disks`` the identity differs.
-    """
-    physics, seeds = record.parameters, record.seeds
-    plan = {
-        "name": record.name,
-        "seeds": len(seeds) if seeds == tuple(range(1, len(seeds) + 1)) else seeds,
-        "contents": record.contents,
-        "root_seed": physics["root_seed"],
-    }
-    packing = dict(physics["packing"])
-    if packing.pop("file_sha256", None) is not None:
-        packing["file"] = disks
-    lines = [f"# Campaign {record.hash}, written from its database."]
-    for section, values in {"campaign": plan, **physics, "packing": packing}.items():
-        if isinstance(values, Mapping):
-            given = {name: value for name, value in values.items() if f"{section}.{name}" not in TAKEN_FROM_ELSEWHERE}
-            keys = (f"{name} = {written(value)}" for name, value in given.items() if value is not None)
-            lines += ["", f"[{section}]", *keys]
-    return "\n".join((*lines, ""))

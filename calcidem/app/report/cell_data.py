@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
 from calcidem.analysis.figures.signals import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.app.campaign.patterns import section_of
+from calcidem.app.campaign.patterns import read_candidates, section_of
 from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
-from calcidem.dem.wave.reading import LEAST_COHERENCE, PickRule, find_candidates
+from calcidem.dem.wave.reading import LEAST_COHERENCE
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult, RecordedSection
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95
 from calcidem.storage.store import ALL_CELLS, Selection
@@ -24,24 +24,6 @@ from calcidem.storage.store import ALL_CELLS, Selection
 MOST_FULL_RECORDS = 10_000
 SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")
 """Quantities of a cell if the campaign has more cells than this."""
-
-_MOST_POINTS = 300
-_LEVELS = 2000
-"""Numbers of times of a signal, and of levels from zero to its largest value; both are finer than a screen's pixels."""
-
-_MICROMETRES = 1e6
-
-
-_MOST_TIMES = 90
-
-_TRACE_LEVELS = 40
-"""Numbers of times of a trace, and of levels from zero to its largest value; both are finer than the drawing's lines.
-"""
-
-_MOST_PEAKS = 5
-"""Number of displayed peaks, the most coherent ones."""
-
-_SAME = 1e-3  # relative difference of travel times below which a peak is that of the stored velocity
 
 
 def gather_cell_data(analysis: CampaignAnalysis, room: int) -> tuple[dict[str, str], list[str]]:
@@ -66,10 +48,15 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> tuple[dict[str, s
         blocks[f"packing-{graph.packing.index}"] = _compress(packing_block(analysis, graph))
     room -= sum(map(len, blocks.values()))
     shown: list[int] = []
-    known = _analysed_samples(analysis)
+    known: dict[tuple[int, float], MeasuredSample] = {}
+    with suppress(UnavailableError):  # the cement of samples with analysed paths need not be drawn again
+        known = {(sample.seed, sample.content): sample for sample in analysis.samples}
     stored = analysis.store.results(ALL_CELLS, with_arrays=True)
     for seed, grouped in groupby(stored, lambda cell: cell.key.seed):
-        cells = _with_unknown_cement(analysis, list(grouped), known)
+        cells = list(grouped)
+        strange = [cell for cell in cells if (cell.key.seed, cell.key.content) not in known]
+        with_cement = {cell.key: cell for cell in analysis.with_cement(analysis.store, strange)}
+        cells = [with_cement.get(cell.key, cell) for cell in cells]
         text = _compress(list(describe_cells(analysis, cells, graphs, known)))
         if len(text) > room:
             break
@@ -86,26 +73,9 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> tuple[dict[str, s
     if drawn < len(shown):
         remarks.append(
             f"Space-time sections of {f'the first {drawn}' if drawn else 'no'} seeds are in this page; "
-            "“calcidem diagnose DB --seed S --content C --out DIR” draws every one."
+            "“calcidem show DB --seed S --content C --out DIR” draws every one."
         )
     return blocks, remarks
-
-
-def _analysed_samples(analysis: CampaignAnalysis) -> dict[tuple[int, float], MeasuredSample]:
-    """Return the samples with analysed paths, by seed and content, whose cement need not be drawn again."""
-    try:
-        return {(sample.seed, sample.content): sample for sample in analysis.samples}
-    except UnavailableError:
-        return {}
-
-
-def _with_unknown_cement(
-    analysis: CampaignAnalysis, cells: list[CellResult], known: Mapping[tuple[int, float], MeasuredSample]
-) -> list[CellResult]:
-    """Return the cells of a seed, unknown ones with their cement."""
-    strange = [cell for cell in cells if (cell.key.seed, cell.key.content) not in known]
-    with_cement = {cell.key: cell for cell in analysis.with_cement(analysis.store, strange)}
-    return [with_cement.get(cell.key, cell) for cell in cells]
 
 
 def _gather_sections(analysis: CampaignAnalysis, seeds: Sequence[int], room: int) -> tuple[int, dict[str, str]]:
@@ -162,11 +132,11 @@ def packing_block(analysis: CampaignAnalysis, graph: PackingGraph) -> dict[str, 
     """Return disks in micrometres, contacts by differences of their first grains, and the bands of the walls."""
     packing, wave = graph.packing, analysis.config["wave"]
     return {
-        **{name: _rounded(getattr(packing, name) * _MICROMETRES) for name in ("x", "y", "radius")},
-        **{name: float(getattr(packing, name) * _MICROMETRES) for name in ("width", "height")},
+        **{name: _rounded(getattr(packing, name) * 1e6) for name in ("x", "y", "radius")},
+        **{name: float(getattr(packing, name) * 1e6) for name in ("width", "height")},
         "first": _steps(graph.graph.pairs[:, 0]),
         "second": graph.graph.pairs[:, 1].tolist(),
-        "bands": [wave[f"{band}_half_width"] * _MICROMETRES for band in ("transmitter", "receiver")],
+        "bands": [wave[f"{band}_half_width"] * 1e6 for band in ("transmitter", "receiver")],
     }
 
 
@@ -211,8 +181,8 @@ def describe_sections(analysis: CampaignAnalysis, cells: Iterable[CellResult]) -
 def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, Any]:
     """Return both signals as differences of levels, their peaks, and the arrivals in milliseconds."""
     arrival = read_arrival(analysis, cell)
-    # Records without a reading are long, and get more times.
-    stride = -(-arrival.time.size // (_MOST_POINTS if cell.vs else 5 * _MOST_POINTS))
+    # 300 times and 2000 levels are finer than a screen's pixels. Records without a reading are long.
+    stride = -(-arrival.time.size // (300 if cell.vs else 1500))
     described: dict[str, Any] = {
         "start": 1e3 * float(arrival.time[0]),
         "interval": 1e3 * stride * float(arrival.time[1] - arrival.time[0]),
@@ -222,7 +192,7 @@ def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, 
     for name in ("transmitted", "received"):
         values = getattr(arrival, name)
         largest = float(np.abs(values).max()) or 1.0
-        described[name] = {"largest": float(f"{largest:.4g}"), "steps": _steps(values[::stride] / largest * _LEVELS)}
+        described[name] = {"largest": float(f"{largest:.4g}"), "steps": _steps(values[::stride] / largest * 2000)}
     return described
 
 
@@ -252,30 +222,28 @@ def _describe_section(analysis: CampaignAnalysis, cell: CellResult, stored: Reco
     Times are in milliseconds, places in millimetres.
     """
     section = section_of(stored)
-    smoothing = analysis.config.get("pick", {}).get("smoothing", PickRule().smoothing)
-    candidates = find_candidates(section, smoothing)
-    travel = None if cell.vs_peak is None else section.distance / cell.vs_peak
-    chosen = [one for one in candidates if travel is not None and abs(one.travel_time / travel - 1.0) < _SAME]
+    _, candidates, arrival = read_candidates(section, analysis.config)
+    chosen = None if cell.vs_peak is None else arrival
     motion = np.asarray(section.across, dtype=float)
     if chosen:  # later samples do not matter
-        motion = chosen[0].clean[: max(2, round(chosen[0].decided / section.sampling_interval))]
+        motion = chosen.clean[: max(2, round(chosen.decided / section.sampling_interval))]
     elif candidates:
         motion = max(candidates, key=lambda one: one.coherence).clean
-    stride = -(-len(motion) // _MOST_TIMES)
+    stride, height = -(-len(motion) // 90), 40  # times and levels, finer than the drawing's lines
     traces = motion[::stride]
     largest = np.abs(traces).max(axis=0, initial=0.0)
-    levels = np.rint(traces / np.where(largest > 0.0, largest, 1.0) * _TRACE_LEVELS).astype(int)
-    ranked = sorted(candidates, key=lambda one: (one not in chosen, -one.coherence))[:_MOST_PEAKS]
+    levels = np.rint(traces / np.where(largest > 0.0, largest, 1.0) * height).astype(int)
+    ranked = sorted(candidates, key=lambda one: (one is not chosen, -one.coherence))[:5]
     return {
         "start": round(1e3 * section.start_time, 6),
         "interval": float(f"{1e3 * stride * section.sampling_interval:.6g}"),
-        "levels": _TRACE_LEVELS,
+        "levels": height,
         "places": [round(1e3 * place, 2) for place in section.places],
         "traces": np.diff(levels, axis=0, prepend=0).T.tolist(),
         "begin": float(f"{0.5e3 / section.frequency:.6g}"),
         "least": LEAST_COHERENCE,
         "peaks": [
-            [float(f"{1e3 * one.travel_time:.5g}"), round(one.coherence, 2), int(one in chosen)]
+            [float(f"{1e3 * one.travel_time:.5g}"), round(one.coherence, 2), int(one is chosen)]
             for one in sorted(ranked, key=lambda one: one.travel_time)
         ],
     }

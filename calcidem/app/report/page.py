@@ -31,25 +31,6 @@ from calcidem.storage.netcdf.export import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.sweep.progress import duration, pluralize
 
-_FEW_SAMPLES = 30
-"""Number of samples below which skewness, kurtosis and the test of normality have little meaning."""
-
-_MOST_SAMPLES = 5000
-"""Largest number of samples with analysed paths; they take a minute."""
-
-_PAGE_BYTES = 3_000_000
-"""Bytes of a page that loads in a second."""
-
-_BYTES_OF_TEXT = 200_000
-"""Bytes of these for tables, style and script."""
-
-_HEAD_BYTES = 50_000
-"""Bytes of style and head."""
-
-_LEAST_FOR_CELLS = 200_000
-"""Bytes for cells in a page with many pictures."""
-
-
 _MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",
     "n": "Number of samples with a velocity.",
@@ -79,15 +60,6 @@ _MEANINGS: Mapping[str, str] = {
     "porosity": "Area of the voids over area of the box.",
 }
 """Meanings by words in headers and first columns, without units."""
-
-_NUMBERS: Mapping[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
-    "distributions": lambda analysis: tabulate(analysis.distributions),
-    "features": lambda analysis: analysis.table,
-    "correlations_overall": lambda analysis: analysis.correlations.overall,
-    "correlations_within_content": lambda analysis: analysis.correlations.within,
-    "correlations_by_content": lambda analysis: analysis.content_correlations,
-}
-"""Contents of NetCDF files by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +122,8 @@ def write_report(
     """
     target = Path(out)
     with read_campaign(database, campaign_name) as store:
-        analysis = CampaignAnalysis(store, _MOST_SAMPLES, with_patterns, measured)
+        # Paths are analysed for the samples of the first seeds; 5,000 take a minute.
+        analysis = CampaignAnalysis(store, 5000, with_patterns, measured)
         write_text_atomically(target, _render_page(analysis, studies or {}, watch))
         if files is not None:
             _write_files(analysis, files)
@@ -164,7 +137,8 @@ def unnamed_page(store: Store) -> Path:
     """
     database = store.address.path
     page = Path(f"{Path(store.record.name).name}.html") if database is None else database.with_suffix(".html")
-    if page.exists() and _identity(store) not in page.read_bytes()[:_HEAD_BYTES].decode(errors="replace"):
+    # Style and head are the first 50,000 bytes.
+    if page.exists() and _identity(store) not in page.read_bytes()[:50_000].decode(errors="replace"):
         raise OutputRefusedError(f"{page} is not a report of this campaign.", "Give another name with --out.")
     return page
 
@@ -194,8 +168,9 @@ def _render_page(
     )
     shown = [section for section in sections if section.tables or section.pictures or section.folded]
     pictures = [picture for section in shown for picture in section.pictures]
-    room = _PAGE_BYTES - _BYTES_OF_TEXT - sum(len(picture.source) for picture in pictures)
-    record, (blocks, remarks) = analysis.store.record, gather_cell_data(analysis, max(room, _LEAST_FOR_CELLS))
+    # A page of 3 MB loads in a second. Tables, style and script take 0.2 MB. Cells get as much beside many pictures.
+    room = max(200_000, 3_000_000 - 200_000 - sum(len(picture.source) for picture in pictures))
+    record, (blocks, remarks) = analysis.store.record, gather_cell_data(analysis, room)
     return environment.get_template("report.html").render(
         name=record.name,
         identity=_identity(analysis.store),
@@ -256,7 +231,7 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
     """Return warnings about few samples, missing cement or long waves."""
     remarks = []
     measured = [row.vs.n for row in analysis.distributions if row.vs.n]
-    if measured and min(measured) < _FEW_SAMPLES:
+    if measured and min(measured) < 30:  # of these the moments have little meaning
         remarks.append(
             f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test that "
             "does not reject normality is weak."
@@ -266,7 +241,7 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
         shares = ", ".join(f"{row.content:g} % ({row.failed} of {row.failed + row.vs.n})" for row in doubtful)
         remarks.append(
             f"Possible selection bias at {shares}: cells without velocity may shift the mean by more than its standard "
-            "error. The command calcidem diagnose explains why they have none and proposes remedies."
+            "error. The table of cells without a velocity names reasons and remedies."
         )
     broken = analysis.cells["broken_bonds"].to_numpy()
     if count := int(np.sum(broken > 0)):
@@ -317,6 +292,7 @@ def _explained_terms(table: Table) -> tuple[tuple[str, str], ...]:
 def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
     """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
+    Tables have rounded numbers as in the report; the NetCDF files have the exact ones.
     The folder is made if missing; files of the same names are replaced. Return reasons for omitted outputs by name.
     `OSError` if the folder cannot be written.
     """
@@ -330,19 +306,21 @@ def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dic
     for name, make in TABLES.items():
         table, reasons[f"table_{name}"] = make_or_explain(make, analysis)
         if table is not None:
-            _write_table(table, folder / f"table_{name}.csv")
-    for name, gather in _NUMBERS.items():
+            with (folder / f"table_{name}.csv").open("w", newline="", encoding="utf-8") as stream:
+                writer = csv.writer(stream)
+                writer.writerow(table.header)
+                for row in table.rows:  # for programs with an ASCII minus, and empty where a number is missing
+                    read = ("" if text == ABSENT else text.replace("\N{MINUS SIGN}", "-") for text in row)
+                    writer.writerow(map(spreadsheet_value, read))
+    exact: dict[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
+        "distributions": lambda analysis: tabulate(analysis.distributions),
+        "features": lambda analysis: analysis.table,
+        "correlations_overall": lambda analysis: analysis.correlations.overall,
+        "correlations_within_content": lambda analysis: analysis.correlations.within,
+        "correlations_by_content": lambda analysis: analysis.content_correlations,
+    }
+    for name, gather in exact.items():
         numbers, reasons[name] = make_or_explain(gather, analysis)
         if numbers is not None:
             write_netcdf(numbers, folder / f"{name}.nc")
     return {name: reason for name, reason in reasons.items() if reason}
-
-
-def _write_table(table: Table, file: Path) -> None:
-    """Write a table as CSV, with rounded numbers as in the report; the NetCDF files have the exact ones."""
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(table.header)
-        for row in table.rows:  # for programs with an ASCII minus, and empty where a number is missing
-            read = ("" if text == ABSENT else text.replace("\N{MINUS SIGN}", "-") for text in row)
-            writer.writerow(map(spreadsheet_value, read))

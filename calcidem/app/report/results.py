@@ -22,11 +22,9 @@ from calcidem.app.report.wording import (
     significant,
     with_bounds,
 )
+from calcidem.ends import Verdict
 from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95, departs
 from calcidem.sweep.progress import first_of
-
-_MOST_REASONS = 20
-_MEANING = ("wavelengths_on_path", "wavelength_over_d50", "content_of_contacts", "static_speed")
 
 
 def _velocity_table(analysis: CampaignAnalysis) -> Table:
@@ -79,17 +77,19 @@ def _meaning_table(analysis: CampaignAnalysis) -> Table:
     rows = []
     for row in analysis.distributions:
         column = cells.sel(content=row.content)
-        known = {name: median_known(column[name]) for name in _MEANING}
         rows.append(
             (
                 f"{row.content:g}",
                 decimal(row.vs.mean),
                 significant(small_strain_modulus(row.vs.mean) / 1e6),
-                decimal(known["wavelengths_on_path"], 2),
-                decimal(known["wavelength_over_d50"], 1),
-                decimal(known["content_of_contacts"], 2),
+                decimal(median_known(column["wavelengths_on_path"]), 2),
+                decimal(median_known(column["wavelength_over_d50"]), 1),
+                decimal(median_known(column["content_of_contacts"]), 2),
                 *(
-                    (decimal(known["static_speed"]), decimal(median_known(column["vs"] / column["static_speed"]), 2))
+                    (
+                        decimal(median_known(column["static_speed"])),
+                        decimal(median_known(column["vs"] / column["static_speed"]), 2),
+                    )
                     if static
                     else ()
                 ),
@@ -149,10 +149,11 @@ def count_reasons(
     found: Counter[tuple[str, str]] = Counter()
     where: dict[tuple[str, str], set[float]] = {}
     for outcome, text, at in zip(status[failed], reason[failed], content[failed], strict=True):
-        key = (str(outcome), str(text))
+        verdict = Verdict.of(str(text))  # the numbers that follow it differ from cell to cell
+        key = (str(outcome), verdict.explained if verdict else str(text))
         found[key] += 1
         where.setdefault(key, set()).add(float(at))
-    return [(*key, sorted(where[key]), count) for key, count in found.most_common(_MOST_REASONS)]
+    return [(*key, sorted(where[key]), count) for key, count in found.most_common(20)]
 
 
 def _growth_table(analysis: CampaignAnalysis) -> Table | None:

@@ -16,7 +16,6 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableErr
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import misfits, root_mean_square_misfit
-from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
 from calcidem.analysis.shear_wave import median_diameter_by_mass
 from calcidem.app.report.results import RESULT_TABLES
@@ -27,8 +26,6 @@ from calcidem.sweep.progress import duration
 
 Made = TypeVar("Made")
 
-_SIGNIFICANCE = 0.05
-_MANY_ERRORS = 2.0
 _UNKNOWN = "unknown"
 _CHOSEN = {
     "sand.wave_stiffness_factor": (1.0, "multiplies grain modulus and confining stress in the wave stage"),
@@ -72,8 +69,8 @@ def _published_table(analysis: CampaignAnalysis) -> Table | None:
                 f"{decimal(100 * (vs.mean / row.mean - 1), 1)} %" if vs.n else ABSENT,
                 with_bounds(vs.standard_deviation, vs.standard_deviation_interval),
                 decimal(row.standard_deviation),
-                _normal(None if math.isnan(p_value) else p_value >= _SIGNIFICANCE),
-                _normal(row.normal),
+                ABSENT if math.isnan(p_value) else "yes" if p_value >= 0.05 else "no",
+                {None: ABSENT, True: "yes", False: "no"}[row.normal],
             )
         )
     return Table(
@@ -131,7 +128,7 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
             "ratio",
         ),
         rows,
-        frozenset(i for i, one in enumerate(found) if abs(one.standard_errors) > _MANY_ERRORS),
+        frozenset(i for i, one in enumerate(found) if abs(one.standard_errors) > 2.0),
     )
 
 
@@ -148,11 +145,7 @@ def _differs(here: Distribution, published: PublishedVelocity) -> bool:
         published_study().seeds,
         equal_var=False,
     )
-    return bool(test.pvalue < _SIGNIFICANCE)
-
-
-def _normal(verdict: bool | None) -> str:
-    return ABSENT if verdict is None else "yes" if verdict else "no"
+    return bool(test.pvalue < 0.05)
 
 
 def _parameter_table(config: Mapping[str, Any]) -> Table | None:
@@ -217,20 +210,15 @@ def _run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
             run.exit_state or "still running, or killed",
             str(run.ranks),
             f"{run.host} ({run.cpu})",
-            "; ".join(f"{worker.kind} on {worker.places}" for worker in run.workers) or _UNKNOWN,
             ", ".join(f"{name} {version}" for name, version in run.versions.items()),
-            _source(run),
+            run.git_commit[:10] + (" with local changes" if run.git_dirty else "")
+            if run.git_commit
+            else "installed package",
         )
         for run_number, run in runs
     )
-    header = ("run", "started", "took", "ended", "ranks", "host", "workers", "versions", "source")
+    header = ("run", "started", "took", "ended", "ranks", "host", "versions", "source")
     return Table("Runs of the program on this campaign.", header, rows)
-
-
-def _source(run: RunRecord) -> str:
-    if run.git_commit is None:
-        return "installed package"
-    return run.git_commit[:10] + (" with local changes" if run.git_dirty else "")
 
 
 def _packing_table(analysis: CampaignAnalysis) -> Table:
@@ -238,6 +226,10 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
     graphs, notes = analysis.graphs, ("in two dimensions", "")
     if published_study().has_sand_of(analysis.config):
         notes = (f"published {_value_text(published_study().parameters['porosity'])}", "published weights: 3.05")
+
+    def stress_on(wall: str) -> Any:  # noqa: ANN401 - one of the functions of a graph
+        return lambda graph: decimal(graph.packing.wall_stress[wall] / 1e3, 3)
+
     rows: list[tuple[str, ...]] = [
         (name, *(text(graph) for graph in graphs), note)
         for name, text, note in (
@@ -265,7 +257,7 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
                 lambda g: decimal(2e3 * float(np.median(g.packing.radius)), 3),
                 "d50 of Eq. 9 here",
             ),
-            *_stresses(graphs[0]),
+            *((f"stress on the {wall} wall (kPa)", stress_on(wall), "") for wall in graphs[0].packing.wall_stress),
             ("mean overlap / diameter", lambda g: significant(g.packing.mean_relative_overlap), ""),
             ("largest overlap / diameter", lambda g: significant(g.packing.largest_relative_overlap), ""),
             ("unbalanced-force ratio", lambda g: significant(g.packing.unbalanced_ratio), "at rest"),
@@ -284,13 +276,6 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
     ]
     names = ("packing",) if len(graphs) == 1 else tuple(f"packing {graph.packing.index}" for graph in graphs)
     return Table("Packings that all cells share.", ("quantity", *names, "remark"), tuple(rows))
-
-
-def _stresses(first: PackingGraph) -> list[tuple[str, Any, str]]:
-    def stress_on(wall: str) -> Any:  # noqa: ANN401 - one of the table's functions of a graph
-        return lambda graph: decimal(graph.packing.wall_stress[wall] / 1e3, 3)
-
-    return [(f"stress on the {wall} wall (kPa)", stress_on(wall), "") for wall in first.packing.wall_stress]
 
 
 TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = RESULT_TABLES | {

@@ -10,10 +10,6 @@ ABSENT = "\N{EN DASH}"
 EXCEPTIONAL = frozenset({"broken_bonds"})
 """Quantities that are not shown if they are zero."""
 
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_SMALL_P = 0.001
-_LEAST_PLAIN, _MOST_PLAIN = 1e-3, 1e5
-
 
 @dataclass(frozen=True, slots=True)
 class Table:
@@ -41,12 +37,13 @@ def significant(value: float | None, digits: int = 3) -> str:
     if value is None or not math.isfinite(value):
         return ABSENT
     rounded = float(f"{value:.{digits}g}")
-    if rounded == 0 or _LEAST_PLAIN <= abs(rounded) < _MOST_PLAIN:
+    if rounded == 0 or 1e-3 <= abs(rounded) < 1e5:
         text = f"{rounded:.12f}".rstrip("0").rstrip(".")
     else:
         mantissa, _, exponent = f"{rounded:.{digits - 1}e}".partition("e")
         mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-        text = f"{mantissa} \N{MULTIPLICATION SIGN} 10{str(int(exponent)).translate(_SUPERSCRIPTS)}"
+        power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+        text = f"{mantissa} \N{MULTIPLICATION SIGN} 10{power}"
     return text.replace("-", "\N{MINUS SIGN}")
 
 
@@ -66,7 +63,7 @@ def probability(value: float) -> str:
     """Return a p-value with two digits."""
     if not math.isfinite(value):
         return ABSENT
-    return f"< {_SMALL_P:g}" if value < _SMALL_P else f"{value:.2g}"
+    return "< 0.001" if value < 0.001 else f"{value:.2g}"
 
 
 def readable_unit(unit: str) -> str:

@@ -9,14 +9,12 @@ from calcidem.app.serve.address import PageAddress
 from calcidem.app.serve.server import LivePage
 from calcidem.sweep.processes import die_with_parent
 
-_LOW_PRIORITY = 10
-
 
 def _show_run() -> None:
     """Serve the page until a signal, or the end of the parent process."""
     if sys.platform == "linux":
         die_with_parent()
-    os.nice(_LOW_PRIORITY)
+    os.nice(10)
     told = json.load(sys.stdin)
     address = PageAddress(socket.socket(fileno=told["descriptor"]), told["host"], told["token"])
     LivePage([(told["database"], told["campaign"])], address).serve(wait=True)

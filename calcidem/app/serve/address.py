@@ -16,13 +16,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Self
 
-_USUAL_HOST = "127.0.0.1"
-
-_NEEDED = ("starlette", "uvicorn")
-
-_TIME_TO_TELL = 3.0
-"""Seconds for the page to report the end of the run to browsers."""
-
 
 @dataclass(frozen=True, slots=True)
 class PageAddress:
@@ -47,13 +40,13 @@ class PageAddress:
         object.__setattr__(self, "url", f"http://{host}:{port}/?token={self.token}")
 
     @classmethod
-    def take(cls, host: str = _USUAL_HOST, port: int = 0) -> Self:
+    def take(cls, host: str = "127.0.0.1", port: int = 0) -> Self:
         """Listen on a port, 0 for any that is free.
 
         `OSError`, naming field, value and remedy, if the port is in use or forbidden, the host is not of this machine,
         or a library is missing.
         """
-        missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
+        missing = [name for name in ("starlette", "uvicorn") if importlib.util.find_spec(name) is None]
         if missing:
             raise OSError(f"the live page needs {' and '.join(missing)}; install it: pip install 'calcidem[serve]'")
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -74,7 +67,7 @@ def _explained(error: OSError, host: str, port: int) -> str:
     if error.errno == errno.EACCES:
         return f"--port {port} needs more rights than you have; give one above 1023, or 0 for any that is free"
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-        return f"--host {host} is not an address of this machine; give {_USUAL_HOST}, or one that 'hostname -I' lists"
+        return f"--host {host} is not an address of this machine; give 127.0.0.1, or one that 'hostname -I' lists"
     return f"--host {host} --port {port}: {error.strerror}; give others"
 
 
@@ -106,7 +99,7 @@ def page_beside_run(database: str | os.PathLike[str], campaign: str, say: Callab
     finally:
         process.terminate()
         try:
-            process.wait(_TIME_TO_TELL)
+            process.wait(3.0)  # s, in which it reports the end of the run to browsers
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

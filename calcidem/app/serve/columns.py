@@ -12,9 +12,6 @@ from calcidem.app.report.cell_data import describe_axes, numbers_or_none
 from calcidem.app.report.wording import EXCEPTIONAL
 from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
 
-_WORD_OF_ARRAYS = 8
-"""Alignment in bytes: typed arrays of browsers begin at multiples of their element size."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellColumns:
@@ -94,13 +91,13 @@ class CellColumns:
         for name in names:
             kind, array, texts = _as_array(name, self.values[name])
             data = array.tobytes()
-            data += bytes(-len(data) % _WORD_OF_ARRAYS)
+            data += bytes(-len(data) % 8)  # typed arrays of browsers begin at multiples of their element size
             described.append({"name": name, "type": kind, "offset": offset, "texts": texts})
             arrays.append(data)
             offset += len(data)
         axes = describe_axes(self.seeds, self.contents, [name for name in names if name in QUANTITY_BY_NAME])
         header = json.dumps({"sequence": sequence, "columns": described} | axes, allow_nan=False).encode()
-        header += b" " * (-(len(header) + 4) % _WORD_OF_ARRAYS)
+        header += b" " * (-(len(header) + 4) % 8)
         return b"".join([len(header).to_bytes(4, "little"), header, *arrays])
 
 

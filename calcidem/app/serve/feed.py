@@ -29,15 +29,6 @@ from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection, StoreMark
 
-_CELLS_AT_ONCE = 1000
-"""Number of cells read with all quantities in one query, which takes a tenth of a second."""
-
-_STEPS_TOLD = 10
-"""Seconds between two messages about the number of compared cells."""
-
-_MOST_TOLD = 1000
-"""Largest number of changed cells sent one by one; for more the browser requests all."""
-
 Event = tuple[str, dict[str, Any]]
 """Name and content of a message to browsers."""
 
@@ -208,7 +199,7 @@ class CampaignFeed:
         if self._unchecked:
             before = self._checked
             self._check_some(store)
-            if not self._unchecked or int(_STEPS_TOLD * self._checked) > int(_STEPS_TOLD * before):
+            if not self._unchecked or int(10 * self._checked) > int(10 * before):
                 events.append(self._status_event())
         return events
 
@@ -229,7 +220,8 @@ class CampaignFeed:
         self._columns.put(rows)
         self._problem = ""
         seeds = self._columns.seeds.tolist()
-        stride = max(1, _CELLS_AT_ONCE // max(1, self._columns.contents.size))
+        # A query of 1,000 cells takes a tenth of a second.
+        stride = max(1, 1000 // max(1, self._columns.contents.size))
         self._unchecked = [tuple(seeds[at : at + stride]) for at in range(0, len(seeds), stride)]
         self._changed()
         if len(self._unchecked) == 1:
@@ -256,7 +248,8 @@ class CampaignFeed:
             return []
         if not places:
             return []
-        if len(places) > _MOST_TOLD or set(self._columns.shown()) - set(self._shown):
+        # Of more than 1,000 changed cells the browser requests all.
+        if len(places) > 1000 or set(self._columns.shown()) - set(self._shown):
             self._changed()
             return []
         self.sequence += 1

@@ -14,27 +14,6 @@ from calcidem.app.serve.feed import CampaignFeed, Event
 
 T = TypeVar("T")
 
-_BETWEEN_LOOKS = 1.0
-"""Shortest interval between two updates from a database, s."""
-
-_BETWEEN_PIECES = 0.03
-"""Seconds between two pieces of a large campaign, for requests of browsers."""
-
-_LAST_LOOK = 0.5
-"""Seconds for a last update."""
-
-_SHARE = 0.1
-"""Largest share of the time for reading; a large campaign is read less often."""
-
-_SELDOMEST_LOOK = 4.0
-"""Longest interval between two updates, s; if a run uses all cores, reading takes long but little CPU time."""
-
-_SIGN_OF_LIFE = 15.0
-"""Seconds after which browsers get a message in any case, for proxies."""
-
-_LONGEST_QUEUE = 200
-"""Largest number of messages waiting for a slow browser; beyond it the browser has to start again."""
-
 
 @dataclass(eq=False)
 class Hub:
@@ -57,7 +36,9 @@ class Hub:
             await self.refresh()
             spent = time.monotonic() - begin
             busy = any(feed.busy for feed in self.feeds)
-            await asyncio.sleep(_BETWEEN_PIECES if busy else min(max(_BETWEEN_LOOKS, spent / _SHARE), _SELDOMEST_LOOK))
+            # Between two pieces of a large campaign browsers get 0.03 s for their requests. Later reading takes a tenth
+            # of the time, once a second at most. While a run uses all cores it takes long but little CPU time: 4 s do.
+            await asyncio.sleep(0.03 if busy else min(max(1.0, spent / 0.1), 4.0))
 
     async def refresh(self) -> None:
         """Read all databases once, and send the changes."""
@@ -67,7 +48,7 @@ class Hub:
 
     async def listen(self) -> AsyncIterator[str]:
         """Yield the state of each campaign, and then all changes, as server-sent events."""
-        queue: asyncio.Queue[str | None] = asyncio.Queue(_LONGEST_QUEUE)
+        queue: asyncio.Queue[str | None] = asyncio.Queue(200)  # a slow browser starts again
         self._listeners.add(queue)
         self._wake.set()
         try:
@@ -75,7 +56,7 @@ class Hub:
                 yield _as_event(("status", await _in_thread(feed.status)))
             while True:
                 try:
-                    text = await asyncio.wait_for(queue.get(), _SIGN_OF_LIFE)
+                    text = await asyncio.wait_for(queue.get(), 15.0)  # s, for proxies
                 except TimeoutError:
                     text = ": still here\n\n"
                 if text is None:
@@ -89,7 +70,7 @@ class Hub:
         self._ended = True
         if self._listeners:
             with suppress(TimeoutError):
-                await asyncio.wait_for(self.refresh(), _LAST_LOOK)
+                await asyncio.wait_for(self.refresh(), 0.5)  # s
         for queue in self._listeners:
             if queue.full():
                 queue.get_nowait()

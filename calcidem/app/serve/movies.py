@@ -17,18 +17,13 @@ from calcidem.sweep.environment import available_cores
 _TIME_LIMIT = 600.0
 """Seconds after which a movie is given up."""
 
-_MOST_KEPT = 8
-"""Number of movies kept until the server ends."""
-
-_LOWEST_PRIORITY = 19
-
-_PROGRAM = f"""
+_PROGRAM = """
 import os, runpy, sys
 from calcidem.sweep.processes import die_with_parent
 parent = int(sys.argv.pop(1))
 if sys.platform == "linux":
     die_with_parent(parent)
-os.nice({_LOWEST_PRIORITY})
+os.nice(19)
 runpy.run_module("calcidem", run_name="__main__", alter_sys=True)
 """
 
@@ -134,7 +129,7 @@ class MovieMaker:
         self._work = None
         if code == 0 and work.file.exists():
             self._made[work.wanted] = work.file
-            while len(self._made) > _MOST_KEPT:
+            while len(self._made) > 8:
                 self._made.pop(next(iter(self._made))).unlink(missing_ok=True)
             return
         said = work.errors.read_text(encoding="utf-8", errors="replace").strip().removeprefix("Error: ")

@@ -159,8 +159,6 @@ _HEADERS = {
 }
 """Headers of every answer: only the page's own script, no address sent to others, no storage in the browser."""
 
-_REFUSAL = "Open this page with the whole address that calcidem has printed; it ends with ?token=... .\n"
-
 
 class _Guard:
     """Admits clients with the token: in the address of the first request, then in a cookie."""
@@ -196,7 +194,8 @@ class _Guard:
             answer.set_cookie(self._cookie, self._token.decode(), httponly=True, samesite="lax", path="/")
             return answer
         if not self._is_token(_cookie_of(headers, self._cookie)) or _is_foreign(scope, headers):
-            return PlainTextResponse(_REFUSAL, 403)
+            told = "Open this page with the whole address that calcidem has printed; it ends with ?token=... .\n"
+            return PlainTextResponse(told, 403)
         return None
 
     def _is_token(self, text: str) -> bool:
@@ -229,10 +228,6 @@ def _is_foreign(scope: Scope, headers: Mapping[str, str]) -> bool:
     return headers.get("sec-fetch-site", "same-origin") != "same-origin" or (
         bool(origin) and origin.partition("://")[2] != headers.get("host")
     )
-
-
-_GRACE = 1
-"""Seconds for open requests to end."""
 
 
 class _Server(uvicorn.Server):
@@ -275,7 +270,7 @@ class LivePage:
                 lifespan="off",
                 ws="none",
                 server_header=False,
-                timeout_graceful_shutdown=_GRACE,
+                timeout_graceful_shutdown=1,  # s,
             )
         )
 
@@ -301,4 +296,4 @@ class LivePage:
             # A regularly closed database leaves no other files; the server does not wait for a locked one.
             closing = Thread(target=hub.close, daemon=True)
             closing.start()
-            closing.join(_GRACE)
+            closing.join(1.0)  # s

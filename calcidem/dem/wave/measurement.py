@@ -11,9 +11,9 @@ from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.error_estimate import ErrorParts, chatters, cure_of, estimate_error, shift_by_change
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves, stiffness_contrast, with_half_step
-from calcidem.dem.wave.reading import Reading, Verdict, is_settled, read_section
+from calcidem.dem.wave.reading import Reading, describe_refusal, is_settled, read_section
 from calcidem.dem.wave.section import Section
-from calcidem.ends import CellStatus
+from calcidem.ends import CellStatus, Verdict
 
 LARGEST_BOUND = 0.05  # bound of the numerical error above which a velocity is rejected
 
@@ -128,9 +128,9 @@ def interpret(experiment: Experiment, measurement: Measurement, coarser: Section
         return replace(new, status=CellStatus.UNSTABLE, reason=section.problem)
     reading = read_section(section, experiment.pick)
     if isinstance(reading, Verdict):
-        return replace(new, reason=str(reading))
+        return replace(new, reason=describe_refusal(reading, section, experiment.pick))
     if reading.verdict is not None:
-        return replace(new, reason=str(reading.verdict), reading=reading)
+        return replace(new, reason=describe_refusal(reading, section, experiment.pick), reading=reading)
     change = None if coarser is None else _change_by_halving(experiment, section, reading, coarser)
     expected, bound, parts = estimate_error(experiment, section, reading, change)
     new = replace(new, reading=reading, expected_error=expected, error_bound=bound, error_parts=parts)

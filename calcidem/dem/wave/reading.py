@@ -13,7 +13,6 @@ A candidate depends on no sample beyond its horizon, so a record cut there gives
 """
 
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import Literal, NamedTuple, final
 
 import numpy as np
@@ -22,6 +21,7 @@ from calcidem.dem.engine.fields import PositivePart, checked
 from calcidem.dem.engine.portable import arc_sine, find_maxima, parabola_vertex, sliding_products
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.wave.section import RESOLUTION, Section
+from calcidem.ends import Verdict
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
 
@@ -42,15 +42,6 @@ _STRETCH = 0.04
 
 ONSET = 0.1
 """Level of the first arrival, relative to the peak (Viggiani and Atkinson 1995, doi:10.1680/geot.1995.45.1.149)."""
-
-
-class Verdict(StrEnum):
-    """Reason why a section gives no velocity; `calcidem.app.campaign.diagnosis` has a number and remedies for each."""
-
-    SILENT = "no motion above 0.1 % of v0 arrived"
-    TOO_SHORT = "the record ends before the S wave is certain"
-    NO_LINE = "no peak of the receiver continues the motion of the stations"
-    UNCERTAIN = "the standard error of the reading is above pick.largest_error"
 
 
 @checked
@@ -359,6 +350,22 @@ def find_candidates(section: Section, smoothing: float) -> tuple[Candidate, ...]
         decided = (horizon + int(smoothing * section.period)) * section.sampling_interval
         found.append(Candidate(index, travel * section.sampling_interval, decided, coherence, rival, clean))
     return tuple(found)
+
+
+def describe_refusal(found: Reading | Verdict, section: Section, rule: PickRule) -> str:
+    """Return the verdict on a section, or on a reading with too large an error, and the numbers behind it."""
+    if isinstance(found, Reading):
+        return f"{Verdict.UNCERTAIN}: it is {found.error:.1%}, {rule.largest_error:.1%} is allowed"
+    candidates, end = find_candidates(section, rule.smoothing), f"{1e3 * section.duration:.3g} ms"
+    if found is Verdict.SILENT:
+        largest = float(np.abs(section.across[:, -1]).max(initial=0)) * RESOLUTION
+        return f"{found}: the receiver reaches {largest:.2%} of v0 in {end}"
+    if found is Verdict.TOO_SHORT:
+        late = min(one.decided for one in candidates if one.decided > section.duration)
+        return f"{found}: a peak is decided at {1e3 * late:.3g} ms, the record ends at {end}"
+    best = max(candidates, key=lambda one: one.coherence)
+    text = f"the best of {len(candidates)}, {section.distance / best.travel_time:.0f} m/s, has a coherence of"
+    return f"{found}: {text} {best.coherence:.3f}, {max(best.rival, LEAST_COHERENCE):.3f} is needed"
 
 
 def velocity_spectrum(section: Section, smoothing: float, velocities: Floats) -> Floats:

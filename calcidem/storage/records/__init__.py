@@ -23,7 +23,7 @@ from calcidem.storage.records.cell import (
     checked_seed,
 )
 from calcidem.storage.records.quantity import Quantity
-from calcidem.storage.records.run import RunRecord, WorkerRecord
+from calcidem.storage.records.run import RunRecord
 from calcidem.storage.records.sample import (
     C_CONTACT,
     P_CONTACT,
@@ -59,7 +59,6 @@ __all__ = [
     "Quantity",
     "RecordedSection",
     "RunRecord",
-    "WorkerRecord",
     "canonical_content",
     "checked_seed",
 ]

@@ -66,7 +66,8 @@ class PackingRecord(Record):
         self, other: "PackingRecord", places: tuple[str, str] = ("the database", "what is to be stored")
     ) -> None:
         """Raise `CampaignMismatchError` unless two records are of the same packing; the message names both places."""
-        if (self.index, self.hash, self.content_hash) == (other.index, other.hash, other.content_hash):
+        same = ("index", "hash", "content_hash", "width", "height", "x", "y", "radius")  # a record may have been edited
+        if all(np.array_equal(getattr(self, name), getattr(other, name)) for name in same):
             return
         origins = "" if self.hash == other.hash else f" (they are made from {self.hash} and {other.hash})"
         raise CampaignMismatchError(

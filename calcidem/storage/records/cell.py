@@ -18,7 +18,6 @@ from calcidem.ends import CellStatus
 from calcidem.storage.records.arrays import pack_arrays
 from calcidem.storage.records.error_budget import DERIVED_QUANTITIES, NORMAL_95
 from calcidem.storage.records.quantity import Bound, Quantity, Record
-from calcidem.storage.records.run import WorkerRecord
 from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, RecordedSection
 
 _Real = float | None
@@ -259,8 +258,6 @@ class PackedResult:
     """Quantities by name, except seed and content. The storing process replaces attempt, rank and host."""
     arrays: dict[str, bytes]
     """Compressed arrays by the name of their field."""
-    worker: WorkerRecord | None = None
-    """Description of the process that computed it, if known; the master sets its rank."""
 
     @property
     def status(self) -> CellStatus:

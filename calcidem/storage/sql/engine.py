@@ -3,7 +3,6 @@
 import math
 import os
 import sqlite3
-import time
 import zlib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any, Self
 from zipfile import BadZipFile
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, text
+from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
 from calcidem.storage.errors import (
@@ -252,22 +251,3 @@ def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
         if code in codes or state.startswith(states):
             return kind(problem, remedy)
     return StoreError(problem, "This is not expected; please report it with this message.")
-
-
-def measure_commits(path: Path, count: int) -> tuple[str, float]:
-    """Journal mode, such as ``"wal"``, and small transactions per second of a new SQLite file.
-
-    `StoreError` if the folder does not allow it.
-    """
-    database = Connections(Address.parse(path), read_only=False)
-    try:
-        with database.transaction(write=True) as connection:
-            journal = str(connection.scalar(text("PRAGMA journal_mode")))
-            connection.execute(text("CREATE TABLE trial (value BLOB)"))
-        begin = time.perf_counter()
-        for _ in range(count):
-            with database.transaction(write=True) as connection:
-                connection.execute(text("INSERT INTO trial VALUES (zeroblob(8000))"))
-        return journal, count / (time.perf_counter() - begin)
-    finally:
-        database.close()

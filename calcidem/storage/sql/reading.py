@@ -485,12 +485,13 @@ def _results_of(
 ) -> Iterator[CellResult]:
     """Outcomes of the chosen cells that have one, with these arrays, by seed, then content."""
     arrays = _arrays_of(connection, chosen, wanted) if wanted else {}
-    stored: list[Any] = [
-        EXPRESSIONS[name].label(name) for name, quantity in QUANTITY_BY_NAME.items() if quantity.formula is None
-    ]
-    statement = join_results(sa.select(CELL.c.id, *stored)).where(chosen, RESULT.c.cell_id.is_not(None))
-    for row in connection.execute(statement.order_by(*_BY_KEY)).mappings():
-        yield CellResult.from_values(CellKey(row["seed"], row["content"]), {**row, **arrays.get(row["id"], {})})
+    names = [name for name, quantity in QUANTITY_BY_NAME.items() if quantity.formula is None]
+    columns: list[Any] = [EXPRESSIONS[name].label(name) for name in names]
+    statement = join_results(sa.select(CELL.c.id, *columns)).where(chosen, RESULT.c.cell_id.is_not(None))
+    for cell_id, *row in connection.execute(statement.order_by(*_BY_KEY)):
+        values = dict(zip(names, row, strict=True))
+        key = CellKey(values["seed"], values["content"])
+        yield CellResult.from_values(key, values | arrays.get(cell_id, {}))
 
 
 def _all_arrays_of(

@@ -23,7 +23,6 @@ from calcidem.storage.records import (
     PackedResult,
     PackingRecord,
     RunRecord,
-    WorkerRecord,
 )
 from calcidem.storage.records.arrays import pack_arrays
 from calcidem.storage.records.run import as_utc
@@ -219,10 +218,6 @@ class Store(StoreReader):
                 unended = and_(ATTEMPT.c.run_id == self._run_id, ATTEMPT.c.outcome == CellStatus.RUNNING.value)
                 connection.execute(delete(ATTEMPT).where(unended))
         self._run_id = None
-
-    def note_workers(self, workers: Iterable[WorkerRecord]) -> None:
-        """Replace the description of the processes of the run of `begin_run`; errors as `end_run`."""
-        self._change_run(workers=list(map(asdict, workers)))
 
     def _change_run(self, **values: object) -> None:
         with self._writing() as connection:

@@ -5,18 +5,14 @@ import io
 import json
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from calcidem.app.campaign import diagnosis
 from calcidem.app.cli import formats
 from calcidem.app.cli.formats import Format, _as_csv, _as_parquet, _flat
 from calcidem.app.cli.main import _build_application
-from calcidem.storage.records import CellKey
 
 Invoke = Callable[..., str]
 
@@ -28,8 +24,8 @@ ANSWERS = {
 }
 """Options of commands, and rows of their answers on the tutorial's database."""
 
-COMPUTE = {"accuracy", "stability", "verify", "diagnose", "doctor"}
-"""Commands that compute for longer than they write, or look at the machine."""
+COMPUTE = {"accuracy", "stability", "verify"}
+"""Commands that compute for longer than they write."""
 
 
 def test_no_command_in_a_table_is_left_out() -> None:
@@ -65,14 +61,13 @@ def test_a_prediction_is_in_the_rows(database: Path, invoke: Invoke) -> None:
     assert row["vs"] > 0.0
 
 
-def test_diagnose_draws_in_every_format(
-    database: Path, tmp_path: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_show_draws_in_every_format(database: Path, tmp_path: Path, invoke: Invoke) -> None:
     """Figures do not depend on the format of the rows."""
-    cell = SimpleNamespace(key=CellKey(1, 5.0), as_row=lambda: {"seed": 1}, draw=Figure)
-    monkeypatch.setattr(diagnosis, "diagnose", lambda _store, _selection: iter([cell]))
-    invoke("diagnose", database, "--out", tmp_path / "figures", "--format", "json")
-    assert [file.name for file in (tmp_path / "figures").iterdir()] == ["seed1_content5_diagnosis.png"]
+    words = ("show", database, "--seed", 1, "--content", 5, "--out", tmp_path / "figures", "--format", "json")
+    (row,) = json.loads(invoke(*words).partition("]")[0] + "]")
+    assert row["seed"] == 1
+    names = {file.stem for file in (tmp_path / "figures").iterdir()}
+    assert names == {f"seed1_content5_{name}" for name in ("cement", "path", "signals", "section")}
 
 
 def test_rows_of_different_names_have_all_columns() -> None:
@@ -89,4 +84,3 @@ def test_no_rows_have_columns(database: Path, invoke: Invoke) -> None:
     assert invoke(*words, Format.CSV.value) == "seed,vs\n"
     assert json.loads(invoke(*words, Format.JSON.value)) == []
     assert invoke("verify", database, "--integrity", "--format", Format.CSV.value) == "damage\n"
-    assert invoke("diagnose", database, "--content", "0", "--format", Format.CSV.value).startswith("seed,content,")

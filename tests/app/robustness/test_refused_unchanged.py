@@ -17,7 +17,6 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.preview import preview_lines
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.campaign.stored_packing import packing_record
-from calcidem.app.campaign.workers import describe_worker
 from calcidem.app.cli.exit_codes import _exit_code_of, tell_error
 from calcidem.app.cli.formats import Format, tell_rows
 from calcidem.app.config.presets import preset_text
@@ -56,7 +55,7 @@ def test_a_run_that_is_refused_changes_no_file(begun: Configuration, change: Cha
     """Neither the plan of the database nor a folder for results is made before everything fits, and --check agrees."""
     other = change(begun)
     for attempt in (
-        lambda: CampaignRun(other, [describe_worker(rank=0)], lambda _: None),
+        lambda: CampaignRun(other, lambda _: None),
         lambda: list(preview_lines(other)),
     ):
         with unchanged_if_refused(tmp_path) as codes:

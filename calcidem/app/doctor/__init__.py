@@ -1,1 +1,0 @@
-"""Checks of a machine for a campaign, each by a trial."""
