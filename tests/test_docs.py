@@ -28,7 +28,7 @@ from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.sample.packing import PackingFileError
 from calcidem.dem.sample.settling import SettlingError
 from calcidem.ends import CellStatus, Verdict
-from calcidem.sweep.sweep_end import LaunchError, MasterLostError
+from calcidem.sweep.sweep_end import LaunchError
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -162,7 +162,7 @@ def test_troubleshooting_has_every_error_and_reason() -> None:
     page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
     names = {name for name, kind in getmembers(calcidem.storage.errors, isclass) if kind.__module__.endswith("errors")}
     others = (MergeConflictError, UnstableRunError, CementCapacityError, PackingFileError, SettlingError, LaunchError)
-    names |= {kind.__name__ for kind in (*others, MasterLostError)} - {"StoreError"}
+    names |= {kind.__name__ for kind in others} - {"StoreError"}
     assert not {name for name in names - {"StoreError"} if f"`{name}`" not in page}
     settled = {str(status) for status in CellStatus} - {"pending", "running", "done"}
     assert not {status for status in settled if f"| `{status}` |" not in page}

@@ -17,36 +17,19 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from rank import CELLS, durations, moved, numbered, open_sink, real_outcomes
+from rank import CELLS, Sleep, durations, numbered, open_sink, real_outcomes
 from run import REAL, sweep
 
-from calcidem.storage.records import PackedResult
-from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.run import run_sweep
 
 BATCHES_OF_ONE = 20
 """Batches for each worker."""
-
-
-@dataclass(frozen=True)
-class Sleep:
-    """A computation that takes as long as it is told."""
-
-    times: Sequence[float]
-    payload: tuple[PackedResult, ...]
-
-    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[PackedResult]:
-        """Give outcomes after the batch's time."""
-        time.sleep(self.times[batch.identifier])
-        deadline_check()
-        return moved(self.payload, batch)
 
 
 @contextmanager

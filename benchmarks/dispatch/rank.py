@@ -8,8 +8,11 @@ import json
 import random
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -19,8 +22,9 @@ from calcidem.storage.records import CellKey, PackedResult
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.session import Session
+from calcidem.sweep.signals import StopRequest
 
 CELLS = 8
 """Cells in a batch, as in a campaign on processors with AVX-512."""
@@ -48,21 +52,42 @@ class TimedSink:
         self._sink = sink
         self.groups: list[Group] = []
 
+    def mark(self, batches: Sequence[Batch[Any]], /) -> None:
+        """Mark batches as being computed, and note the cost as that of a group of none."""
+        if self._sink is not None:
+            with self._noted(0):
+                self._sink.mark(batches)
+
     def store(self, outcomes: Sequence[BatchOutcome[Any, Any]], /) -> None:
         """Store, and note the cost."""
         if self._sink is not None:
-            before, begin = thread_times(), time.perf_counter()
-            self._sink.store(outcomes)
-            wall = time.perf_counter() - begin
-            cpu, queue = (later - earlier for later, earlier in zip(thread_times(), before, strict=True))
-            self.groups.append(Group(len(outcomes), cpu, queue, wall))
+            with self._noted(len(outcomes)):
+                self._sink.store(outcomes)
 
     def keep_alive(self) -> None:
         """Do nothing."""
 
-    def store_loss(self, batch: Batch[Any], reason: str, /) -> None:  # noqa: ARG002 - as the sweep has it
-        """Refuse: nobody is lost here."""
-        raise RuntimeError(reason)
+    @contextmanager
+    def _noted(self, batches: int) -> Iterator[None]:
+        before, begin = thread_times(), time.perf_counter()
+        yield
+        wall = time.perf_counter() - begin
+        cpu, queue = (later - earlier for later, earlier in zip(thread_times(), before, strict=True))
+        self.groups.append(Group(batches, cpu, queue, wall))
+
+
+@dataclass(frozen=True)
+class Sleep:
+    """A computation that takes as long as it is told."""
+
+    times: Sequence[float]
+    payload: tuple[PackedResult, ...]
+
+    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[Any]:
+        """Give outcomes after the batch's time, without a payload the cells themselves."""
+        time.sleep(self.times[batch.identifier])
+        deadline_check()
+        return moved(self.payload, batch) if self.payload else batch.cells
 
 
 def thread_times() -> tuple[float, float]:
@@ -110,6 +135,25 @@ def numbered(count: int) -> list[Batch[Cell]]:
     ]
 
 
+def lead(batches: int, seconds: float, database: str | None, executor: Executor | None, stop: StopRequest) -> int:
+    """Sweep on the other ranks, and print what it has cost."""
+    planned, payload = numbered(batches), real_outcomes(database) if database else ()
+    store, stored = open_sink(database, planned) if database else (None, None)
+    sink = TimedSink(stored)
+    if executor is None:
+        raise RuntimeError("there are no other ranks")
+    begin, own = time.perf_counter(), time.process_time()
+    end = run_sweep(executor, planned, Sleep(durations(batches, seconds), payload), sink, stop_request=stop)
+    wall, cpu = time.perf_counter() - begin, time.process_time() - own
+    sys.stdout.write(json.dumps({"wall": wall, "messages": cpu - sum(group.cpu for group in sink.groups)}) + "\n")
+    if store is not None:
+        lost = len(store.pending(contents=[CONTENT]))
+        store.close()
+        if lost:
+            raise RuntimeError(f"{lost} cells were acknowledged and are not stored")
+    return end.exit_code
+
+
 def main() -> None:
     """Sweep."""
     parser = argparse.ArgumentParser()
@@ -117,32 +161,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, required=True, help="mean time of a batch")
     parser.add_argument("--database", help="where to store; without one, outcomes are empty and nothing is stored")
     options = parser.parse_args()
-    times, batches = durations(options.batches, options.seconds), numbered(options.batches)
-    with Session() as session:
-        leads = session.rank == 0
-        payload = session.broadcast((real_outcomes(options.database) if options.database else ()) if leads else None)
-
-        def compute(batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[Any]:
-            time.sleep(times[batch.identifier])
-            deadline_check()
-            if not payload:
-                return batch.cells
-            return moved(payload, batch)
-
-        store, stored = open_sink(options.database, batches) if leads and options.database else (None, None)
-        sink = TimedSink(stored)
-        session.broadcast(0)  # the clock starts when all ranks are there
-        begin, own = time.perf_counter(), time.thread_time()
-        end = run_sweep(session.comm, batches, compute, sink)
-        measured = {"wall": time.perf_counter() - begin, "messages": time.thread_time() - own}
-        if leads:
-            sys.stdout.write(json.dumps(measured | {"groups": [asdict(group) for group in sink.groups]}) + "\n")
-        if store is not None:
-            lost = len(store.pending(contents=[CONTENT]))
-            store.close()
-            if lost:
-                raise RuntimeError(f"{lost} cells were acknowledged and are not stored")
-        session.end(end.exit_code, end)
+    sys.exit(run_on_ranks(partial(lead, options.batches, options.seconds, options.database)))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
     python benchmarks/dispatch/run.py [--json FILE] [--figure docs/scaling.png]
 
-Takes some five minutes; docs/scaling.md says what follows. The two threads of the master share the interpreter lock, so
+Takes some five minutes; docs/scaling.md says what follows. The threads of the master share the interpreter lock, so
 that a batch costs it the message and its share of the storing, and N workers with batches of T seconds compute at most
 T / (N cost) of their time. Workers that sleep stand in for those that compute, so that
 more of them than there are cores can be had; what they return is real, and the real master stores it in a real database.
@@ -52,9 +52,9 @@ class Costs:
     Attributes
     ----------
     message
-        CPU time of the thread that exchanges messages, for a batch: receive the outcome, hand out the next batch.
+        CPU time of the threads that exchange messages, for a batch: receive the outcome, hand out the next batch.
     group_cpu, batch_cpu
-        CPU time of the storing thread for a transaction, and for each batch in it.
+        CPU time of the storing thread for a group, marks and outcomes, and for each batch in it.
     group_disk, batch_disk
         Its waiting for the disk, likewise; messages are exchanged meanwhile.
     """
@@ -105,8 +105,12 @@ def measure_storing() -> list[Group]:
         with store:
             for size in GROUPS * ROUNDS:
                 group = [next(remaining) for _ in range(size)]
+                sink.mark(group)
                 sink.store([BatchOutcome(batch, place, SECONDS, results=moved(payload, batch)) for batch in group])
-    return sink.groups
+    pairs = zip(sink.groups[::2], sink.groups[1::2], strict=True)
+    return [
+        Group(late.batches, mark.cpu + late.cpu, mark.queue + late.queue, mark.wall + late.wall) for mark, late in pairs
+    ]
 
 
 def fit(groups: Sequence[Group], cost: Sequence[float]) -> tuple[float, float]:

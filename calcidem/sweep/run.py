@@ -131,26 +131,23 @@ class _Master:
 
     def _hand_out_all(self, workers: Workers[CellT], commits: GroupCommit[CellT]) -> tuple[SweepState, str]:
         """Hand out batches and receive outcomes until there is a reason to end; return it."""
-        pause = 0.0
         while True:
             level = self._stop_request.level  # taken first, so that the last round includes everything
-            outcomes = workers.poll()
+            outcomes = workers.poll(wait=0.02 if workers.running else 0.0)  # s, in which a signal is noticed
             settled = [self._schedule.settle(outcome) for outcome in outcomes]
             final = [outcome for outcome in settled if outcome is not None]
             # Marks of batches that are computed again, too: their cells are in flight until then.
             commits.mark(*workers.begun())
             self._schedule.extend(self._more(final))
             commits.add(*final)
-            handed_out = not commits.is_full and self._hand_out(workers, commits)
+            if not commits.is_full:
+                self._hand_out(workers, commits)
             commits.advance()
             if level is not StopLevel.NONE:
                 workers.cancel()
             if (end := self._reason_to_end(workers, level)) is not None:
                 return end
             self._beat()
-            # Such polling takes 1 to 2 % of a core, and hardly delays a batch of seconds.
-            pause = 20e-6 if outcomes or handed_out else min(2.0 * pause, 2e-3)
-            time.sleep(pause)
 
     def _beat(self) -> None:
         if time.monotonic() > self._next_heartbeat:
@@ -158,9 +155,8 @@ class _Master:
             self._sink.keep_alive()
             self._progress.on_heartbeat()
 
-    def _hand_out(self, workers: Workers[CellT], commits: GroupCommit[CellT]) -> bool:
-        """Submit batches as long as workers accept them; return whether any was submitted."""
-        handed_out = False
+    def _hand_out(self, workers: Workers[CellT], commits: GroupCommit[CellT]) -> None:
+        """Submit batches as long as workers accept them."""
         while self._stop_request.level is StopLevel.NONE and workers.wants_batch:
             batch = self._schedule.take()
             if batch is None:
@@ -169,8 +165,6 @@ class _Master:
                 commits.mark(batch)
                 commits.flush()
             workers.submit(batch)
-            handed_out = True
-        return handed_out
 
     def _reason_to_end(self, workers: Workers[CellT], level: StopLevel) -> tuple[SweepState, str] | None:
         """Return why the sweep is over, or None if it isn't."""

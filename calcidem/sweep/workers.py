@@ -16,7 +16,7 @@ from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass
 from hashlib import sha256
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeAlias
 
 from calcidem.ends import CellStatus
@@ -98,6 +98,7 @@ class Workers(Generic[CellT]):
         self._rank_of: dict[_Identity, int] = {}
         self._last_answer: dict[_Identity, float] = {}
         self._last_event = time.monotonic()  # a submission or an answer
+        self._next_look = 0.0
         self._loading = silence_floor  # seconds that a worker may need in addition for its first batch
         self._slowest = 0.0  # seconds for a unit of cost
         self._longest = 0.0  # seconds of a batch
@@ -149,11 +150,18 @@ class Workers(Generic[CellT]):
                 found.append(flight.batch)
         return found
 
-    def poll(self) -> list[BatchOutcome[CellT, Any]]:
-        """Receive outcomes; `SweepError` if a worker cannot load the computation."""
+    def poll(self, wait: float) -> list[BatchOutcome[CellT, Any]]:
+        """Receive outcomes; wait for the first one up to some seconds.
+
+        `SweepError` if a worker cannot load the computation.
+        """
         outcomes: list[BatchOutcome[CellT, Any]] = []
-        while not self._done.empty():
-            future = self._done.get_nowait()
+        while True:
+            try:
+                future = self._done.get(timeout=wait)
+            except Empty:
+                break
+            wait = 0.0
             flight = self._in_flight.pop(future, None)
             if flight is None:
                 continue
@@ -169,7 +177,8 @@ class Workers(Generic[CellT]):
                 self._submit(flight.batch, with_computation=True)
             else:
                 outcomes.append(outcome)
-        self._find_hanging()
+        if time.monotonic() > self._next_look:
+            self._find_hanging()
         if self._held is not None and not self._in_flight:
             batch, self._held = self._held, None
             self._submit(batch, with_computation=False)
@@ -242,6 +251,7 @@ class Workers(Generic[CellT]):
     def _find_hanging(self) -> None:
         """End the sweep if a batch has had no outcome for too long, or if there are no workers."""
         now = time.monotonic()
+        self._next_look = now + 0.5
         longest = max((flight.patience for flight in self._in_flight.values()), default=0.0)
         for flight in self._in_flight.values():
             allowed = flight.patience + (self._loading if flight.is_first else 0.0)

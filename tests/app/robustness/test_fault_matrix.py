@@ -19,7 +19,7 @@ pytestmark = [
 ]
 
 SENTINEL = Case("SIGKILL", "master", "while")
-"""For every commit: tests of the scheduler kill workers and mpirun, too. The others belong to the full run."""
+"""For every commit. The others belong to the full run."""
 
 
 @pytest.fixture(scope="module")
@@ -41,22 +41,6 @@ def test_a_fault_costs_nothing_but_time(case: Case, tmp_path: Path, cache: Path,
     finally:
         trial.kill_all()
     assert not verdict.complaints, "\n".join(verdict.complaints)
-
-
-@pytest.mark.full
-def test_restarts_go_on_without_ulfm(tmp_path: Path, cache: Path, undisturbed: Cells) -> None:
-    """With --restarts a worker killed under an MPI without ULFM costs a new start, which is said, and no cell."""
-    trial = Trial(tmp_path, cache)
-    try:
-        ended = trial.run(case=Case("SIGKILL", "worker", "after", ulfm=False), ranks=2, restarts=2)
-        assert trial.leaves_no_process()
-    finally:
-        trial.kill_all()
-    assert ended.code == 0, ended.output
-    assert "Restart 1 of 2" in ended.output
-    assert "Restart 2" not in ended.output
-    assert trial.cells() == undisturbed
-    assert trial.acknowledged() <= trial.settled()
 
 
 def test_the_sentinel_is_part_of_the_matrix() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from calcidem.app.campaign.launch import Launch
 from calcidem.app.campaign.run import retry_cells
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import LeaseHeldError, StoreUnavailableError
@@ -32,7 +33,7 @@ def test_the_command_names_what_it_computes_again(
 ) -> None:
     """Cells with the outcomes given become pending, no others, before anything is computed; without any it is said."""
     as_configured(troubled)
-    monkeypatch.setattr("calcidem.app.campaign.ranks.run_on_ranks", lambda load, *_: load())  # computes nothing
+    monkeypatch.setattr("calcidem.app.campaign.run.run_command_line", lambda load, *_: load() and 0)  # computes nothing
     before = pending(troubled)
     command = ("run", troubled.with_name("c.toml"), "--db", troubled, "--retry", "failed", "--retry", "timed_out")
     assert "2 cells to compute again:\n  seed 9, 0 %\n  seed 9, 0.66 %\n" in invoke(*command)
@@ -46,7 +47,13 @@ def test_ranks_are_not_told_to_retry(
     """The command itself makes cells pending: ranks that are started again would do so with cells of the last start."""
     as_configured(troubled)
     told: list[list[str]] = []
-    monkeypatch.setattr("calcidem.app.campaign.launch.Launch.run", lambda launch: told.append(launch.arguments) or 0)
+
+    def note(launch: Launch, load: Callable[[], object], _view: object) -> int:
+        load()
+        told.append(list(launch.arguments))
+        return 0
+
+    monkeypatch.setattr(Launch, "run", note)
     invoke("run", troubled.with_name("c.toml"), "--db", troubled, "--retry", "failed", "--ranks", 3)
     assert told == [["run", str(troubled.with_name("c.toml")), "--db", str(troubled)]]
     assert len(pending(troubled)) == PENDING_BEFORE + 1

@@ -1,13 +1,17 @@
 """`calcidem status`: every state of a cell is seen, and the numbers are those of the database."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from places import CHECKOUT
 from rich.console import Console
 from scipy import stats
 
@@ -15,7 +19,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.status import CampaignStatus, _is_being_written
 from calcidem.app.cli.status_view import status_view
 from calcidem.storage.records import CellKey
-from calcidem.storage.sql.store import Store
+from calcidem.storage.sql.store import Store, read_campaign
 
 
 def test_every_state_has_its_character(troubled: Path, invoke: Callable[..., str]) -> None:
@@ -129,3 +133,19 @@ def test_a_living_master_is_seen(complete: Path) -> None:
             assert _is_being_written(campaign.store)
     with open_campaign(complete) as campaign:
         assert not _is_being_written(campaign.store)
+
+
+def test_no_reader_takes_the_log_of_a_writer_away(complete: Path) -> None:
+    """A run reads its own progress; another process that reads and ends meanwhile must not remove the log.
+
+    The kernel drops all locks of a process on a file when the process closes it once, whatever opened it.
+    """
+    log = complete.with_name(f"{complete.name}-wal")
+    program = f"from calcidem.storage.sql.store import read_campaign; read_campaign({str(complete)!r}).close()"
+    with Store(complete) as writer:
+        writer.use_campaign()
+        writer.extend((9,), (5.0,))
+        read_campaign(complete).close()
+        variables = os.environ | {"PYTHONPATH": str(CHECKOUT)}
+        subprocess.run([sys.executable, "-c", program], check=True, env=variables)
+        assert log.exists()
