@@ -363,16 +363,15 @@ class Store(StoreReader):
     def _add_attempts(
         self, keys: Iterable[CellKey], outcome: str, reason: str, losses: int
     ) -> dict[CellKey, AttemptCount]:
-        with self._writing():
+        told = {"outcome": outcome, "reason": reason, "recorded": datetime.now(UTC), "forgiven": False}
+        with self._writing() as connection:
             counts = {
                 key: AttemptCount(count.attempts + 1, count.losses + losses)
                 for key, count in self.attempt_counts(keys).items()
             }
-            now, run = datetime.now(UTC), self._run_id
-            self.restore_attempts(
-                AttemptRecord(key, count.attempts, outcome, reason, None, None, None, now, run)
-                for key, count in counts.items()
-            )
+            known = self._known_cells(connection, list(counts))
+            rows = [{"cell_id": known[key].id, "number": count.attempts} for key, count in counts.items()]
+            _insert(connection, ATTEMPT, [row | told | {"run_id": self._run_id} for row in rows])
         return counts
 
     def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:
