@@ -68,6 +68,10 @@ class Launch:
     start_timeout: float = 120.0
     """Seconds within which rank 0 must have begun its run in the database."""
 
+    def __post_init__(self) -> None:
+        """Count the ranks; `LaunchError` if Slurm's number of tasks is none."""
+        object.__setattr__(self, "ranks", self.ranks or (requested_tasks() or available_cores()) + 1)
+
     def run(self, load: Callable[[], Configuration], view: RunView) -> int:
         """Run calcidem under an MPI launcher and return its exit code.
 
@@ -80,14 +84,13 @@ class Launch:
                 f"--ranks {self.ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}"
             )
         mpirun = find_mpirun()
-        ranks = self.ranks or (requested_tasks() or available_cores()) + 1
         with _Relay() as relay, view.display() as display:
             reporter = ProgressReporter(display)
             try:
                 configuration = load()
                 with prepared_store(configuration, view.say, relay.end_at_once, reporter.on_packing) as (_, packing):
                     view.begin(configuration, packing)
-                code = self._start_until_complete(mpirun, ranks, configuration, relay, display)
+                code = self._start_until_complete(mpirun, configuration, relay, display)
                 display.show(RunProgress(RunStage.WRITING, "tables and files"))
                 with read_campaign(configuration.database, configuration.campaign.name) as store:
                     view.finish(store, configuration, code, in_haste=relay.in_haste)
@@ -99,12 +102,12 @@ class Launch:
         return code
 
     def _start_until_complete(
-        self, mpirun: str, ranks: int, configuration: Configuration, relay: "_Relay", display: ProgressDisplay
+        self, mpirun: str, configuration: Configuration, relay: "_Relay", display: ProgressDisplay
     ) -> int:
         """Start the launcher, and again after deaths; return the exit code."""
         begun = fruitless = False
         for restart in range(self.restarts + 1):
-            start = _Start(mpirun, ranks, self.arguments, configuration, display)
+            start = _Start(mpirun, self.ranks, self.arguments, configuration, display)
             why = start.attend(relay, self.start_timeout)
             found = start.own_run()
             state = "" if found is None or found.exit_state is None else found.exit_state.partition(":")[0]
