@@ -50,5 +50,5 @@ def test_a_campaign_states_the_frequency_of_each_cell(automatic: Configuration, 
     """Cells have the frequency that was chosen for their content, also beyond the table of the paper."""
     experiment = automatic.experiment(small_packing)
     (measured,) = measure(experiment, 9.5, [1])
-    assert measured.frequency == experiment.frequency(9.5)
+    assert measured.section.frequency == experiment.frequency(9.5)
     assert measured.vs is not None

@@ -182,7 +182,8 @@ def hold_lease(workshop: "Workshop", heartbeat: datetime) -> None:
     with closing(sqlite3.connect(workshop.database)) as connection, connection:
         connection.execute("delete from lease")
         connection.execute(
-            "insert into lease (campaign_id, token, host, pid, acquired, heartbeat) values (1, 'x', 'nodeZ', 7, ?, ?)",
+            "insert into lease (campaign_id, token, host, pid, machine, started, lock, acquired, heartbeat)"
+            " values (1, 'x', 'nodeZ', 7, 'another boot', '12', '', ?, ?)",
             [f"{heartbeat:%Y-%m-%d %H:%M:%S.%f}"] * 2,
         )
 

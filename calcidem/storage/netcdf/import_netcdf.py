@@ -89,7 +89,8 @@ def import_netcdf(
         for run in json.loads(file.calcidem_runs):
             number = run.pop("number")
             moments = {name: run[name] and datetime.fromisoformat(run[name]) for name in ("started", "ended")}
-            run_numbers[number] = store.begin_run(RunRecord(**(run | moments)))
+            known = {name: value for name, value in (run | moments).items() if name in RunRecord.__slots__}
+            run_numbers[number] = store.begin_run(RunRecord(**known))  # earlier files describe the workers, too
         store.restore_attempts(_read_attempts(file, run_numbers))
         store.record_results(_results(file, status))
         return store.use_campaign(name)
