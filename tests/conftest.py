@@ -5,6 +5,7 @@ import json
 import os
 import pwd
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -77,7 +78,10 @@ def _own_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def _own_surroundings(_own_session: None) -> Iterator[None]:
-    """Let each test begin in an empty folder, with an empty home."""
+    """Let each test begin in an empty folder, with an empty home, and without signals that its caller ignores."""
+    for number in (signal.SIGINT, signal.SIGHUP):  # as a shell's `&` and nohup do
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
     with _own_folders():
         yield
 
