@@ -50,13 +50,17 @@ class Verdict(StrEnum):
         'wave.transmitter = "driven", a larger wave.transmitter_half_width, less wave.damping',
     )
     TOO_SHORT = "the record ends before the S wave is certain", "a smaller wave.slowest"
-    NO_LINE = (
-        "no peak of the receiver continues the motion of the stations",
+    NO_PEAK = (
+        "the receiver has no peak within half a period of the fitted wave",
         'wave.frequency = "auto" (2.5 wavelengths on the path), a larger wave.listening_depth or receiver_half_width',
     )
     UNCERTAIN = (
         "the standard error of the reading is above pick.largest_error",
         'wave.frequency = "auto" (2.5 wavelengths on the path), a wider box, a larger pick.largest_error',
+    )
+    INACCURATE = (
+        "half the time step, the finite law or double precision change the velocities of this content",
+        'a smaller wave.step_fraction or wave.damping, wave.law = "finite", wave.precision = "float64"',
     )
 
     @property

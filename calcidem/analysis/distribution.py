@@ -196,7 +196,7 @@ def budget_dataset(cells: xr.Dataset) -> xr.Dataset:
             [one.numerical for one in budgets],
         ),
         "reading_scatter": ("m/s", "root mean square of the reading errors", [one.scatter for one in budgets]),
-        "departing": ("1", "cells whose path_vs departs from vs", [one.departing for one in budgets]),
+        "pulse_effect": ("1", "median relative standard error of vs by the pulse", [one.pulse for one in budgets]),
     }
     return xr.Dataset(
         {name: ("content", values, {"units": unit, "long_name": text}) for name, (unit, text, values) in named.items()},

@@ -94,8 +94,8 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "vs_range",
         "Vs against calcite content",
-        "Dots are samples, bars the 95 % intervals of their velocities (reading and simulation). Rings mark samples "
-        "whose vs and path_vs differ by more than their errors. The line joins the means. Dark band: 95 % confidence "
+        "Dots are samples, bars the 95 % intervals of their velocities (reading, simulation, pulse). Rings mark "
+        "samples whose Vs depends on the pulse. The line joins the means. Dark band: 95 % confidence "
         "interval of the mean. Pale band: interval of 95 % of new samples if Vs is normal at each content.",
         lambda analysis: draw_range(
             analysis.cells, analysis.distributions, published_velocities(analysis), analysis.measured

@@ -34,7 +34,7 @@ from calcidem.analysis.figures.style import (
 from calcidem.analysis.measured import Target
 from calcidem.analysis.planning import narrowing
 from calcidem.analysis.published import PublishedVelocity, published_study
-from calcidem.storage.records.error_budget import NORMAL_95, departs
+from calcidem.storage.records.error_budget import NORMAL_95, depends_on_pulse
 
 
 def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
@@ -55,7 +55,7 @@ def draw_range(
 ) -> Figure:
     """Draw Vs against content with its intervals (Fig. 10), published velocities and laboratory samples.
 
-    ``cells`` has vs (m/s), vs_error and path_departure along (seed, content), NaN where missing. `UnavailableError` if
+    ``cells`` has vs (m/s), vs_error and pulse_effect along (seed, content), NaN where missing. `UnavailableError` if
     no content has a velocity.
     """
     rows = _rows_with_velocity(distributions)
@@ -117,11 +117,11 @@ def _draw_range(
             label="one sample and its\n95 % interval" if row is rows[0] else None,
             rasterized=values.size > 30,  # which keeps vector files small
         )
-        differ = departs(of_content["path_departure"].to_numpy())
-        apart.append((at[differ], values[differ]))
+        loud = depends_on_pulse(of_content["pulse_effect"].to_numpy())
+        apart.append((at[loud], values[loud]))
     marked, speeds = (np.concatenate(parts) for parts in zip(*apart, strict=True))
     if marked.size:
-        label = "vs and path_vs differ"
+        label = "depends on the pulse"
         axes.plot(marked, speeds, "o", markersize=5.5, markerfacecolor="none", color=ORANGE, label=label)
     axes.plot(content, [row.vs.mean for row in rows], color=BLUE, marker="o", markersize=3, label="mean")
     if published:

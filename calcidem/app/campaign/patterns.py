@@ -1,9 +1,8 @@
 """Conversion of cement and sections between store and simulation; cement that is not stored is drawn again."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
+from dataclasses import fields, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -13,8 +12,11 @@ from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.sample.cement import CementCapacityError, PlacedCement
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.reading import LEAST_COHERENCE, Candidate, PickRule, find_candidates
+from calcidem.dem.wave.reading import PickRule, Reading, read_section
+from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.section import RESOLUTION, Section
+from calcidem.dem.wave.strip_wave import clamp_of_strip
+from calcidem.ends import Verdict
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import CellResult, CementPattern, RecordedSection
 from calcidem.storage.sql.store import Store
@@ -82,15 +84,13 @@ def section_of(stored: RecordedSection) -> Section:
     )
 
 
-def read_candidates(
-    section: Section, config: Mapping[str, Any]
-) -> tuple[float, tuple[Candidate, ...], Candidate | None]:
-    """Return the smoothing of a configuration, peaks that may be the S wave, and that which is; None if none is."""
-    smoothing = config.get("pick", {}).get("smoothing", PickRule().smoothing)
-    candidates = find_candidates(section, smoothing)
-    for one in candidates:
-        if one.decided > section.duration:
-            break
-        if one.coherence >= max(one.rival, LEAST_COHERENCE):
-            return smoothing, candidates, one
-    return smoothing, candidates, None
+def stored_reading(store: Store, cell: CellResult) -> Reading | Verdict:
+    """Read the stored section of a cell again, with the configuration of its campaign; `ValueError` without one."""
+    if cell.section is None:
+        raise ValueError(f"cell = {cell.key}: no section is stored")
+    wave, pick = (store.record.parameters.get(name, {}) for name in ("wave", "pick"))
+    strip = store.packing(cell.packing_index).height - 2.0 * wave.get(
+        "boundary_thickness", WaveRule().boundary_thickness
+    )
+    known = {field.name: pick[field.name] for field in fields(PickRule) if field.name in pick}
+    return read_section(section_of(cell.section), clamp_of_strip(strip), PickRule(**known))

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +20,13 @@ from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals, load_arrival, read_arrival
 from calcidem.analysis.figures.style import MM, MS, drawn_in
-from calcidem.app.campaign.patterns import read_candidates, section_of, stored_section
-from calcidem.dem.kernels.layout import Floats
+from calcidem.app.campaign.patterns import section_of, stored_reading, stored_section
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import film_wave
-from calcidem.dem.wave.reading import LEAST_COHERENCE, prepare, velocity_spectrum
-from calcidem.dem.wave.section import Section
+from calcidem.dem.wave.reading import Reading
+from calcidem.dem.wave.section import RESOLUTION, Section
+from calcidem.dem.wave.strip_wave import fitness
+from calcidem.ends import Verdict
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CellResult
 
@@ -156,18 +157,17 @@ class CampaignPlots:
             return draw_signals([load_arrival(self.analysis, seed, content)])
 
     def section(self, *, seed: int, content: float, ax: Axes | None = None) -> Figure:
-        """Draw the section of one sample with the candidates for its S wave, and its stack against velocity.
+        """Draw the section of one sample with the fitted wave, and the coherence of waves against velocity.
 
-        Traces are divided by their largest value, without the P wave (dark) and with it (light). Lines lead from the
-        transmitted peak to the six most coherent peaks of the receiver; the solid one is the S wave. A peak whose stack
-        is below the dotted line is none.
+        Traces are divided by their largest value. The dashed line leads to the peak of the fitted wave, the solid one
+        to the peak that is read.
         """
         cell = self.analysis.cell(seed, content)
         if cell.section is None:
             raise UnavailableError(f"no section is stored for seed {seed} at {content:g} %")
         said = f"{cell.key}: {cell.reason or f'Vs = {cell.vs:.0f} m/s'}"
         with drawn_in(ax):
-            return _draw_section(section_of(cell.section), self.analysis.config, said)
+            return _draw_section(section_of(cell.section), stored_reading(self.analysis.store, cell), said)
 
     def cement(self, *, seed: int, content: float, ax: Axes | None = None) -> Figure:
         """Draw one sample with its cement."""
@@ -237,52 +237,43 @@ class CampaignPlots:
 
 
 @style.apply_style
-def _draw_section(section: Section, config: dict[str, Any], title: str) -> Figure:
-    """Draw the traces at their places with the line of each candidate, and below the stack against velocity."""
-    smoothing, candidates, arrival = read_candidates(section, config)
-    shown = sorted(candidates, key=lambda peak: (peak is not arrival, -peak.coherence))[:6]
+def _draw_section(section: Section, found: Reading | Verdict, title: str) -> Figure:
+    """Draw the traces at their places with the lines of both peaks, and below the coherence against velocity."""
     figure = style.new_figure(height=5.1)
     traces, spectrum = figure.subplots(2, 1, height_ratios=(3.6, 1.5))
-    _draw_traces(traces, section, smoothing, shown[0].clean if shown else None)
-    _draw_spectrum(spectrum, section, smoothing, [section.distance / peak.travel_time for peak in candidates])
-    begin, end = 0.5 * MS / section.frequency, MM * section.distance
-    for number, peak in enumerate(sorted(shown, key=lambda peak: peak.index), start=1):
-        color, dashes = (style.VERMILION, "-") if peak is arrival else (style.GREY, "--")
-        arrived, velocity = begin + MS * peak.travel_time, section.distance / peak.travel_time
-        traces.plot([begin, arrived], [0.0, end], color=color, linewidth=1.0, linestyle=dashes)
-        spectrum.plot(velocity, peak.coherence, "o", markersize=4.0, color=color, zorder=4.0)
-        for axes, point in ((traces, (arrived, 1.1 * end)), (spectrum, (velocity, peak.coherence))):
-            axes.annotate(
-                str(number), point, (0, 3), textcoords="offset points", ha="center", fontsize=8.0, color=color
-            )
+    _draw_traces(traces, section)
+    if isinstance(found, Reading):
+        begin, end = 0.5 * MS / section.frequency, MM * section.distance
+        fitted = section.distance / (found.wave.velocity * (1.0 + found.bias))
+        for travel, color, dashes in ((fitted, style.GREY, "--"), (found.travel_time, style.VERMILION, "-")):
+            if np.isfinite(travel):
+                traces.plot([begin, begin + MS * travel], [0.0, end], color=color, linewidth=1.0, linestyle=dashes)
+        _draw_spectrum(spectrum, section, found)
     traces.set_title(textwrap.fill(title, 72))
     style.letter_panels((traces, spectrum))
     return figure
 
 
-def _draw_traces(axes: Axes, section: Section, smoothing: float, clean: Floats | None) -> None:
-    """Draw the motion across the path at each place over its largest value, with and without the P wave."""
-    across, place = prepare(section, smoothing).across, np.array(section.places) * MM
-    time, clean = section.times[: len(across)] * MS, across if clean is None else clean
-    largest = np.abs(clean).max(axis=0, initial=0.0)
+def _draw_traces(axes: Axes, section: Section) -> None:
+    """Draw the motion across the path at each place over its largest value."""
+    across, place = section.across * RESOLUTION, np.array(section.places) * MM
+    time, largest = section.times * MS, np.abs(across).max(axis=0, initial=0.0)
     # The largest value of a trace is three quarters of the mean distance of the stations.
     scale = 0.75 * place[-1] / len(place) / np.where(largest > 0.0, largest, 1.0)
-    axes.plot(time, place + np.clip(across * scale, -place, place[-1]), color=style.SKY, linewidth=0.8)
-    axes.plot(time, place + clean * scale, color=style.BLUE, linewidth=1.2)
+    axes.plot(time, place + across * scale, color=style.BLUE, linewidth=1.0)
     for offset, value in zip(place, largest, strict=True):
         axes.annotate(f"{value:.2g}", (time[-1], offset), (3, 0), textcoords="offset points", fontsize=7.0)
     axes.set(xlim=(0.0, time[-1]), ylim=(-0.08 * place[-1], 1.22 * place[-1]), ylabel="path (mm), receiver last")
-    axes.set_xlabel("time (ms); light: with the P wave; on the right each largest motion over v0")
+    axes.set_xlabel("time (ms); on the right each largest motion over v0")
 
 
-def _draw_spectrum(axes: Axes, section: Section, smoothing: float, found: list[float]) -> None:
-    """Draw the stack against velocity, from the slowest wave in the record to twice the fastest candidate."""
-    slowest = section.distance / max(section.duration, 1.0 / section.frequency)
-    velocities = np.geomspace(slowest, 2.0 * max(found, default=50.0 * slowest), 240)
-    axes.plot(velocities, velocity_spectrum(section, smoothing, velocities), color=style.BLUE)
-    axes.axhline(LEAST_COHERENCE, color=style.GREY, linewidth=0.8, linestyle=":")
-    axes.set(xscale="log", xlim=(velocities[0], velocities[-1]), ylim=(-0.25, 1.15))
+def _draw_spectrum(axes: Axes, section: Section, found: Reading) -> None:
+    """Draw the coherence of section and waves against velocity, from half of the fitted wave's to twice as much."""
+    velocities = np.geomspace(0.5 * found.wave.velocity, 2.0 * found.wave.velocity, 240)
+    axes.plot(velocities, fitness(section, found.wave.clamp, velocities), color=style.BLUE)
+    axes.plot(found.wave.velocity, found.wave.coherence, "o", markersize=4.0, color=style.GREY)
+    axes.set(xscale="log", xlim=(velocities[0], velocities[-1]), ylim=(0.0, 1.05))
     ticks = [digit * 10**power for power in (1, 2, 3, 4) for digit in (1, 2, 3, 5)]  # m/s
     axes.set_xticks(seen := [tick for tick in ticks if velocities[0] <= tick <= velocities[-1]], map(str, seen))
     axes.minorticks_off()
-    axes.set(title="stack along the line of each velocity", xlabel="velocity (m/s)", ylabel="coherence")
+    axes.set(title="fit of a damped wave", xlabel="velocity (m/s)", ylabel="coherence")

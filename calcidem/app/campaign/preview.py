@@ -285,7 +285,7 @@ def _expected_cost(
     """Cost of the batches of a configuration with these speeds of waves, m/s, at each content."""
     wave, lanes, disks = configuration.wave, configuration.run.lanes, disks_in_box(configuration)
     # Seconds for a disk, a step and a sample, eight samples side by side.
-    seconds_of_step = {"linear": 5e-9, "small": 9e-9, "finite": 22e-9}[wave.regime]
+    seconds_of_step = {"auto": 5e-9, "linear": 5e-9, "finite": 22e-9}[wave.law]
     seconds, cells = 0.0, 0
     for batch in batches:
         content = batch.cells[0][1]

@@ -144,7 +144,7 @@ class CampaignStatus:
                     "mean": _finite_or_none(one.mean),
                     "sd": _finite_or_none(one.deviation),
                     "reading_scatter": _finite_or_none(one.budget.scatter),
-                    "departing": one.budget.departing,
+                    "loud": one.budget.loud,
                     "interval_95": [_finite_or_none(one.interval.low), _finite_or_none(one.interval.high)],
                     "seconds_per_cell": _finite_or_none(one.seconds_per_cell),
                     "core_seconds_left": _finite_or_none(one.seconds_left),

@@ -1,11 +1,12 @@
 """Computation of a worker: from cells of one content to records of their outcomes."""
 
 import contextlib
+import json
 import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
@@ -18,14 +19,18 @@ from calcidem.analysis.contact_graph import ContactGraph
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.patterns import pattern_of, stored_section
-from calcidem.app.campaign.stored_packing import packing_record
+from calcidem.app.campaign.stored_packing import cache_folder, packing_record
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
 from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.check import Check, check_content, kernels_of
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
+from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
+from calcidem.storage.errors import OutputRefusedError
+from calcidem.storage.files import write_atomically
 from calcidem.storage.records import (
     CellKey,
     CellResult,
@@ -62,7 +67,13 @@ class CellComputation:
         content = batch.cells[0][1]
         seeds = [seed for seed, _ in batch.cells]
         measurements = measure(
-            experiment, content, seeds, lanes=run.lanes, check=deadline_check, ordering=self._ordering
+            experiment,
+            content,
+            seeds,
+            lanes=run.lanes,
+            check=deadline_check,
+            ordering=self._ordering,
+            checked=partial(self._checked, check=deadline_check),
         )
         results = [
             cell_result(measurement, experiment, run.store_sections, self._graph) for measurement in measurements
@@ -88,6 +99,19 @@ class CellComputation:
     def _ordering(self) -> Callable[[int], CementOrdering]:
         # Batches of the same seeds follow each other; a seed has 0.3 MB.
         return lru_cache(64)(self._experiment.ordering)
+
+    def _checked(self, content: float, check: Callable[[], None]) -> Check:
+        """Check of a content, kept in a file for the other processes of the machine and for later runs."""
+        name = f"check-{self.configuration.hash[:32]}-{self._experiment.packing.content_hash[:32]}-{content:g}.json"
+        path = cache_folder() / name
+        with contextlib.suppress(OSError, ValueError, TypeError):  # without a readable file it is computed
+            return Check(**json.loads(path.read_text(encoding="utf-8")))
+        found = self._experiment.once(check_content, content, self.configuration.run.lanes, check=check)
+        with contextlib.suppress(OSError, OutputRefusedError):  # which only costs time later
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with write_atomically(path) as temporary:
+                temporary.write_text(json.dumps(asdict(found)), encoding="utf-8")
+        return found
 
     @cached_property
     def _graph(self) -> PackingGraph:
@@ -150,10 +174,11 @@ def cell_result(
         vs_peak=reading and reading.peak,
         vs_first_arrival=reading and reading.first_arrival,
         vs_cross_correlation=reading and reading.cross_correlation,
-        coherence=reading and reading.coherence,
+        coherence=reading and reading.wave.coherence,
         reading_error=reading and reading.error,
-        path_vs=reading and reading.path,
-        path_error=reading and reading.path_error,
+        vs_bias=reading and reading.bias,
+        effective_vs=measurement.effective_vs,
+        effective_error=measurement.effective_error,
         frequency=section.frequency,
         distance=section.distance,
         wavelengths_on_path=on_path,
@@ -161,8 +186,9 @@ def cell_result(
         time_step=section.time_step,
         stability_limit=section.stability_limit,
         steps=section.steps,
-        expected_error=measurement.expected_error,
-        error_bound=measurement.error_bound,
+        law=measurement.check.law,
+        numerical_error=measurement.check.numerical_error,
+        pulse_effect=measurement.check.pulse_effect,
         content_reached=cement.content_reached,
         content_of_contacts=content_of_contacts(packing, experiment.cement_rule, cement.kind),
         p_contacts=cement.p_contacts,
@@ -241,43 +267,29 @@ def _fewest_uncemented_contacts(
     return contacts
 
 
-class _EnoughSeen(Exception):  # noqa: N818 - an expected end of a measurement, not an error of the program
-    """Ends a measurement made only to compile the kernel."""
-
-
 def kernel_compilations(
     configuration: Configuration, packing: Packing, tell: Callable[[str, str, int], object] = lambda *_: None
 ) -> list[Callable[[], None]]:
-    """Functions that compile the kernels of the campaign, in any order, by starting samples and ending them at once.
+    """Functions that compile the kernels of the campaign, in any order, by a step of one sample.
 
     ``tell`` receives each compiled function: its kernel, its name, and the number of finished ones.
     """
     experiment = configuration.experiment(packing)
-    # Samples settle at the first check, so that the kernel of their wave is also compiled.
-    experiment = replace(experiment, wave=replace(experiment.wave, unbalanced_force_ratio=1e300))
-    seed, lanes = configuration.campaign.seed_numbers[0], configuration.run.lanes
-    contents = configuration.campaign.contents
-    kernels = [("samples with cement", max(contents))] if max(contents) > 0.0 else []
-    kernels += [("samples without cement", 0.0)] if 0.0 in contents else []
-    names = [f"{name} ({number} of {len(kernels)})" for number, (name, _) in enumerate(kernels, 1)]
+    # Samples settle at once, so that the kernel of their settling is also compiled.
+    experiment = experiment.with_wave(unbalanced_force_ratio=1e300)
+    seed, content = configuration.campaign.seed_numbers[0], max(configuration.campaign.contents)
+    kernels = kernels_of(experiment, configuration.run.lanes)
     return [
-        partial(_run_first_chunk, experiment, content, seed, lanes, partial(tell, name))
-        for name, (_, content) in zip(names, kernels, strict=True)
+        partial(_run_first_step, settings, content, seed, lanes, partial(tell, f"{name} ({number} of {len(kernels)})"))
+        for number, (name, settings, lanes) in enumerate(kernels, 1)
     ]
 
 
-def _run_first_chunk(
+def _run_first_step(
     experiment: Experiment, content: float, seed: int, lanes: int, tell: Callable[[str, int], object]
 ) -> None:
-    """Measure one sample until the kernel of its wave has run once."""
-    calls = 0
-    settles = content > 0.0 and experiment.installation != "preserve"
-
-    def check() -> None:
-        nonlocal calls
-        calls += 1
-        if calls == 2 + settles:  # then the kernel of the wave has run once
-            raise _EnoughSeen
-
-    with contextlib.suppress(_EnoughSeen), watch_compiling(tell):
-        measure(experiment, content, [seed], lanes=lanes, check=check)
+    """Start the wave of one sample."""
+    bonded = experiment.ordering(seed).at(content).bonded
+    with watch_compiling(tell):
+        recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), lanes, lambda: None)
+        recorder.record_chunk(1)

@@ -126,7 +126,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     marks, is_near = [], False
     for one in found.contents:
         here = columns["content"] == one.content
-        marks.append(marks_of(one.counts, one.budget.departing))
+        marks.append(marks_of(one.counts, one.budget.loud))
         median = median_known(columns["wavelengths_on_path"][here])
         is_near |= (near := median < FEWEST_WAVELENGTHS)
         smallest, largest = (one.vs.min(), one.vs.max()) if one.vs.size else (np.nan, np.nan)
@@ -143,7 +143,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     remarks = [f"standard error of Vs: {found.budget}; reading m/s: sd that errors of the readings alone would give"]
     if is_near:
         remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
-    remarks += remarks_on(marks, found.budget.departing)
+    remarks += remarks_on(marks, found.budget.loud)
     if count := int(np.count_nonzero(columns["broken_bonds"] > 0)):
         remarks.append(
             f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"

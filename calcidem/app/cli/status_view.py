@@ -46,8 +46,8 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
     columns = max(_NARROWEST_MATRIX, width - _WIDTH_OF_NUMBERS)
     parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
     parts += [_matrix_table(status, columns), _legend(status, columns)]
-    marks = [marks_of(content.counts, content.budget.departing) for content in status.contents]
-    parts += [Text(f"  {remark}") for remark in remarks_on(marks, status.budget.departing)]
+    marks = [marks_of(content.counts, content.budget.loud) for content in status.contents]
+    parts += [Text(f"  {remark}") for remark in remarks_on(marks, status.budget.loud)]
     if status.counts.get(CellStatus.DONE):
         parts.append(Text(f"  standard error of Vs: {status.budget}"))
     if half_width is not None:
@@ -96,7 +96,7 @@ def _matrix_table(status: CampaignStatus, columns: int) -> Table:
             f"{content.content:g}",
             _matrix_row(content, status.seeds, per_character),
             f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}"
-            f"{marks_of(content.counts, content.budget.departing)}",
+            f"{marks_of(content.counts, content.budget.loud)}",
             format_number(content.mean),
             format_number(content.interval.half_width, "+- {:.1f}"),
             format_number(content.deviation),

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from calcidem.analysis.intervals import is_in_doubt
 from calcidem.storage.records import CellStatus
-from calcidem.storage.records.error_budget import MOST_DEPARTURE
+from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT
 from calcidem.sweep.environment import launcher
 from calcidem.sweep.progress import pluralize
 
@@ -38,22 +38,22 @@ def format_number(value: float | None, form: str = "{:.1f}") -> str:
     return "-" if value is None or not math.isfinite(value) else form.format(value)
 
 
-def marks_of(counts: Mapping[CellStatus, int], departing: int) -> str:
-    """Marks beside the number of cells of a content, if failed ones may bias the mean, or if two velocities differ.
+def marks_of(counts: Mapping[CellStatus, int], loud: int) -> str:
+    """Marks beside the number of cells of a content, if failed ones may bias the mean, or the pulse changes them.
 
-    `calcidem.analysis.intervals.is_in_doubt` explains the first; ``departing`` is the number of cells with the second.
+    `calcidem.analysis.intervals.is_in_doubt` explains the first; ``loud`` is the number of cells with the second.
     """
     done = counts.get(CellStatus.DONE, 0)
     failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0)
-    return f"{' !' if is_in_doubt(done, failed) else ''}{' ~' if departing else ''}"
+    return f"{' !' if is_in_doubt(done, failed) else ''}{' ~' if loud else ''}"
 
 
-def remarks_on(marks: Iterable[str], departing: int) -> Iterator[str]:
+def remarks_on(marks: Iterable[str], loud: int) -> Iterator[str]:
     """Meaning of these marks, and how to find the cells."""
     if any("!" in mark for mark in marks):
         yield "! possible selection bias: cells without velocity may shift the mean by more than its standard error"
-    if departing:
+    if loud:
         yield (
-            f"~ vs and path_vs differ by more than their errors in {pluralize(departing, 'cell')}: "
-            f"'calcidem query DB --where \"path_departure > {MOST_DEPARTURE:g}\"'"
+            f"~ {pluralize(loud, 'velocity', 'velocities')} depend on the pulse by more than {MOST_PULSE_EFFECT:.0%}: "
+            "a smaller wave.amplitude measures the sample"
         )

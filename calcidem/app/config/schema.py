@@ -33,7 +33,7 @@ from calcidem.storage.sql.engine import Address
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
 
-PHYSICS_VERSION = 4
+PHYSICS_VERSION = 5
 """Part of the campaign's hash; increase it with each change of results or defaults."""
 
 

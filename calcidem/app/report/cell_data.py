@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
 from calcidem.analysis.figures.signals import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.app.campaign.patterns import read_candidates, section_of
+from calcidem.app.campaign.patterns import section_of, stored_reading
 from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
-from calcidem.dem.wave.reading import LEAST_COHERENCE
+from calcidem.dem.wave.reading import Reading
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult, RecordedSection
-from calcidem.storage.records.error_budget import MOST_DEPARTURE, NORMAL_95
+from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT, NORMAL_95
 from calcidem.storage.store import ALL_CELLS, Selection
 
 MOST_FULL_RECORDS = 10_000
@@ -117,7 +117,7 @@ def describe_axes(seeds: NDArray[np.int64], contents: NDArray[np.float64], names
             if q.name in names
         ],
         "normal95": NORMAL_95,
-        "mostDeparture": MOST_DEPARTURE,
+        "mostPulseEffect": MOST_PULSE_EFFECT,
     }
 
 
@@ -217,23 +217,22 @@ def pack(content: bytes) -> str:
 
 
 def _describe_section(analysis: CampaignAnalysis, cell: CellResult, stored: RecordedSection) -> dict[str, Any]:
-    """Return the motion across the path without the P wave at each place, as differences of levels, and the peaks.
+    """Return the motion across the path at each place, as differences of levels, and the peaks at the receiver.
 
-    Times are in milliseconds, places in millimetres.
+    Times are in milliseconds, places in millimetres. A peak has its travel time, and whether it is that which is read;
+    the other is that of the fitted wave.
     """
     section = section_of(stored)
-    _, candidates, arrival = read_candidates(section, analysis.config)
-    chosen = None if cell.vs_peak is None else arrival
+    found = stored_reading(analysis.store, cell)
     motion = np.asarray(section.across, dtype=float)
-    if chosen:  # later samples do not matter
-        motion = chosen.clean[: max(2, round(chosen.decided / section.sampling_interval))]
-    elif candidates:
-        motion = max(candidates, key=lambda one: one.coherence).clean
+    peaks: list[tuple[float, int]] = []
+    if isinstance(found, Reading):
+        peaks = [(section.distance / (found.wave.velocity * (1.0 + found.bias)), 0)]
+        peaks += [(found.travel_time, 1)] if cell.vs_peak is not None else []
     stride, height = -(-len(motion) // 90), 40  # times and levels, finer than the drawing's lines
     traces = motion[::stride]
     largest = np.abs(traces).max(axis=0, initial=0.0)
     levels = np.rint(traces / np.where(largest > 0.0, largest, 1.0) * height).astype(int)
-    ranked = sorted(candidates, key=lambda one: (one is not chosen, -one.coherence))[:5]
     return {
         "start": round(1e3 * section.start_time, 6),
         "interval": float(f"{1e3 * stride * section.sampling_interval:.6g}"),
@@ -241,9 +240,6 @@ def _describe_section(analysis: CampaignAnalysis, cell: CellResult, stored: Reco
         "places": [round(1e3 * place, 2) for place in section.places],
         "traces": np.diff(levels, axis=0, prepend=0).T.tolist(),
         "begin": float(f"{0.5e3 / section.frequency:.6g}"),
-        "least": LEAST_COHERENCE,
-        "peaks": [
-            [float(f"{1e3 * one.travel_time:.5g}"), round(one.coherence, 2), int(one is chosen)]
-            for one in sorted(ranked, key=lambda one: one.travel_time)
-        ],
+        "coherence": cell.coherence,
+        "peaks": [[float(f"{1e3 * travel:.5g}"), chosen] for travel, chosen in sorted(peaks)],
     }

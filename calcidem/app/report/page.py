@@ -54,7 +54,7 @@ _MEANINGS: Mapping[str, str] = {
     "coverage": "Share of samples that lie in the 95 % interval predicted for them.",
     "step / limit": "Time step over the largest one at which the computation is stable.",
     "standard error of the mean": "Uncertainty of the mean of Vs, which falls with the number of samples.",
-    "median of path_vs / vs": "Velocity from station to station over that from transmitter to receiver.",
+    "mean effective_vs (m/s)": "Velocity of the damped wave that fits a section, mean over the samples.",
     "coordination number": "Mean number of contacts of a grain.",
     "unbalanced-force ratio": "Mean net force on a grain over the mean contact force; near 0 at rest.",
     "porosity": "Area of the voids over area of the box.",
@@ -198,7 +198,7 @@ def _key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
         ("contents and seeds", f"{analysis.vs.sizes['content']} \N{MULTIPLICATION SIGN} {analysis.vs.sizes['seed']}"),
         ("mean Vs", span),
         (f"standard error of Vs ({parts})", error),
-        ("two velocities differ", f"{analysis.budget.departing} of {analysis.budget.compared}"),
+        ("velocities that depend on the pulse", f"{analysis.budget.loud}"),
         ("computing time", duration(seconds)),
     )
 

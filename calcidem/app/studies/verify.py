@@ -27,10 +27,8 @@ ExperimentOf = Callable[[int], Experiment]
 _REPEATABLE = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 """Outcomes decided by physics; the others depend on the machine."""
 
-_SHARES = ("coherence", "reading_error", "path_error", "expected_error", "error_bound")
+_SHARES = ("coherence", "reading_error", "effective_error", "vs_bias", "numerical_error", "pulse_effect")
 """Numbers that are already relative, so their absolute difference counts."""
-
-_VERIFIED = (*EXACT_QUANTITIES, "expected_error", "error_bound")
 
 
 class Agreement(StrEnum):
@@ -120,11 +118,11 @@ def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[
     """Yield differing status and numbers with their differences."""
     if stored.status != computed.status:
         yield "status", math.inf
-    for name in _VERIFIED:
+    for name in EXACT_QUANTITIES:
         one, other = getattr(stored, name), getattr(computed, name)
         if one == other:
             continue
-        if one is None or other is None:
+        if one is None or other is None or isinstance(one, str):
             yield name, math.inf
         else:
             yield name, abs(other - one) / (1.0 if name in _SHARES else max(abs(one), abs(other)))

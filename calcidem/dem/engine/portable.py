@@ -67,6 +67,24 @@ def sine_of_turns(turns: npt.ArrayLike) -> Floats:
     return np.asarray(np.where((size > 0.5) != (t < 0.0), -result, result))  # half a turn
 
 
+def cosine_and_sine(turns: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """``cos(2 pi t)`` and ``sin(2 pi t)`` of any number of turns t, to 2 units in the last place of t's fraction."""
+    part = np.asarray(turns, dtype=float)
+    part = part - np.floor(part)
+    return sine_of_turns(part - np.where(part > 0.75, 0.75, -0.25)), sine_of_turns(part)
+
+
+def exponential(value: npt.ArrayLike) -> Floats:
+    """``exp(x)``, to 2 units in the last place; x from -700 to 700.
+
+    The argument is reduced to half of ln 2 on either side; the product of its leading bits is exact.
+    """
+    x = np.asarray(value, dtype=float)
+    power = np.rint(x * 1.4426950408889634)  # 1 / ln 2
+    rest = (x - power * 0.693145751953125) - power * 1.4286068203094173e-6  # ln 2 in two parts
+    return np.asarray(np.ldexp(1.0 + rest * _horner(_EXPONENTIAL, rest), power.astype(int)))
+
+
 def arc_sine(value: npt.ArrayLike) -> Floats:
     """Arcsine in [0, pi / 2] of values in [0, 1], to 3 units in the last place.
 
@@ -126,7 +144,9 @@ def parabola_vertex(signal: Floats, index: int) -> float:
     return 0.5 * (left - right) / curvature if curvature < 0.0 else 0.0
 
 
-# Series to a remainder below 1e-17: of sine and cosine at an eighth of a turn, of the arcsine at 1/2.
+# Series to a remainder below 1e-17: of sine and cosine at an eighth of a turn, of the arcsine at 1/2, of the
+# exponential at half of ln 2.
 _SINE = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(1, 9))
 _COSINE = tuple((-1) ** k / math.factorial(2 * k) for k in range(2, 10))
 _ARC = tuple(math.comb(2 * k, k) / (4**k * (2 * k + 1)) for k in range(1, 27))
+_EXPONENTIAL = tuple(1.0 / math.factorial(k + 1) for k in range(15))

@@ -1,6 +1,5 @@
 """Static shear stiffness of a sample from its contacts, without time integration."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from calcidem.dem.engine.stability import pair_stiffness
 from calcidem.dem.kernels.layout import FIRST_ARM, NORMAL_X, NORMAL_Y, SECOND_ARM, Flags, Floats, Integers
 
 
-class _ShearedPart(NamedTuple):
+class ShearedPart(NamedTuple):
     """Part of a sheared sample."""
 
     modulus: float
@@ -68,7 +67,7 @@ def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
 
 
 class ShearedTriangles(NamedTuple):
-    """Delaunay triangles between centres of a sheared sample; their sums give the values of a part."""
+    """Delaunay triangles between centres of a sheared sample; weighted sums give the values of a part."""
 
     corners: Integers
     """(K, 3) disks."""
@@ -81,10 +80,13 @@ class ShearedTriangles(NamedTuple):
     stress: Floats
     """(K,) shear strain and shear stress, times area."""
 
-    def among(self, chosen: Flags) -> _ShearedPart:
-        """Part formed by the chosen triangles (K,), at least one."""
-        area, strain, stress = (float(values[chosen].sum()) for values in (self.area, self.strain, self.stress))
-        return _ShearedPart(stress / strain, float(self.solid[chosen].sum()) / area)
+    def weighted(self, weight: Floats) -> ShearedPart:
+        """Part of the sample in which each triangle (K,) counts with a weight; `ValueError` if none does."""
+        require(bool(weight.any()), "weight", 0, "give at least one triangle a weight")
+        area, solid, strain, stress = (
+            float((values * weight).sum()) for values in (self.area, self.solid, self.strain, self.stress)
+        )
+        return ShearedPart(stress / strain, solid / area)
 
 
 def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTriangles:
@@ -117,27 +119,6 @@ def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTri
         0.5 * np.sign(double) * shear.sum(axis=1),
         0.5 * _carried(corners, ends, moments, len(centres)).sum(axis=1),
     )
-
-
-def sheared_parts(state: State, motion: Floats, parts: Sequence[Flags], lane: int = 0) -> list[_ShearedPart]:
-    """Shear modulus and density of parts of a sheared sample.
-
-    A part consists of the triangles (`sheared_triangles`) with all corners in it. `ValueError` if a part has no
-    triangle.
-
-    Parameters
-    ----------
-    state, motion, lane
-        See `sheared_motion`.
-    parts
-        (N,) disks of each part.
-    """
-    triangles, found = sheared_triangles(state, motion, lane), []
-    for part in parts:
-        chosen = np.asarray(part[triangles.corners].all(axis=1))
-        require(bool(chosen.any()), "parts", int(part.sum()), "give at least three neighbouring disks to each")
-        found.append(triangles.among(chosen))
-    return found
 
 
 def _angles(sides: Floats) -> Floats:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar, TypeVarTuple
+from typing import Any, Self, TypeVar, TypeVarTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from calcidem.dem.wave.pulse import excitation_frequency
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.scene import Domain, domain_of, driven_disks, listening_disks, station_disks, wave_scene
+from calcidem.dem.wave.strip_wave import clamp_of_strip
 
 WAVELENGTHS = 2.5
 """Path over wavelength: with fewer wavelengths the near field disturbs, with many more little propagates."""
@@ -48,8 +49,8 @@ class Experiment:
     """
     installation: Installation = "preserve"
     """See `scene.Bonds`."""
-    early_stop: bool = True
-    """End a record when its reading is settled or no reading is possible any more. The reading does not change."""
+    is_checked: bool = True
+    """Measure the numerical error of each content, and choose law and time step by it (`check.check_content`)."""
     frequencies: tuple[tuple[float, ...], tuple[float, ...]] | Callable[["Experiment", float], float] | None = None
     """(contents in percent, frequencies in Hz), interpolated linearly; None takes Table 2 of the paper. Or a function
     of an experiment and a content, percent, that returns the frequency in Hz and is called once for each content.
@@ -60,10 +61,10 @@ class Experiment:
         """Refuse invalid factors, and settings that the linear regime excludes."""
         require(self.stiffness_factor > 0.0, "stiffness_factor", self.stiffness_factor, "give a positive factor")
         require(
-            self.installation == "preserve" or self.wave.regime != "linear",
+            self.installation == "preserve" or self.wave.law != "linear",
             "installation",
             self.installation,
-            'changes the contact forces, which are fixed in regime = "linear"; choose "small" or "finite"',
+            'changes the contact forces, which are fixed with law = "linear"; choose "auto" or "finite"',
         )
 
     def frequency(self, content: float) -> float:
@@ -74,11 +75,28 @@ class Experiment:
             return self.once(self.frequencies, content)
         return interpolate(content, *self.frequencies)
 
-    def once(self, compute: Callable[["Experiment", *_Arguments], _Found], *arguments: *_Arguments) -> _Found:
-        """Value of a function of this experiment and of hashable arguments, computed on first use."""
+    @property
+    def clamp(self) -> float:
+        """K of the strip between the damped layers, 1/m, see `strip_wave`."""
+        return clamp_of_strip(self.packing.height - 2.0 * self.wave.boundary_thickness)
+
+    def with_wave(self, **changes: Any) -> Self:  # noqa: ANN401 - fields of several types
+        """The experiment with changed fields of its `WaveRule`."""
+        return replace(self, wave=replace(self.wave, **changes))
+
+    def once(
+        self,
+        compute: Callable[["Experiment", *_Arguments], _Found],
+        *arguments: *_Arguments,
+        **others: Any,  # noqa: ANN401 - arguments of several types
+    ) -> _Found:
+        """Value of a function of this experiment and of hashable arguments, computed on first use.
+
+        The value must not depend on ``others``, further arguments of the function.
+        """
         key = (compute, arguments)
         if key not in self._kept:
-            self._kept[key] = compute(self, *arguments)
+            self._kept[key] = compute(self, *arguments, **others)
         found: _Found = self._kept[key]
         return found
 
@@ -142,8 +160,8 @@ def suitable_frequency(experiment: Experiment, content: float) -> float:
 
     Notes
     -----
-    On such a path the near field causes a standard error of at most 2 %, see
-    `calcidem.dem.wave.reading.reading_error`.
+    On longer paths little of the pulse arrives; on shorter ones peaks travel visibly faster than the wave
+    (`calcidem.dem.wave.reading.Reading.bias`).
     """
     # The median of three patterns is within some percent of that of hundreds.
     speed = expected_speed(experiment, content, 3)

@@ -43,22 +43,12 @@ def problems_of(state: State, amplitude: float, overlap: float, breakable: float
         return problems
     motion = _largest_translation(state.motion.displacement)
     found = (
-        _find_unlisted_neighbours(state, motion),
         _find_broken_bonds(state, breakable),
         _find_steps_above_limit(state, motion, overlap),
     )
     for lane, problem in chain(*found):
         problems[lane] = problems[lane] or problem
     return problems
-
-
-def _find_unlisted_neighbours(state: State, motion: Floats) -> Iterator[tuple[int, str]]:
-    """Yield the lanes in which a disk may have touched one that is not in its list of pairs."""
-    if state.features.search or not state.features.finite:
-        return
-    for lane in np.flatnonzero(motion > 0.5 * state.skin).tolist():
-        moved = np.abs(state.motion.displacement[:, :2, lane]).max(axis=1)
-        yield lane, f"{_name_disk(state, moved)} moved {moved.max():.3g} m, beyond the reach of its list of neighbours"
 
 
 def broken_bonds(state: State) -> Integers:
@@ -129,7 +119,7 @@ def unbalanced_speed(state: State, amplitude: float) -> Floats:
         "amplitude",
         amplitude,
         f"unbalanced forces of the packing alone move its disks at {speed.max():.3g} m/s, more than "
-        '0.001 of the pulse: choose a stronger pulse, regime = "linear", or a packing with a '
+        '0.001 of the pulse: choose a stronger pulse, law = "linear", or a packing with a '
         "smaller unbalanced_force_ratio",
     )
     return speed / amplitude

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.readout import net_forces
@@ -24,7 +23,7 @@ from calcidem.dem.wave.guards import unbalanced_speed
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.reading import record_duration
 from calcidem.dem.wave.recorder import Recorder
-from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, WaveRule, refuse_loud_pulse
+from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN
 from calcidem.dem.wave.scene import driven_disks, lane_bonds, listening_disks, station_disks, wave_scene
 from calcidem.dem.wave.section import Section
 
@@ -37,10 +36,9 @@ def send_waves(
     stop_when: Callable[[Section], bool],
     lanes: int = 8,
     check: Callable[[], None] = lambda: None,
+    signs: Sequence[float] = (),
 ) -> list[Section]:
     """Send one pulse through each of several samples, side by side.
-
-    `ValueError` if the pulse is too strong for the regime.
 
     Parameters
     ----------
@@ -56,32 +54,37 @@ def send_waves(
         Width of the kernel: 1, 2, 4, 8, 16 or 32. A sample's bits do not depend on how many of the lanes are in use.
     check
         Called every fraction of a second; may raise to end the run.
+    signs
+        Sense of the pulse for each sample: 1, or -1 for a reversed one; by default 1.
 
     Returns
     -------
     One section for each sample. If a guard finds a problem, the sample is recomputed with half the step, and its
     section notes this. If that fails, too, the problem stays in the section.
     """
-    refuse_loud_pulse(experiment.packing, experiment.wave, frequency)
-    sections = prepare_recorder(experiment, bonded, frequency, lanes, check).run(stop_when, check)
+    sections = prepare_recorder(experiment, bonded, frequency, lanes, check, signs).run(stop_when, check)
     failed = [sample for sample, section in enumerate(sections) if section.problem]
     if failed:
         again = prepare_recorder(
-            with_half_step(experiment), [bonded[sample] for sample in failed], frequency, lanes, check
+            experiment.with_wave(step_fraction=0.5 * experiment.wave.step_fraction),
+            [bonded[sample] for sample in failed],
+            frequency,
+            lanes,
+            check,
+            [signs[sample] for sample in failed] if signs else (),
         )
         for sample, section in zip(failed, again.run(stop_when, check), strict=True):
             sections[sample] = replace(section, retry=sections[sample].problem)
     return sections
 
 
-def with_half_step(experiment: Experiment) -> Experiment:
-    """Return the experiment with half the time step."""
-    wave = experiment.wave
-    return replace(experiment, wave=replace(wave, step_fraction=0.5 * wave.step_fraction))
-
-
 def prepare_recorder(
-    experiment: Experiment, bonded: Sequence[Flags], frequency: float, lanes: int, check: Callable[[], None]
+    experiment: Experiment,
+    bonded: Sequence[Flags],
+    frequency: float,
+    lanes: int,
+    check: Callable[[], None],
+    signs: Sequence[float] = (),
 ) -> Recorder:
     """Prepare a batch for transmission with a common step; the arguments are those of `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
@@ -89,13 +92,12 @@ def prepare_recorder(
     domain, bare = experiment.domain, experiment.bare_scene
     packing, driven = domain.packing, driven_disks(domain.packing, rule)
     bonds = lane_bonds(packing, experiment.cement, [flags[domain.pairs] for flags in bonded], lanes, installation)
-    # Largest gap, in mean radii, that can close during the pulse: no disk moves ten times as far as the transmitter.
-    closing = min(SKIN, 2.0 * 10.0 * pulse.stroke / float(packing.radius.mean()))
-    skin = closing if rule.regime == "finite" else 0.0
-    features = _wave_features(replace(bare, bonds=bonds), rule, skin, lanes)
+    # Gap of listed pairs, in mean radii. If a disk moves further than ten strokes, pairs are listed again.
+    skin = min(SKIN, 2.0 * 10.0 * pulse.stroke / float(packing.radius.mean())) if rule.regime == "finite" else 0.0
+    features = _wave_features(replace(bare, bonds=bonds), experiment, lanes)
     single, scene = experiment.once(_bare_sample, features, skin)
     scene = replace(scene, bonds=bonds)
-    state = _start_at_rest(experiment, scene, _wave_features(scene, rule, skin, lanes), skin, single)
+    state = _start_at_rest(experiment, scene, _wave_features(scene, experiment, lanes), skin, single)
     if bonds is not None and installation != "preserve":
         state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps, check)
     speed = unbalanced_speed(state, rule.amplitude)
@@ -116,7 +118,7 @@ def prepare_recorder(
         samples=len(bonded),
         longest=record_duration(experiment.distance, rule.slowest, frequency),
         unbalanced_speed=speed,
-        closing_gaps=0.0 if rule.regime == "finite" else experiment.once(_closing_gaps, pulse.stroke),
+        signs=np.array([*signs, *[1.0] * (lanes - len(signs))]),
         breakable=rule.most_broken_bonds,
     )
 
@@ -154,7 +156,6 @@ def _start_at_rest(
 
 def refuse_unfit_pulse(experiment: Experiment, frequency: float, *, cemented: bool) -> None:
     """Raise a `ValueError` if the pulse suits no sample of a packing, as far as known without cement."""
-    refuse_loud_pulse(experiment.packing, experiment.wave, frequency)
     _refuse_short_pulse(experiment.wave.step_fraction * experiment.once(_limit_of_all_patterns, cemented), frequency)
 
 
@@ -188,12 +189,6 @@ def refuse_unfit_samples(
         prepare_recorder(experiment, bonded, frequency, lanes, lambda: None)
 
 
-def stiffness_contrast(experiment: Experiment, section: Section) -> float:
-    """Stiffness of the contacts that limit the step, over that in the packing without cement."""
-    ratio = experiment.once(_limit_of_all_patterns, False) / section.stability_limit
-    return ratio * ratio
-
-
 def _refuse_short_pulse(step: float, frequency: float) -> None:
     require(
         step * frequency * FEWEST_SAMPLES <= 1.0,
@@ -214,20 +209,19 @@ def _limit_of_all_patterns(experiment: Experiment, cemented: bool) -> float:
     return float(state.critical_time_step[0])
 
 
-def _closing_gaps(experiment: Experiment, stroke: float) -> float:
-    """Number of pairs with a gap below the stroke of a pulse, which may close, over the number of contacts."""
-    packing = experiment.packing
-    near = near_pairs(np.column_stack([packing.x, packing.y]), np.asarray(packing.radius, dtype=float), stroke)
-    return max(0.0, len(near) / max(1, len(packing.pairs)) - 1.0)
-
-
-def _wave_features(scene: Scene, rule: WaveRule, skin: float, lanes: int) -> Features:
-    """Kernel features that the wave needs or the rule keeps."""
-    # A pulse that moves the grains little needs no contact search: all pairs that can touch are listed at the start.
-    search = rule.regime == "finite" and skin >= SKIN
-    driven = rule.transmitter == "driven"
-    features = choose_features(scene, rule.regime, lanes)
-    features = replace(features, recording=True, driven=driven, servo=False, search=search, midpoint=False)
+def _wave_features(scene: Scene, experiment: Experiment, lanes: int) -> Features:
+    """Kernel features that the wave needs or the rule keeps; samples without cement use the kernel of the others."""
+    rule, finite = experiment.wave, experiment.wave.regime == "finite"
+    features = replace(
+        choose_features(scene, rule.regime, lanes),
+        recording=True,
+        driven=rule.transmitter == "driven",
+        servo=False,
+        midpoint=False,
+        bonds=True,
+        linear_group=experiment.cement.linear_modulus > 0.0,
+        breakage=finite,
+    )
     return replace(features, **{name: True for name in rule.keep if name != WHOLE_DOMAIN})
 
 

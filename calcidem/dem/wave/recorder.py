@@ -1,6 +1,6 @@
 """Recording of a wave: signals of each sample of a batch, until they suffice or a guard ends them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,13 +9,11 @@ from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.kernels.layout import LISTENED, XY, Floats, Integers, Recording, X, Y
 from calcidem.dem.wave.guards import broken_bonds, cemented_bonds, problems_of
-from calcidem.dem.wave.linearity import nonlinearity, slipped_force
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
-from calcidem.dem.wave.section import Counts, Nonlinearity, Section, quantise
+from calcidem.dem.wave.section import Counts, Section, quantise
 
 SAMPLES_PER_CHUNK = 20  # samples between two checks of the section: half a period of the pulse
-LOOKS_APART = 2  # periods of the pulse between two checks of the nonlinearity
 
 
 @dataclass(slots=True)
@@ -41,29 +39,20 @@ class Recorder:
     """Time after which a record ends in any case, s."""
     unbalanced_speed: Floats
     """(L,) see `Section`."""
-    closing_gaps: float
-    """See `Section`."""
+    signs: Floats
+    """(L,) sense of the pulse: 1, or -1 for a reversed one. Sections are positive as the pulse."""
     breakable: float = 0.0
     """See `guards.problems_of`."""
     counts: Counts = field(init=False)
     """(L, 2, X, S) motion across and along so far, see `Section`."""
-    nonlinear: list[list[Nonlinearity]] = field(init=False)
-    slipped: Floats = field(init=False)
     bonds: Integers = field(init=False)
     broken: Integers = field(init=False)
-    """See `Section`; ``nonlinear`` for each sample, the others for each lane; ``broken`` counts broken bonds."""
+    """See `Section`, for each lane; ``broken`` counts broken bonds."""
 
     def __post_init__(self) -> None:
         """Initialize the results."""
-        self.nonlinear = [[] for _ in range(self.samples)]
         self.counts = np.zeros((self.state.features.lanes, 2, len(self.listeners), 0), dtype=np.int32)
-        self.slipped = np.zeros(self.state.features.lanes)
         self.bonds, self.broken = cemented_bonds(self.state), broken_bonds(self.state)
-
-    @property
-    def steps_per_look(self) -> int:
-        """Time steps between two checks of the signals."""
-        return SAMPLES_PER_CHUNK * self.stride
 
     def run(self, stop_when: Callable[[Section], bool], check: Callable[[], None]) -> list[Section]:
         """Sections of all samples, in their order; see `propagation.send_waves`."""
@@ -73,7 +62,6 @@ class Recorder:
             check()
             self.record_chunk()
             running = [lane for lane in range(self.samples) if lane not in ended]
-            self._look_at_contacts(running)
             problems = problems_of(self.state, self.pulse.amplitude, overlap, self.breakable)
             remaining = self._remaining_speeds()
             for lane in running:
@@ -82,19 +70,6 @@ class Recorder:
                     ended[lane] = section
         return [ended[lane] for lane in sorted(ended)]
 
-    def _look_at_contacts(self, running: Sequence[int]) -> None:
-        """Evaluate the contact laws at the transmitter, and in the samples whose next check is due."""
-        sending = [lane for lane in running if not self.nonlinear[lane]]
-        if sending:
-            now = slipped_force(self.state, TRANSMITTER)
-            self.slipped[sending] = np.maximum(self.slipped, now)[sending]
-        periods = self.state.steps * self.state.time_step / self.pulse.duration
-        due = [lane for lane in running if periods[lane] >= 1.0 + LOOKS_APART * len(self.nonlinear[lane])]
-        if due:
-            found = np.array(nonlinearity(self.state, np.array(due)))
-            for lane, values in zip(due, found.T.tolist(), strict=True):
-                self.nonlinear[lane].append(Nonlinearity(*values))
-
     def record_chunk(self, samples: int = SAMPLES_PER_CHUNK) -> None:
         """Advance by a number of samples."""
         steps = samples * self.stride
@@ -102,7 +77,7 @@ class Recorder:
         groups = self.listeners * 2
         middle = (self.state.steps + np.arange(steps)[:, None] + 0.5) * self.state.time_step
         recording = Recording(
-            drive=self._sent_at(middle).astype(dtype),
+            drive=(self.signs * self._sent_at(middle)).astype(dtype),
             driven=-1 if len(self.driven_disks) else TRANSMITTER,
             driven_disks=self.driven_disks,
             offset=0,
@@ -116,6 +91,7 @@ class Recorder:
         self.state = run_in_place(self.state, steps, recording)
         self.broken = broken_bonds(self.state)
         recorded = recording.samples[:, LISTENED:].astype(float).transpose(2, 1, 0)
+        recorded *= self.signs[:, None, None]
         chunk = quantise(recorded, self.pulse.amplitude).reshape(lanes, 2, len(self.listeners), samples)
         self.counts = np.concatenate([self.counts, chunk], axis=3)
 
@@ -154,11 +130,8 @@ class Recorder:
             stability_limit=float(self.state.critical_time_step[lane]),
             steps=self.state.steps,
             unbalanced_speed=float(self.unbalanced_speed[lane]),
-            closing_gaps=self.closing_gaps,
             broken_bonds=int(self.broken[lane]),
             bonds=int(self.bonds[lane]),
             remaining_speed=remaining_speed,
-            nonlinear=tuple(self.nonlinear[lane]),
-            slipped=float(self.slipped[lane]),
             problem=problem,
         )

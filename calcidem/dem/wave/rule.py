@@ -5,12 +5,11 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval, Unit
 
-from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, checked, require
-from calcidem.dem.engine.scene import Precision, Regime
-from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, checked
+from calcidem.dem.engine.scene import Precision
 
 Transmitter = Literal["wall", "driven"]
+Law = Literal["auto", "linear", "finite"]
 
 WHOLE_DOMAIN = "whole_domain"
 FEWEST_SAMPLES = 20  # samples per period of the pulse; with 20 a peak shifts by 0.1 % (docs/reading.md)
@@ -38,8 +37,9 @@ class WaveRule:
         Local damping factor of the layers at floor and lid.
     boundary_thickness
         Thickness of these layers, m.
-    regime
-        ``finite``: displacements of any size; ``small``: fixed geometry; ``linear``: fixed stiffness as well.
+    law
+        Contact law. ``linear``: constant stiffnesses, so contacts neither slip nor open. ``finite``: Hertz and Coulomb
+        at displacements of any size. ``auto``: linear at contents where the check confirms it (`check`), else finite.
     precision
         Precision of the kernel's numbers.
     step_fraction
@@ -74,7 +74,7 @@ class WaveRule:
     ] = 0.3
     boundary_damping: Part = 1.0
     boundary_thickness: Annotated[NotNegative, Unit("m")] = 0.05
-    regime: Regime = "linear"
+    law: Law = "auto"
     precision: Precision = "float64"
     step_fraction: Annotated[PositivePart, "0.05 to 0.95: above 1 the scheme is unstable"] = 0.8
     samples_per_period: Annotated[
@@ -87,27 +87,7 @@ class WaveRule:
     most_settling_steps: Annotated[int, Interval(ge=1)] = 2_000_000
     keep: tuple[str, ...] = ()
 
-
-def refuse_loud_pulse(packing: Packing, rule: WaveRule, frequency: float) -> None:
-    """Raise a `ValueError` if a pulse moves the transmitter too far for the regime.
-
-    Constant stiffnesses require a stroke of the order of the mean overlap, a fixed geometry one much smaller than a
-    disk.
-    """
-    refuse_long_stroke(rule, frequency, packing.report.mean_overlap, float(packing.radius.min()))
-
-
-def refuse_long_stroke(rule: WaveRule, frequency: float, overlap: float, radius: float) -> None:
-    """Same as `refuse_loud_pulse`, from the mean overlap and the smallest radius, m."""
-    stroke = Pulse(rule.amplitude, frequency).stroke
-    bounds = {"linear": (5.0 * overlap, "5 mean overlaps"), "small": (0.05 * radius, "0.05 radii of the smallest disk")}
-    if rule.regime in bounds:
-        bound, meaning = bounds[rule.regime]
-        require(
-            stroke <= bound,
-            "amplitude",
-            rule.amplitude,
-            f"moves the transmitter by {stroke:.3g} m, more than {meaning} ({bound:.3g} m), too far for the regime "
-            f'{rule.regime}: choose regime = "finite" or an amplitude of at most '
-            f"{bound * frequency:.3g} m/s",
-        )
+    @property
+    def regime(self) -> Literal["linear", "finite"]:
+        """Regime of the engine; until the check has decided, that which neglects nothing."""
+        return "linear" if self.law == "linear" else "finite"

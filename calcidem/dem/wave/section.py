@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -21,26 +21,6 @@ def quantise(velocity: Floats, amplitude: float) -> Counts:
     steps = np.rint(velocity / (amplitude * RESOLUTION))
     # Far above any wave, and half of what int32 holds.
     return np.where(np.abs(steps) < 2**30, steps, 2**30).astype(np.int32)
-
-
-class Nonlinearity(NamedTuple):
-    """Changes of a wave in the linear regime by Hertz's and Coulomb's laws; zero in other regimes.
-
-    Each is (L,), or the value of one sample.
-    """
-
-    share: Floats | float = 0.0
-    """Sum of ``|dF| |du|`` over the sum of ``F du`` of all contacts of disks. du is the relative displacement of two
-    disks since the start, F the force increment with constant stiffnesses. dF is its deviation from the contact laws,
-    by which contacts stiffen, open and slip. Cement is linear in either case.
-    """
-    softening: Floats | float = 0.0
-    """Largest relative loss of the sample's stiffness by slip, see `linearity.nonlinearity`."""
-    rescaling: Floats | float = 0.0
-    """Work, in absolute values, of the initial shear forces that contacts would lose where the wave unloads them (shear
-    rescaling mode 1, `laws.rescale_shear`), over that of ``F du``. It scales with the loads of the packing, not with
-    the amplitude.
-    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,19 +52,11 @@ class Section:
     """Time steps of this sample."""
     unbalanced_speed: float = 0.0
     """See `guards.unbalanced_speed`."""
-    closing_gaps: float = 0.0
-    """Number of pairs with a gap up to the stroke of the pulse, over the number of contacts; zero in the finite regime,
-    where gaps may close.
-    """
     broken_bonds: int = 0
     bonds: int = 0
     """Broken and initial bonds."""
     remaining_speed: float = math.inf
     """Bound of all later velocities of the section, m/s: those of a station if it held all energy of the sample."""
-    nonlinear: tuple[Nonlinearity, ...] = ()
-    """Changes by the contact laws at the end of transmission and every `recorder.LOOKS_APART` periods from then on."""
-    slipped: float = 0.0
-    """Largest part of the transmitter's force during the pulse that its contacts could not have transmitted."""
     problem: str = ""
     """Cause of unreliable results; empty if there is none."""
     retry: str = ""

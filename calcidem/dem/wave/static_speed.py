@@ -7,9 +7,8 @@ import numpy as np
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds
 from calcidem.dem.engine.state import start
-from calcidem.dem.engine.statics import sheared_motion, sheared_parts
-from calcidem.dem.kernels.layout import Flags, Floats
-from calcidem.dem.sample.packing import Packing
+from calcidem.dem.engine.statics import sheared_motion, sheared_triangles
+from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.settling import settle
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
@@ -18,7 +17,7 @@ LARGEST_STATIC_ERROR = 0.1
 """Relative uncertainty above which no static speed is stored."""
 
 _MARGINS = (0.15, 0.2, 0.25)
-"""Widths of the excluded rim over the smaller side of the box; held disks stiffen a rim of about 0.1."""
+"""Distances from the side walls, over the smaller side of the box, that are excluded; held disks stiffen about 0.1."""
 
 
 class StaticSpeed(NamedTuple):
@@ -45,26 +44,32 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
 
     Notes
     -----
-    G is mean stress over mean strain of the inner part. The sample is sheared twice. First all disks at the walls
-    follow the shear, then only those at the side walls, with floor and lid free. The speed is the geometric mean of
-    both. Displacements prescribed all around give an upper bound for the whole box (Huet 1990,
-    doi:10.1016/0022-5096(90)90041-2), far too high where stiff patches reach its walls. They hardly affect the inner
-    part.
+    G is mean stress over mean strain where the wave is: between the damped layers at floor and lid, which it cannot
+    enter, weighted across the path by ``cos^2(pi y / h)``, the energy of a wave in a strip of height h (`strip_wave`).
+    The sample is sheared twice. First all disks at the walls follow the shear, then only those at the side walls, with
+    floor and lid free. The speed is the geometric mean of both. Displacements prescribed all around give an upper bound
+    for the whole box (Huet 1990, doi:10.1016/0022-5096(90)90041-2), far too high where stiff patches reach its walls.
+    They hardly affect the inner part.
 
-    The error has two independent parts: half the difference of both shears, and half the range over three sizes of the
-    inner part. rho is the density of the grains times their area fraction in the inner part. The wave itself is slower,
-    since local damping reduces each force that moves a disk. docs/velocity.md compares the two.
+    The error has two independent parts: half the difference of both shears, and half the range over three distances
+    from the side walls. rho is the density of the grains times their area fraction with the same weights. The wave
+    itself is slower, since local damping reduces each force that moves a disk. docs/velocity.md compares the two.
     """
     packing, sand = experiment.stiffen()
-    state = state_at_rest(experiment, bonded)
-    from_sides, from_ends = distances_from_walls(packing)
-    radius = np.asarray(packing.radius, dtype=float)
-    sides, rim = from_sides < radius, np.minimum(from_sides, from_ends) < radius
-    from_rim = np.minimum(from_sides, from_ends) / min(packing.width, packing.height)
+    state = _state_at_rest(experiment, bonded)
+    x, y, radius = (np.asarray(values, dtype=float) for values in (packing.x, packing.y, packing.radius))
+    from_sides, from_ends = np.minimum(x, packing.width - x), np.minimum(y, packing.height - y)
+    strip = packing.height - 2.0 * experiment.wave.boundary_thickness
     speeds = np.empty((2, len(_MARGINS)))
-    for row, held in enumerate((rim, sides)):
-        found = sheared_parts(state, sheared_motion(state, held), [from_rim > margin for margin in _MARGINS])
-        speeds[row] = [np.sqrt(max(0.0, part.modulus) / (sand.density * part.solid)) for part in found]
+    for row, held in enumerate((np.minimum(from_sides, from_ends) < radius, from_sides < radius)):
+        triangles = sheared_triangles(state, sheared_motion(state, held))
+        from_sides_here = np.minimum(triangles.middle[:, 0], packing.width - triangles.middle[:, 0])
+        across = (triangles.middle[:, 1] - 0.5 * packing.height) / strip
+        energy = np.where(np.abs(across) < 0.5, np.cos(np.pi * across) ** 2, 0.0)
+        for column, margin in enumerate(_MARGINS):
+            inner = from_sides_here > margin * min(packing.width, packing.height)
+            part = triangles.weighted(np.where(inner, energy, 0.0))
+            speeds[row, column] = np.sqrt(max(0.0, part.modulus) / (sand.density * part.solid))
     clamped, free = speeds[:, len(_MARGINS) // 2]
     speed = float(np.sqrt(clamped * free))
     if not speed > 0.0:
@@ -73,7 +78,7 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
     return StaticSpeed(speed, float(spread / speed))
 
 
-def state_at_rest(experiment: Experiment, bonded: Flags) -> State:
+def _state_at_rest(experiment: Experiment, bonded: Flags) -> State:
     """State of a cemented sample before its wave; arguments and errors as for `static_speed`."""
     packing, sand = experiment.stiffen()
     rule, keeps_forces = experiment.wave, experiment.installation == "preserve"
@@ -83,9 +88,3 @@ def state_at_rest(experiment: Experiment, bonded: Flags) -> State:
     if np.any(bonded) and not keeps_forces:
         state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps)
     return state
-
-
-def distances_from_walls(packing: Packing) -> tuple[Floats, Floats]:
-    """Distances (N,) of the centres from the nearer side wall, and from the nearer of floor and lid, m."""
-    x, y = (np.asarray(values, dtype=float) for values in (packing.x, packing.y))
-    return np.minimum(x, packing.width - x), np.minimum(y, packing.height - y)

@@ -27,6 +27,7 @@ _reading = partial(Quantity, origin="reading", is_exact=True)
 _speed = partial(_reading, "m s-1", bound=_POSITIVE)
 _relative_error = partial(_reading, "1", bound=_NOT_NEGATIVE)
 _wave = partial(Quantity, origin="wave", bound=_POSITIVE, is_exact=True)
+_check = partial(Quantity, "1", origin="check", bound=_NOT_NEGATIVE, is_exact=True)
 _cement = partial(Quantity, origin="cement", bound=_NOT_NEGATIVE, is_exact=True)
 
 LARGEST_SEED = 2**63 - 1
@@ -100,10 +101,15 @@ class CellResult(Record):
     vs_peak: Annotated[_Real, _speed("shear-wave velocity from peak to peak")] = None
     vs_first_arrival: Annotated[_Real, _speed("shear-wave velocity by first arrival")] = None
     vs_cross_correlation: Annotated[_Real, _speed("shear-wave velocity by cross-correlation")] = None
-    coherence: Annotated[_Real, _reading("1", "stack of the section along the line of the S wave")] = None
+    vs_bias: Annotated[_Real, _reading("1", "relative excess of vs over effective_vs by a short path in a strip")] = (
+        None
+    )
+    """By the fitted wave: it is known, and no part of an error."""
     reading_error: Annotated[_Real, _relative_error("relative standard error of the reading of vs")] = None
-    path_vs: Annotated[_Real, _speed("shear-wave velocity from station to station")] = None
-    path_error: Annotated[_Real, _relative_error("relative standard error of the reading of path_vs")] = None
+    effective_vs: Annotated[_Real, _speed("velocity of the damped wave that fits the section")] = None
+    """Velocity of the sample, free of the choice of a peak and of the dispersion in a strip."""
+    effective_error: Annotated[_Real, _relative_error("relative standard error of effective_vs")] = None
+    coherence: Annotated[_Real, _reading("1", "mean squared correlation of section and fitted wave")] = None
     frequency: Annotated[_Real, _wave("Hz", "frequency of the transmitted pulse", is_needed=True)] = None
     distance: Annotated[_Real, _wave("m", "distance that the shear wave travelled")] = None
     """From the transmitter to the receiver."""
@@ -117,11 +123,10 @@ class CellResult(Record):
     time_step: Annotated[_Real, _wave("s", "time step", is_needed=True)] = None
     stability_limit: Annotated[_Real, _wave("s", "largest stable time step", is_needed=True)] = None
     steps: Annotated[_Whole, _wave("1", "number of time steps", bound=_NOT_NEGATIVE, is_needed=True)] = None
-    expected_error: Annotated[
-        _Real, Quantity("1", "expected relative numerical error of vs", "error estimate", _NOT_NEGATIVE)
-    ] = None
-    error_bound: Annotated[_Real, Quantity("1", "bound of the relative numerical error of vs", "error estimate")] = None
-    """At most one of a hundred cells exceeds it."""
+    law: Annotated[str | None, Quantity("", "contact law that the check chose", "check", is_exact=True)] = None
+    numerical_error: Annotated[_Real, _check("relative standard error of vs by the simulation")] = None
+    pulse_effect: Annotated[_Real, _check("relative standard error of vs by the strength of the pulse")] = None
+    """Both measured for the content, see `calcidem.dem.wave.check`."""
     static_speed: Annotated[
         _Real, Quantity("m s-1", "velocity of long shear waves by statics", "statics", _POSITIVE)
     ] = None
@@ -187,13 +192,8 @@ class CellResult(Record):
         return PackedResult(self.key, self.values(), arrays)
 
     @property
-    def numerical_error(self) -> float | None:
-        """Relative standard error of vs by the simulation."""
-        return self._derived("numerical_error")
-
-    @property
     def vs_error(self) -> float | None:
-        """Relative standard error of vs by simulation and reading; 1.96 of it on either side is the 95 % interval."""
+        """Relative standard error of vs by reading, simulation and pulse; 1.96 of it on either side hold 95 %."""
         return self._derived("vs_error")
 
     @property
@@ -203,11 +203,6 @@ class CellResult(Record):
             return None
         half = NORMAL_95 * self.vs_error * self.vs
         return self.vs - half, self.vs + half
-
-    @property
-    def path_departure(self) -> float | None:
-        """Difference of path_vs and vs over its standard error; above `MOST_DEPARTURE` the cell is marked."""
-        return self._derived("path_departure")
 
     def _repr_html_(self) -> str:
         """Table of the cell's values with units and meanings, for notebooks."""

@@ -29,7 +29,7 @@ from calcidem.storage.records.quantity import Bound
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.store import LeaseHolder
 
-_SCHEMA = 2
+_SCHEMA = 3
 """Version of these tables."""
 
 _METADATA = sa.MetaData(

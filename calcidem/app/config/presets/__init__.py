@@ -3,7 +3,7 @@
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
-PRESETS = ("quick", "paper", "paper-small-pulse", "paper-literal", "paper-locked")
+PRESETS = ("quick", "paper", "paper-as-printed")
 """Names of the example configurations in calcidem."""
 
 

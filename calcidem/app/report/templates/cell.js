@@ -59,10 +59,12 @@ function worthOf(place) {
   const [vs, error] = [columns.vs[place], columns.vs_error?.[place]];
   if (vs === null || error === null || error === undefined) return "";
   const ends = [-1, 1].map((side) => number(vs * (1 + side * normal95 * error)));
-  const parts = ["reading", "numerical"].map((name) => columns[`${name}_error`]?.[place]).map((part) => (part ?? null) && `${number(100 * part, 2)} %`);
-  const made = parts.every(Boolean) ? ` (reading ${parts[0]}, simulation ${parts[1]})` : "";
-  const other = departs(place) ? ` ~ path_vs, ${withUnit(columns.path_vs?.[place], "m/s")}, differs from it by more than their errors.` : "";
-  return `<p>95 % interval ${ends[0]} to ${ends[1]} m/s; standard error ${number(100 * error, 2)} %${made}.${other}</p>`;
+  const parts = ["reading_error", "numerical_error", "pulse_effect"].map((name) => columns[name]?.[place]).map((part) => (part ?? null) && `${number(100 * part, 2)} %`);
+  const made = parts.every(Boolean) ? ` (reading ${parts[0]}, simulation ${parts[1]}, pulse ${parts[2]})` : "";
+  const other = isLoud(place) ? " ~ It depends on the strength of the pulse, so it is no property of the sample." : "";
+  const effective = columns.effective_vs?.[place];
+  const sample = effective ? ` Effective velocity ${withUnit(effective, "m/s")}, standard error ${number(100 * columns.effective_error[place], 2)} %.` : "";
+  return `<p>95 % interval ${ends[0]} to ${ends[1]} m/s; standard error ${number(100 * error, 2)} %${made}.${other}${sample}</p>`;
 }
 function drawDetails() {
   if (details?.signal && byId("signal")) drawSignal(details.signal);
@@ -133,8 +135,8 @@ function drawSignal({ start, interval, transmitted, received, unit, arrivals }) 
   });
 }
 
-/** Motion at each station, without the P wave, with the lines along which the section was stacked. */
-function drawSection({ start, interval, levels, places, traces, begin, least, peaks }) {
+/** Motion at each station, with the lines to the peak that is read and to that of the fitted wave. */
+function drawSection({ start, interval, levels, places, traces, begin, coherence, peaks }) {
   const host = byId("section");
   const [width, height, left, bottom, top] = [host.clientWidth, 340, 62, 44, 22];
   const end = start + interval * (traces[0].length - 1);
@@ -156,20 +158,20 @@ function drawSection({ start, interval, levels, places, traces, begin, least, pe
     textAt.set(travel, Math.min(x(begin + travel), room));
     room = textAt.get(travel) - 34;
   }
-  const lines = shown.map(([travel, coherence, isChosen]) => {
+  const lines = shown.map(([travel, isChosen]) => {
     const colour = isChosen ? "peak" : "quiet";
-    return `<line x1="${x(begin)}" y1="${y(0)}" x2="${x(begin + travel)}" y2="${y(distance)}" stroke="var(--${colour})" stroke-width="${isChosen ? 2 : 1.2}"${isChosen ? "" : ` stroke-dasharray="5 4"`}/><text x="${textAt.get(travel)}" y="${top - 6}" text-anchor="middle"${isChosen ? ` font-weight="bold"` : ""}>${coherence.toFixed(2)}</text>`;
+    return `<line x1="${x(begin)}" y1="${y(0)}" x2="${x(begin + travel)}" y2="${y(distance)}" stroke="var(--${colour})" stroke-width="${isChosen ? 2 : 1.2}"${isChosen ? "" : ` stroke-dasharray="5 4"`}/><text x="${textAt.get(travel)}" y="${top - 6}" text-anchor="middle"${isChosen ? ` font-weight="bold"` : ""}>${number(travel)}</text>`;
   });
-  const chosen = shown.find(([, , isChosen]) => isChosen);
-  const said = chosen ? `The S wave is the peak at ${number(chosen[0])} ms of travel, with a coherence of ${chosen[1].toFixed(2)}` : "No peak is the S wave";
+  const chosen = shown.find(([, isChosen]) => isChosen);
+  const said = chosen ? `The S wave is the peak at ${number(chosen[0])} ms of travel` : "No peak is the S wave";
   host.innerHTML = `
     <svg viewBox="0 0 ${width} ${height}" role="img" aria-label="Section of ${escape(labelOf(opened))}: ${places.length - 1} stations and the receiver. ${said}.">
       ${across.join("")}${upward.join("")}${wiggles.join("")}${lines.join("")}
       <text x="${(left + width) / 2}" y="${height - 8}" text-anchor="middle">time (ms)</text>
       <text transform="translate(14 ${(height - bottom) / 2}) rotate(-90)" text-anchor="middle">path (mm), receiver last</text>
     </svg>
-    <div class="keys">${key("received", "station, without the P wave")}${key("ink", "receiver")}${chosen ? key("peak", "line of the S wave") : ""}${shown.length > (chosen ? 1 : 0) ? key("quiet", "other peaks") : ""}</div>
-    <p class="quiet">Each trace over its largest value. Numbers above: coherence of the stack along the line of a peak, ${number(least)} and more for an S wave. ${said}.</p>`;
+    <div class="keys">${key("received", "station")}${key("ink", "receiver")}${chosen ? key("peak", "line of the peak that is read") : ""}${shown.length > (chosen ? 1 : 0) ? key("quiet", "peak of the fitted wave") : ""}</div>
+    <p class="quiet">Each trace over its largest value. Numbers above: travel time, ms. The fitted wave has a coherence of ${coherence === null ? "-" : coherence.toFixed(2)}. ${said}.</p>`;
 }
 
 function drawSample() {

@@ -1,7 +1,7 @@
 // The map and the table of cells, and what listens to keys, pointer and address.
 // Cells: their place in the columns is seed * contents + content -------------------------------------------------
 
-let seeds, contents, columns, quantities, normal95, mostDeparture, cellCount; // seeds are texts: a number of 63 bits would not be exact here
+let seeds, contents, columns, quantities, normal95, mostPulseEffect, cellCount; // seeds are texts: a number of 63 bits would not be exact here
 let chosen = []; // places that the filters let through
 let isChosen = new Uint8Array(0);
 let cursor = 0; // place that arrow keys move
@@ -15,7 +15,7 @@ const contentOf = (place) => contents[place % contents.length];
 const statusOf = (place) => columns.status[place] || "not computed";
 const outcomes = () => [...new Set(Array.from({ length: cellCount }, (_, place) => statusOf(place)))].sort();
 const link = (place) => `#seed=${seedOf(place)}&content=${contentOf(place)}`;
-const departs = (place) => columns.path_departure?.[place] > mostDeparture;
+const isLoud = (place) => columns.pulse_effect?.[place] > mostPulseEffect; // its velocity depends on the pulse
 const labelOf = (place) => `seed ${seedOf(place)} at ${contentOf(place)} %`;
 function valueOf(name, place) {
   if (name === "seed") return Number(seedOf(place)); // to sort by; equal ones stay in their order
@@ -50,7 +50,7 @@ function readFilters() {
 // Table --------------------------------------------------------------------------------------------------------
 
 const SHOWN = ["seed", "content", "status", "vs", "vs_peak", "vs_first_arrival", "vs_cross_correlation"];
-const SHOWN_LATER = ["vs_error", "path_departure", "path_normalized_connectivity", "seconds", "reason"];
+const SHOWN_LATER = ["vs_error", "effective_vs", "pulse_effect", "path_normalized_connectivity", "seconds", "reason"];
 const HEADINGS = {
   seed: "seed",
   content: "content (%)",
@@ -60,7 +60,8 @@ const HEADINGS = {
   vs_first_arrival: "by first arrival",
   vs_cross_correlation: "by correlation",
   vs_error: "relative standard error",
-  path_departure: "departure of path_vs",
+  effective_vs: "effective Vs (m/s)",
+  pulse_effect: "effect of the pulse",
   path_normalized_connectivity: "C_d,n",
   seconds: "time (s)",
   reason: "reason",
@@ -90,7 +91,7 @@ function showRows() {
   if (focused) byId("cells").querySelector(`[data-sort="${focused}"]`).focus();
   const rows = chosen.slice(page * ROWS, (page + 1) * ROWS).map((place) => {
     const values = shownColumns.map((name) => {
-      const mark = name === "path_departure" && departs(place) ? " ~" : "";
+      const mark = name === "pulse_effect" && isLoud(place) ? " ~" : "";
       const text = name === "seed" ? seedOf(place) : escape(number(valueOf(name, place))) + mark;
       return name === "seed" ? `<td><a href="${link(place)}" aria-label="${labelOf(place)}">${text}</a></td>` : `<td>${text}</td>`;
     });
@@ -255,7 +256,7 @@ function showTip(place) {
     tip.textContent = "";
     return;
   }
-  const lines = [labelOf(place), `Vs ${withUnit(columns.vs[place], "m/s")}${departs(place) ? " ~" : ""}`];
+  const lines = [labelOf(place), `Vs ${withUnit(columns.vs[place], "m/s")}${isLoud(place) ? " ~" : ""}`];
   if (columns.vs[place] === null) lines[1] = `${number(statusOf(place))}${columns.reason[place] ? `: ${columns.reason[place]}` : ""}`;
   if (shades.values && byId("colour").value !== "vs") lines.push(`${shades.label}: ${withUnit(shades.values[place], shades.unit)}`);
   tip.textContent = lines.join("\n");
@@ -306,7 +307,7 @@ function option(value, text) {
 }
 /** Take over the cells of a campaign, and what the controls offer of them; what is chosen stays as far as it is there. */
 function take(records) {
-  ({ seeds, contents, columns, quantities, normal95, mostDeparture } = records);
+  ({ seeds, contents, columns, quantities, normal95, mostPulseEffect } = records);
   cellCount = seeds.length * contents.length;
   cursor = Math.min(cursor, cellCount - 1);
   const there = (name) => name in HEADINGS && ["seed", "content", "status", "vs"].concat(quantities.map((one) => one.name)).includes(name);
