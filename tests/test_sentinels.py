@@ -36,27 +36,25 @@ SENTINELS = [
 NUMBERS = {
     "reading": (
         ("SILENCE = 0.001\n", "SILENCE = 0.0013\n"),
-        ("_STEEPEST = 0.5\n", "_STEEPEST = 0.65\n"),
-        ("LEAST_COHERENCE = 0.5\n", "LEAST_COHERENCE = 0.65\n"),
-        ("_P_TO_S = 2.1\n", "_P_TO_S = 2.7\n"),
-        ("_STRETCH = 0.04\n", "_STRETCH = 0.052\n"),
-        ("ONSET = 0.1\n", "ONSET = 0.13\n"),
+        ("_ONSET = 0.1\n", "_ONSET = 0.13\n"),
         ("smoothing: PositivePart = 0.3 ", "smoothing: PositivePart = 0.39 "),
         ("largest_error: PositivePart = 0.25", "largest_error: PositivePart = 0.33"),
-        ("> 3.0 * swing", "> 3.9 * swing"),
-        ("(1.8 * found", "(2.3 * found"),
-        ("- other) / 0.05", "- other) / 0.065"),
-        ("len(place) < 4", "len(place) < 5"),
-        ("        0.04 /", "        0.052 /"),
-        ("        0.019,", "        0.025,"),
-        ("        0.75 *", "        0.98 *"),
+        ("+ 1.25 / frequency", "+ 1.6 / frequency"),
+        ("< 0.5 * period", "< 0.65 * period"),
+    ),
+    "strip_wave": (
+        ("P_OVER_S = 1.4\n", "P_OVER_S = 1.8\n"),
+        ("_SPACING = 8\n", "_SPACING = 6\n"),
+        ("_TERMS = 24\n", "_TERMS = 16\n"),
+        ("1.15 * clamp", "1.5 * clamp"),
+        (">= 0.5 * places", ">= 0.65 * places"),
     ),
     "section": (("RESOLUTION = 2.0**-20", "RESOLUTION = 2.0**-19"), ("< 2**30, steps, 2**30", "< 2**29, steps, 2**29")),
     "scene": (("min(9, max", "min(12, max"),),
 }
-"""Numbers of the reading, the section and the stations, each moved by about 30 %."""
+"""Numbers of the reading, the fit, the section and the stations, each moved by about 30 %."""
 SENTINELS += [
-    (f"dem/wave/{name}.py", *change, f"dem/test_{'reading' if name == 'reading' else 'section'}.py")
+    (f"dem/wave/{name}.py", *change, f"dem/test_{'reading' if name in {'reading', 'strip_wave'} else 'section'}.py")
     for name, changes in NUMBERS.items()
     for change in changes
 ]

@@ -112,10 +112,7 @@ def test_another_seed_is_another_packing(told: list[str], packing: Packing) -> N
     assert not np.array_equal(other.x, packing.x)
 
 
-# Samples of `paper-locked` are started by two kernels that no other test needs.
-@pytest.mark.parametrize(
-    "preset", [pytest.param(each, marks=pytest.mark.full) if each == "paper-locked" else each for each in Preset]
-)
+@pytest.mark.parametrize("preset", [*Preset])
 def test_the_packing_of_a_preset_comes_with_calcidem(
     told: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, preset: Preset
 ) -> None:

@@ -29,7 +29,14 @@ pytestmark = pytest.mark.slow
 
 HOSTILE = """<img src=x onerror=alert(1)>"'`&</script>"""
 SEEDS, CONTENTS = (1, 2, 3), (0.0, 5.0)
-NUMERICS = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 1.2e-7, "steps": 3000, "expected_error": 0.01}
+NUMERICS = {
+    "frequency": 8e3,
+    "time_step": 1e-7,
+    "stability_limit": 1.2e-7,
+    "steps": 3000,
+    "numerical_error": 0.01,
+    "pulse_effect": 0.001,
+}
 
 
 def begin(database: Path | str, name: str = HOSTILE) -> None:
