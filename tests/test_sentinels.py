@@ -11,7 +11,7 @@ SENTINELS = [
     ("analysis/sensitivity.py", "np.divide(*pair.std", "np.multiply(*pair.std", "analysis/test_sensitivity.py"),
     ("analysis/weights.py", ") / np.sqrt(variance_x", ") * np.sqrt(variance_x", "analysis/test_weights.py"),
     ("analysis/predictor.py", "np.array([-half, 0.0", "np.array([half, 0.0", "analysis/test_predictor.py"),
-    ("analysis/predictor.py", "+ 2.0 / (1.0 - level)", "+ 3.0 / (1.0 - level)", "analysis/test_predictor.py"),
+    ("analysis/intervals.py", "+ 2.0 / (1.0 - level)", "+ 3.0 / (1.0 - level)", "analysis/test_predictor.py"),
     ("dem/wave/pulse.py", "self.amplitude / self.frequency", "self.amplitude * self.frequency", "dem/test_pulse.py"),
     ("dem/wave/pulse.py", "(cycle - sine_of_turns", "(cycle + sine_of_turns", "dem/test_pulse.py"),
     ("dem/wave/error_estimate.py", "step / 24.0", "step / 12.0", "dem/test_error_estimate.py"),
