@@ -27,7 +27,7 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
 )
 from calcidem.storage.files import is_network_filesystem
-from calcidem.storage.passwords import hide_passwords, password_of
+from calcidem.storage.passwords import hide_passwords, with_passwords
 
 _BUSY_TIMEOUT_SECONDS = 30.0
 _WRITES = "calcidem_writes"
@@ -87,7 +87,7 @@ class Address:
                 raise StoreUnavailableError(f"{text!r} can't be a file ({error}).", "Give another name.") from error
             return cls(URL.create("sqlite", database=str(path)), path)
         try:
-            url = make_url(text)
+            url = make_url(with_passwords(text))
         except (ArgumentError, ValueError) as error:
             raise StoreUnavailableError(
                 f"'{hide_passwords(text)}' is not a database URL.",
@@ -96,8 +96,7 @@ class Address:
         if url.drivername == "postgresql":
             url = url.set(drivername="postgresql+psycopg")
         if url.get_backend_name() != "sqlite":
-            password = password_of(text)
-            return cls(url if password is None else url.set(password=password), None)
+            return cls(url, None)
         if not url.database or url.database == ":memory:":
             raise StoreUnavailableError(
                 f"'{text}' names no file.", "Give a file name; a store in memory would be lost."
