@@ -90,7 +90,7 @@ def test_text_is_shown_and_stored_without_passwords() -> None:
         f"postgresql://me:a@{MARK}@host/sand",
         f"postgresql://host/sand?sslpassword={MARK}&user=me",
         f"postgresql://host/sand?pass%77ord={MARK}",
-        f"invalid options in sslmode=require sslpassword = \"{MARK}\"",
+        f'invalid options in sslmode=require sslpassword = "{MARK}"',
         f"postgresql://host:5432/sand?password=a@{MARK}",
     ):
         assert MARK not in hide_passwords(line)
