@@ -26,7 +26,7 @@ from calcidem.storage.errors import (
     StoreLockedError,
     StoreUnavailableError,
 )
-from calcidem.storage.files import is_network_filesystem
+from calcidem.storage.files import can_lock, is_network_filesystem
 from calcidem.storage.passwords import hide_passwords, with_passwords
 
 _BUSY_TIMEOUT_SECONDS = 30.0
@@ -246,6 +246,12 @@ def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
     else:  # psycopg gives no state if no connection was made
         unreachable = "08" if type(original).__name__ == "OperationalError" else ""
         code, state = -1, getattr(original, "sqlstate", None) or unreachable
+    # SQLITE_PERM, BUSY, LOCKED, IOERR, PROTOCOL are what SQLite makes of a lock that the system refuses.
+    if code in {3, 5, 6, 10, 15} and address.path is not None and not can_lock(address.path.parent):
+        return StoreUnavailableError(
+            f"{address}: its file system has no locks, so programs could damage it for one another.",
+            "Keep it on a disk of this machine (--db), or have the file system mounted with locks.",
+        )
     for codes, states, kind, remedy in _ERRORS:
         if code in codes or state.startswith(states):
             return kind(problem, remedy)
