@@ -46,10 +46,10 @@ def run(case, precision):
         told = told._replace(
             drive=np.linspace(0.0, 0.1, 25, dtype=kind)[:, None].repeat(features.lanes, axis=1),
             driven_disks=np.array([0]),
-            stride=5,
+            stride=1,
             listeners=np.array([1, 2, 3]),
             groups=np.array([0, 3]),
-            samples=np.zeros((5, 2, features.lanes), kind),
+            samples=np.zeros((25, 2, features.lanes), kind),
         )
     state = run_in_place(state, 25, told)
     arrays = state.motion.displacement, state.motion.velocity, state.account, told.samples
