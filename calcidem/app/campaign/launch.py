@@ -25,7 +25,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import StoreError
 from calcidem.storage.passwords import PASSWORDS_VARIABLE
 from calcidem.storage.records import RunRecord
-from calcidem.storage.sql.store import Store, read_campaign
+from calcidem.storage.sql.store import read_campaign
 from calcidem.storage.store import STALE_AFTER
 from calcidem.sweep.attempt import SweepInterrupted
 from calcidem.sweep.environment import (
@@ -106,7 +106,7 @@ class Launch:
             state = "" if found is None or found.exit_state is None else found.exit_state.partition(":")[0]
             if state in {SweepState.COMPLETE, SweepState.STOPPED}:
                 return EXIT_COMPLETE if state == SweepState.COMPLETE else EXIT_RESUMABLE
-            if state == SweepState.ERROR or (found is None and start.was_refused):
+            if state == SweepState.ERROR or (found is None and start.code == 2):  # rank 0 refused its input
                 return start.code if 0 < start.code <= EXIT_RESUMABLE else EXIT_ERROR
             if found is not None:
                 why = f"The run was cut off ({why}): everything stored is safe, and the same command continues."
@@ -160,11 +160,6 @@ class _Start:
         """Exit code of the launcher; negative for a signal."""
         return self._process.returncode
 
-    @property
-    def was_refused(self) -> bool:
-        """Whether rank 0 refused its input."""
-        return self.code == 2
-
     def own_run(self) -> RunRecord | None:
         """Run that this start began; None without one."""
         number, run = self._latest_run()
@@ -183,9 +178,11 @@ class _Start:
             if now >= next_look:
                 run = self.own_run()
                 next_look = now + (0.3 if run is None else 1.0)
-            if run is None:
-                why = self._why_not_begun(stop, now - begin, start_timeout)
-            else:
+            if run is None and stop.level:
+                why = "a signal asked for it"
+            elif run is None and now - begin > start_timeout:
+                why = f"rank 0 did not begin within {start_timeout:g} s"
+            elif run is not None:
                 reporter.read = partial(read_own_status, self._configuration)
                 reporter.show_cells()
                 if stop.level > told:
@@ -201,12 +198,6 @@ class _Start:
             reader.join(2.0)  # a process that has left its group may keep a pipe open
         return why or self._explanation()
 
-    def _why_not_begun(self, stop: StopRequest, seconds: float, start_timeout: float) -> str:
-        """Why a launch is ended whose rank 0 has not begun some seconds after the start; empty to wait."""
-        if stop.level:
-            return "a signal asked for it"
-        return f"rank 0 did not begin within {start_timeout:g} s" if seconds > start_timeout else ""
-
     def _why_not_ended(self, seconds: float, since_end: float | None) -> str:
         """Why a launch is ended some seconds after its start and after the end of its run; empty to wait."""
         if since_end is not None and since_end > 15.0:  # s
@@ -216,18 +207,21 @@ class _Start:
             return "rank 0 has been silent for minutes"
         return ""
 
-    def _open(self) -> Store:
-        return read_campaign(self._configuration.database, self._configuration.campaign.name)
-
     def _latest_run(self) -> tuple[int, RunRecord | None]:
-        with suppress(StoreError), self._open() as store:
+        with (
+            suppress(StoreError),
+            read_campaign(self._configuration.database, self._configuration.campaign.name) as store,
+        ):
             if runs := store.runs():
                 return runs[-1]
         return 0, None
 
     def _is_silent(self) -> bool:
         """Whether the heartbeat of rank 0 is too old."""
-        with suppress(StoreError), self._open() as store:
+        with (
+            suppress(StoreError),
+            read_campaign(self._configuration.database, self._configuration.campaign.name) as store,
+        ):
             holder = store.lease_holder()
             return holder is None or datetime.now(UTC) - holder.heartbeat > STALE_AFTER
         return False
