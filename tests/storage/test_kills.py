@@ -152,17 +152,17 @@ def test_kills_lose_nothing_and_mix_nothing(
     struck: Counter[str] = Counter()
     removed = with_log = told = 0
     while struck.total() < kills:
-        has_log = any(Path(f"{trial.target}{end}").exists() for end in ("-wal", "-journal"))
-        if trial.target.exists() and random_numbers.random() < (0.6 if has_log else 0.2):
-            with_log += has_log
-            trial.target.unlink()
-            acknowledged.clear()
-            removed += 1
         name = random_numbers.choice(sorted(trial.commands))
         is_killed, stored = trial.kill(name, random_numbers.uniform(0.0, trial.commands[name][0]))
         struck[name] += is_killed
         acknowledged |= stored
         told += len(stored)
+        has_log = any(Path(f"{trial.target}{end}").exists() for end in ("-wal", "-journal"))
+        if trial.target.exists() and random_numbers.random() < (0.5 if has_log else 0.1):
+            trial.target.unlink()  # before anything reads it, which would bring its log into it
+            acknowledged.clear()
+            removed += 1
+            with_log += has_log
         trial.check(acknowledged)
     with capsys.disabled():
         print(  # noqa: T201 - the counts are what one wants to see
