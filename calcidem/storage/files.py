@@ -3,8 +3,9 @@
 import os
 import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from calcidem.storage.errors import OutputRefusedError
 
@@ -133,3 +134,15 @@ def is_network_filesystem(path: Path, mountinfo: str | None = None) -> bool:
         "virtiofs wekafs"
     )
     return kind.startswith("fuse.") or kind in networks.split()
+
+
+def can_lock(folder: Path) -> bool:
+    """Whether the file system of a folder has the locks that SQLite uses; True if that is unknown."""
+    with suppress(ImportError, OSError), TemporaryFile(dir=folder) as file:
+        import fcntl  # noqa: PLC0415 - not on Windows
+
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return False
+    return True

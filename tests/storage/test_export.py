@@ -60,12 +60,12 @@ def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 def filled(store: Store, records: "Records") -> Store:
     """Fill a store with something of everything."""
     store.extend((7,), (9.0,))
-    store.begin_run(records.run())
+    store.record_running([CellKey(3, 5.0)])
+    store.begin_run(records.run())  # which counts it as lost
     for index in (0, 1):
         store.save_packing(records.packing(index))
     store.record_results(records.with_arrays(seed, content) for seed in (0, 1) for content in (0.0, 0.3, 5.0))
     store.record_results([records.done(2, 0.0), records.failed(2, 5.0, status=CellStatus.UNSTABLE)])
-    store.record_lost([CellKey(3, 5.0)], "killed by signal 9")
     store.record_results([records.failed(3, 0.3)])
     store.retry()
     store.end_run("stopped", records.run().started + timedelta(hours=1))
