@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 
 BESIDE_A_DATABASE = ("-wal", "-shm", "-journal")
@@ -66,7 +67,7 @@ def _beginning(path: Path) -> bytes:
     """First 16 bytes of a file; empty if it does not exist or is not a file."""
     if not path.is_file():
         return b""
-    with path.open("rb") as file:
+    with open_input(path) as file:
         return file.read(16)
 
 
