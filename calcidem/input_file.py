@@ -46,7 +46,9 @@ def read_input(path: Path, limit: int) -> bytes:
     """
     too_large = InputFileError(f"{path} has more than {limit / 1e6:g} MB; check the name, or leave something out")
     with open_input(path) as file:
-        content = file.read(limit + 1) or b""  # None if a file of the kernel has nothing at present
+        if os.fstat(file.fileno()).st_size > limit:
+            raise too_large
+        content = file.read(limit + 1) or b""  # files of the kernel state no size, and None if they have nothing now
     if len(content) > limit:
         raise too_large
     if content.startswith(b"\x1f\x8b"):

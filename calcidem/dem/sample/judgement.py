@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.kernels.layout import Floats, Integers
@@ -143,6 +142,8 @@ def deepest_overlap(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> fl
 
 def overlapping_pairs(x: Floats, y: Floats, radius: Floats) -> tuple[Integers, Floats]:
     """Return the overlapping pairs (C, 2) of disks (N,), and their overlaps (C,), m."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - what only reads stored disks does not wait for SciPy
+
     centres = np.column_stack([x, y])
     pairs = cKDTree(centres).query_pairs(2.0 * float(radius.max()), output_type="ndarray")
     overlap = radius[pairs].sum(axis=1) - np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)

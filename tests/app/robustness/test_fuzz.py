@@ -419,9 +419,9 @@ def odd_files(folder: Path) -> tuple[Path, ...]:
     return (*folder.iterdir(), *map(Path, kernel), folder, Path("missing"))
 
 
-@pytest.mark.full
-def test_two_thousand_damaged_files_and_command_lines(bench: Workbench, tmp_path: Path) -> None:
-    """Each ends with a documented code and in sentences, without waiting, and a refusal leaves every file as it was."""
+def damaged_input(bench: Workbench, odd: tuple[Path, ...], number: int) -> tuple[list[str], dict[str, bytes]]:
+    """One of very many command lines and the files that it reads: a quarter is of odd files, half of damaged ones."""
+    random = Random(number)
     whole = {
         "own.toml": bench.files["good.toml"],
         "own.plan": bench.files["plan.toml"],
@@ -432,18 +432,22 @@ def test_two_thousand_damaged_files_and_command_lines(bench: Workbench, tmp_path
         "own.nc": bench.files["quick.nc"],
         "own.db": bench.files["quick.db"],
     }
+    words = list(random.choice(READERS))
+    name = next((word for word in words if word.startswith("own.")), "own.csv")
+    if number % 4 == 0:
+        return command_line_of(number), {}
+    if number % 4 == 1:
+        words = [str(random.choice(odd)) if word == name else word for word in words]
+        return words, {"disks_toml": OWN_DISKS.replace("own.csv", str(random.choice(odd))).encode()}
+    return words, {name.replace(".", "_"): damaged(random, whole[name]), "disks_toml": OWN_DISKS.encode()}
+
+
+@pytest.mark.full
+def test_two_thousand_damaged_files_and_command_lines(bench: Workbench, tmp_path: Path) -> None:
+    """Each ends with a documented code and in sentences, without waiting, and a refusal leaves every file as it was."""
     odd, wrong = odd_files(tmp_path), []
     for number in range(2000):
-        random = Random(number)
-        words, files = list(random.choice(READERS)), {}
-        name = next((word for word in words if word.startswith("own.")), "own.csv")
-        if number % 4 == 0:
-            words = command_line_of(number)
-        elif number % 4 == 1:
-            words = [str(random.choice(odd)) if word == name else word for word in words]
-            files = {"disks_toml": OWN_DISKS.replace("own.csv", str(random.choice(odd))).encode()}
-        else:
-            files = {name.replace(".", "_"): damaged(random, whole[name]), "disks_toml": OWN_DISKS.encode()}
+        words, files = damaged_input(bench, odd, number)
         try:
             bench.judge(*words, **files)
         except AssertionError as error:
