@@ -7,6 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 
+from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 
 BESIDE_A_DATABASE = ("-wal", "-shm", "-journal")
@@ -67,7 +68,7 @@ def _beginning(path: Path) -> bytes:
     """First 16 bytes of a file; empty if it does not exist or is not a file."""
     if not path.is_file():
         return b""
-    with path.open("rb") as file:
+    with open_input(path) as file:
         return file.read(16)
 
 

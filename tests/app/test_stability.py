@@ -38,7 +38,7 @@ def test_a_quantity_of_a_campaign_is_varied_alone(
     few = {"wave.damping": (0.3, 1.0), "wave.frequency": (0.1,), "campaign.contents": (1.0,)}
     monkeypatch.setattr(study, "QUANTITIES", {key: (key, values) for key, values in few.items()})
     experiment = small_configuration.experiment(small_packing)
-    found = stability(small_configuration, experiment, 5.0)
+    found = stability(small_configuration, experiment, 2.55)
     assert [row["verdict"] for row in found.rows[:3]] == [
         SceneVerdict.STABLE,
         SceneVerdict.REFUSED,

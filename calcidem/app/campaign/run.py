@@ -403,7 +403,7 @@ def _refuse_before_writing(configuration: Configuration) -> None:
     # An empty database is refused for reading, and new for writing.
     with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as store:
         if choose_campaign(store, configuration) and store.packing_indices():
-            check_against_packing(configuration, stored_packing(store.packing()))
+            check_against_packing(configuration, stored_packing(store.packing(), configuration.packing_hash))
 
 
 def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) -> tuple[CellKey, ...]:

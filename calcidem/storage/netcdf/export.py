@@ -18,6 +18,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
+from calcidem.input_file import open_input
 from calcidem.storage.dataset import INDEX_NAMES, as_matrices, campaign_attributes
 from calcidem.storage.errors import DamagedStoreError, DiskError, OutputRefusedError, UnknownCampaignError
 from calcidem.storage.files import write_atomically
@@ -86,7 +87,7 @@ def belongs_to_another(path: str | os.PathLike[str], campaign_hash: str | None) 
         with netCDF4.Dataset(path, "r") as file:
             return getattr(file, "calcidem_campaign_hash", None) != campaign_hash
     except (OSError, RuntimeError, DamagedStoreError):
-        with Path(path).open("rb") as broken:
+        with open_input(Path(path)) as broken:
             return broken.read(4) == b"\x89HDF"
 
 

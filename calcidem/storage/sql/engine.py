@@ -3,13 +3,11 @@
 import math
 import os
 import sqlite3
-import zlib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
-from zipfile import BadZipFile
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
@@ -148,7 +146,7 @@ class Connections:
                 yield connection
         except SQLAlchemyError as error:
             raise _translate_error(error, self.address) from error
-        except (ArithmeticError, LookupError, TypeError, ValueError, EOFError, BadZipFile, zlib.error) as error:
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
             if write:
                 raise  # the values to be written may be wrong
             problem = f"{self.address} is damaged: a stored value can't be read ({type(error).__name__}: {error})."
