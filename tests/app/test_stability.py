@@ -1,6 +1,5 @@
 import sys
 from collections import Counter
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -10,7 +9,6 @@ from places import CHECKOUT
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies import stability as study
 from calcidem.app.studies.stability import SceneVerdict, stability
-from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
@@ -19,7 +17,7 @@ from calcidem.ends import CellStatus
 
 sys.path.append(str(CHECKOUT / "benchmarks" / "stability"))
 
-from extreme_scenes import Extreme, Packed, small_packing
+from extreme_scenes import Extreme, Packed
 from own_scenes import OWN_KINDS, OwnScene
 from step_limits import Limits, energy_drift, force_step
 
