@@ -63,7 +63,7 @@ PHASES = {
     "looks at the records": ("calcidem.dem.wave.measurement.is_settled",),
     "guards": ("calcidem.dem.wave.recorder.problems_of",),
     "readings and their errors": ("calcidem.dem.wave.measurement.interpret",),
-    "other work of the checks": ("calcidem.dem.wave.experiment.Experiment.once",),
+    "other work of the checks": ("calcidem.app.campaign.task.check_content",),
     "other work of a batch": ("calcidem.app.campaign.task.measure",),
     "path and graph": ("calcidem.app.campaign.task._describe_graph",),
     "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.storage.records.cell.pack_arrays"),
