@@ -15,8 +15,6 @@ SENTINELS = [
     ("analysis/intervals.py", "+ 2.0 / (1.0 - level)", "+ 3.0 / (1.0 - level)", "analysis/test_predictor.py"),
     ("dem/wave/pulse.py", "self.amplitude / self.frequency", "self.amplitude * self.frequency", "dem/test_pulse.py"),
     ("dem/wave/pulse.py", "(cycle - sine_of_turns", "(cycle + sine_of_turns", "dem/test_pulse.py"),
-    ("dem/wave/error_estimate.py", "step / 24.0", "step / 12.0", "dem/test_error_estimate.py"),
-    ("dem/wave/error_estimate.py", "0.5 * section.clos", "0.65 * section.clos", "dem/test_error_estimate.py"),
     (
         "dem/wave/reading.py",
         "travel + period) + (0.5",

@@ -33,6 +33,7 @@ from calcidem.app.studies.cells import signal_distance
 from calcidem.app.studies.results import StudyResult, markdown_table
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.check import PATTERNS
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.storage.records.error_budget import NORMAL_95
@@ -93,7 +94,7 @@ def stability(
     units = {
         "cement.bond_modulus": pressed_stiffness(radius, overlap, experiment.stiffen()[1]),
         "wave.frequency": experiment.frequency(content),
-        "campaign.contents": experiment.ordering(seed).maximum_content,
+        "campaign.contents": capacity(experiment, seed),
     }
     if scenes:
         ranges = {
@@ -189,6 +190,11 @@ def count_verdicts(groups: Mapping[str, Iterable[str]]) -> list[tuple[object, ..
     """Name of each group of scenes, and the number of its scenes with each `SceneVerdict`."""
     counts = {name: Counter(verdicts) for name, verdicts in groups.items()}
     return [(name, *(count[verdict] for verdict in SceneVerdict)) for name, count in counts.items()]
+
+
+def capacity(experiment: Experiment, seed: int) -> float:
+    """Largest content of the sample of a seed and of the check samples, percent."""
+    return min(experiment.ordering(each).maximum_content for each in {seed, *range(PATTERNS)})
 
 
 def pressed_stiffness(radius: float, overlap: float, sand: Sand) -> float:

@@ -77,17 +77,18 @@ def check_content(
 
     def velocities(settings: Experiment, width: int, *senses: float) -> Floats:
         """(senses, patterns, 2) Vs and effective velocity, m/s; NaN without one."""
-        signs = [sense for sense in senses for _ in bonded]
+        samples = [(flags, sense) for sense in senses for flags in bonded]
         sections: list[Section] = []
-        for begin in range(0, len(signs), width):
+        for begin in range(0, len(samples), width):
+            batch = samples[begin : begin + width]
             sections += send_waves(
                 settings,
-                (bonded * len(senses))[begin : begin + width],
+                [flags for flags, _ in batch],
                 frequency,
                 stop_when=lambda section: is_settled(section, experiment.clamp, section.remaining_speed),
                 lanes=width,
                 check=check,
-                signs=signs[begin : begin + width],
+                signs=[sense for _, sense in batch],
             )
         found = [_velocities_of(section, experiment) for section in sections]
         return np.array(found).reshape(len(senses), len(bonded), 2)
