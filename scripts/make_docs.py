@@ -201,7 +201,7 @@ _QUANTITIES = """# Stored quantities
 
 Quantities of a cell have these names in `calcidem query`, filters, the view `cells` of the database, NetCDF, pandas,
 xarray and Python's records. Numbers of reading, wave and cement have the same bits on every machine. Those of the error
-budget follow from others ([reading](reading.md)) and are not in the view.
+budget follow from others ([velocity](velocity.md)) and are not in the view.
 
 """
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from calcidem.app.campaign.opened import PAPER_CAMPAIGN
 from calcidem.app.campaign.packing import provide_packing
-from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, packing_from_bytes, packing_to_bytes
+from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, packing_from_bytes, packing_to_bytes, stored_packing
 from calcidem.app.cli.init import Preset
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration
@@ -39,12 +39,11 @@ def main() -> None:
         for file, configuration in files.items():
             if file.exists():
                 continue
-            if shipped is not None and shipped.hash == configuration.packing_hash:
-                file.write_bytes(shipped.state)
-            else:
-                file.write_bytes(packing_to_bytes(provide_packing(configuration, None, print)))
-    for file in files:
-        packing = packing_from_bytes(file.read_bytes())
+            is_shipped = shipped is not None and shipped.hash == configuration.packing_hash
+            packing = stored_packing(shipped) if is_shipped else provide_packing(configuration, None, print)
+            file.write_bytes(packing_to_bytes(packing, configuration.packing_hash))
+    for file, configuration in files.items():
+        packing = packing_from_bytes(file.read_bytes(), configuration.packing_hash)
         print(f"{file.name}: {len(packing.radius)} disks, content hash {packing.content_hash}")
 
 

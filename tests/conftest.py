@@ -87,9 +87,9 @@ def _own_surroundings(_own_session: None) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def small_packing() -> Packing:
+def small_packing(small_configuration: Configuration) -> Packing:
     """Give a packing of 280 disks, the same bits on every machine."""
-    return packing_from_bytes(SMALL_PACKING.read_bytes())
+    return packing_from_bytes(SMALL_PACKING.read_bytes(), small_configuration.packing_hash)
 
 
 @pytest.fixture(scope="session")

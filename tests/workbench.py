@@ -69,6 +69,7 @@ LONG = (
     "calcidem.app.studies.frequency_and_damping.send_waves",
     "calcidem.app.studies.campaigns.ProcessPoolExecutor",
     "calcidem.app.studies.verify.measure",
+    "calcidem.dem.wave.check.send_waves",
     "calcidem.dem.wave.measurement.send_waves",
 )
 """Where computing begins."""

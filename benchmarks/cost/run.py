@@ -102,7 +102,7 @@ def over_lanes() -> list[dict[str, Any]]:
 
 def over_contents() -> list[dict[str, Any]]:
     """CPU seconds of a sample of the paper's campaign at each content."""
-    configuration = load_configuration(ROOT / "examples" / "paper-small-pulse.toml")
+    configuration = load_configuration(ROOT / "examples" / "paper.toml")
     experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None))
     rows = []
     for content in configuration.campaign.contents:
@@ -119,7 +119,7 @@ def over_contents() -> list[dict[str, Any]]:
 def over_ranks() -> list[dict[str, Any]]:
     """Wall time of 8 seeds at the paper's contents without MPI, and with a master and one worker for each core."""
     rows = []
-    text = (ROOT / "examples" / "paper-small-pulse.toml").read_text().replace("seeds = 116", "seeds = 16")
+    text = (ROOT / "examples" / "paper.toml").read_text().replace("seeds = 116", "seeds = 16")
     for ranks in (1, 2, *range(3, 2 + (os.cpu_count() or 1))):
         with tempfile.TemporaryDirectory() as folder:
             Path(folder, "part.toml").write_text(text)

@@ -1,7 +1,7 @@
 """How many cells per second each engine finishes, and for how much of the time its workers compute.
 
     python benchmarks/dispatch/engines.py [--workers 2 8 32] [--seconds 0.5]
-    python benchmarks/dispatch/engines.py --campaign examples/paper-small-pulse.toml [--seeds 32] [--workers 2]
+    python benchmarks/dispatch/engines.py --campaign examples/paper.toml [--seeds 32] [--workers 2]
 
 Workers sleep for the time of a batch and return real outcomes, which this process stores in a real database: so there
 can be more workers than cores. MPI is measured by rank.py, the others here. With a campaign, whole commands compute

@@ -61,7 +61,8 @@ class KillTrial(Trial):
 
     def configure(self, time_limit: float = NO_LIMIT) -> None:
         """Write disks and configuration."""
-        packing = packing_from_bytes(SMALL_PACKING.read_bytes())
+        archive = SMALL_PACKING.read_bytes()
+        packing = packing_from_bytes(archive, archive.split(maxsplit=4)[3].decode())
         rows = zip(packing.x.tolist(), packing.y.tolist(), packing.radius.tolist(), strict=True)
         (self.folder / "disks.csv").write_text("x,y,radius\n" + "".join(f"{x!r},{y!r},{r!r}\n" for x, y, r in rows))
         text = CONFIGURATION.format(time_limit=time_limit, seeds=self._seeds)

@@ -25,7 +25,7 @@ from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.wave.measurement import measure
 
 ROOT = Path(__file__).resolve().parents[2]
-PRESET = ROOT / "calcidem" / "app" / "config" / "presets" / "paper-small-pulse.toml"
+PRESET = ROOT / "calcidem" / "app" / "config" / "presets" / "paper.toml"
 _LANES = 8
 _SLIDING = 0.999  # of the friction limit
 _WEAK, _STRONG = 0.1, 2.0  # normal forces over the mean

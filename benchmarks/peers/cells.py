@@ -15,12 +15,12 @@ from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.assembly import lanes_of_bits
 from calcidem.dem.engine.leapfrog import run_in_place
-from calcidem.dem.engine.scene import Regime
 from calcidem.dem.kernels.layout import LISTENED, NORMAL, OVERLAP, SHEAR, Floats, Recording, X, Y
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.reading import Reading, read_section
 from calcidem.dem.wave.recorder import Recorder
+from calcidem.dem.wave.rule import Law
 from calcidem.dem.wave.scene import TRANSMITTER
 from calcidem.dem.wave.section import quantise
 
@@ -35,17 +35,17 @@ class Ingredients:
 
     Attributes
     ----------
-    regime
+    law
         ``linear``: constant stiffnesses, the preset's. ``finite``: Hertz-Mindlin contacts that open, close and turn.
     damping
         With local damping, in the sample and in the layers at floor and lid.
     slip
-        With Coulomb's limit of the shear force; without it contacts stick for ever. The linear regime knows no slip.
+        With Coulomb's limit of the shear force; without it contacts stick for ever. The linear law knows no slip.
     cement
         With bonds.
     """
 
-    regime: Regime
+    law: Law
     damping: bool = True
     slip: bool = True
     cement: bool = True
@@ -99,7 +99,7 @@ def preset_experiment(preset: str) -> Experiment:
 
 def cell_of(experiment: Experiment, content: float, seed: int, ingredients: Ingredients, finer: float = 1.0) -> Cell:
     """Cell with the given laws and a step that is ``finer`` times smaller."""
-    wave = replace(experiment.wave, regime=ingredients.regime, step_fraction=experiment.wave.step_fraction / finer)
+    wave = replace(experiment.wave, law=ingredients.law, step_fraction=experiment.wave.step_fraction / finer)
     sand = experiment.sand
     if not ingredients.damping:
         wave = replace(wave, damping=0.0, boundary_damping=0.0)
@@ -218,5 +218,5 @@ def velocity_of(cell: Cell, signals: Signals) -> float | None:
     across, along = (np.ascontiguousarray(quantise(motion, empty.amplitude).T) for motion in signals.motion)
     interval = float(signals.times[1] - signals.times[0])
     section = replace(empty, sampling_interval=interval, start_time=float(signals.times[0]), across=across, along=along)
-    reading = read_section(section, cell.experiment.pick)
+    reading = read_section(section, cell.experiment.clamp, cell.experiment.pick)
     return reading.peak if isinstance(reading, Reading) else None

@@ -45,7 +45,7 @@ def begin(store: Store, name: str, seeds: int) -> Iterator[CellResult]:
     for seed in range(seeds):
         for content in CONTENTS:
             vs = 400.0 + 120.0 * content + draw(0.0, 30.0)
-            errors = {"expected_error": 0.001, "reading_error": 0.03}
+            errors = {"numerical_error": 0.001, "reading_error": 0.03}
             yield CellResult(CellKey(seed, content), CellStatus.DONE, vs=vs, seconds=1.0, **NUMERICS, **errors)
 
 

@@ -12,24 +12,24 @@ from typing import Any, Self
 
 import numpy as np
 
-from calcidem.app.studies.stability import Judgement, draw_latin, judge_scene, pressed_stiffness
+from calcidem.app.studies.stability import Judgement, capacity, draw_latin, judge_scene, pressed_stiffness
 from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.scene import Preload, Regime, Scene
+from calcidem.dem.engine.scene import Preload, Scene
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.pulse import cutoff_frequency
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.rule import Law, WaveRule
 from calcidem.dem.wave.scene import lane_bonds, wave_scene
 
 _RADIUS = 1.25e-3  # radius of the largest disks, m
 _DISKS_ACROSS, _DISKS_UP = 6, 10
 _SMALLEST_RATIO = 2.5  # radius ratio above which the small disk fits into the pore between four neighbours
 _SMALL_DISKS = 0.2  # share of pores with a small disk
-REGIMES: tuple[Regime, ...] = ("linear", "small", "finite")
+LAWS: tuple[Law, ...] = ("auto", "linear", "finite")
 BOXES = ("extreme", "plausible")
 """Ranges for drawing scenes, see `_SceneQuantity`."""
 _PICK = PickRule(largest_error=1.0)
@@ -72,8 +72,8 @@ class Extreme:
     """Strength of bonds over the stress of the pulse in them."""
     floating: int = 0
     """Number of tiny disks in the central pore, which touch only each other."""
-    regime: Regime = "linear"
-    """See `state.start`."""
+    law: Law = "auto"
+    """See `WaveRule`."""
     seed: int = 1
     """Seed of disorder and cement."""
 
@@ -98,7 +98,7 @@ class Extreme:
         wave = WaveRule(
             amplitude=self.amplitude,
             damping=self.damping,
-            regime=self.regime,
+            law=self.law,
             step_fraction=self.step_fraction,
             transmitter_half_width=4.0 * _RADIUS,
             receiver_half_width=6.0 * _RADIUS,
@@ -116,10 +116,10 @@ class Extreme:
             root_seed=self.seed,
             frequencies=((0.0, 100.0), (frequency, frequency)),
         )
-        return experiment, self.content * experiment.ordering(self.seed).maximum_content
+        return experiment, self.content * capacity(experiment, self.seed)
 
     def judge(self) -> Judgement:
-        """Run the scene and compare it with a smaller step."""
+        """Run the scene and compare it with a finer one."""
         return judge_scene(self.experiment, self.seed)
 
     def at_rest(self, damping: float) -> tuple[Scene, Packing]:
@@ -132,22 +132,22 @@ class Extreme:
 
     @classmethod
     def along_quantities(cls) -> dict[str, list[Self]]:
-        """Scenes along each quantity, in all regimes."""
+        """Scenes along each quantity, with all laws."""
         found = {}
         for name, quantity in QUANTITIES.items():
             base: dict[str, Any] = asdict(quantity.base)
-            values = ({name: value, "regime": each} for value in quantity.walk for each in REGIMES)
+            values = ({name: value, "law": each} for value in quantity.walk for each in LAWS)
             found[name] = [cls(**base | changed) for changed in values]
         return found
 
     @classmethod
     def draw(cls, count: int, seed: int, box: str = "extreme") -> tuple[Self, ...]:
-        """Latin hypercube over all quantities of one of the `BOXES`, with alternating regimes."""
+        """Latin hypercube over all quantities of one of the `BOXES`, with alternating laws."""
         ends = {name: getattr(quantity, box) for name, quantity in QUANTITIES.items()}
         ranges = {name: both for name, both in ends.items() if both is not None}
         powers = {name for name, quantity in QUANTITIES.items() if quantity.powers}
         return tuple(
-            cls(**values, regime=REGIMES[number % len(REGIMES)], seed=number)
+            cls(**values, law=LAWS[number % len(LAWS)], seed=number)
             for number, values in enumerate(draw_latin(ranges, powers, count, seed))
         )
 
@@ -226,17 +226,17 @@ class Packed:
     """Friction between the disks during packing."""
     content: float
     """Percent."""
-    regime: Regime
-    """See `state.start`."""
+    law: Law
+    """See `WaveRule`."""
     seed: int = 1
     """Seed of packing and cement."""
 
     @classmethod
     def samples(cls) -> dict[str, list[Self]]:
-        """Samples of each packing, from nearly unjammed to well compressed, bare and cemented, in all regimes."""
+        """Samples of each packing, from nearly unjammed to well compressed, bare and cemented, with all laws."""
         return {
             f"packing under {stress:g} Pa, friction {friction:g}": [
-                cls(stress, friction, content, regime) for content, regime in product(_CONTENTS, REGIMES)
+                cls(stress, friction, content, law) for content, law in product(_CONTENTS, LAWS)
             ]
             for stress, friction in product(_STRESSES, _FRICTIONS)
         }
@@ -256,14 +256,14 @@ class Packed:
             boundary_thickness=_BOX_HEIGHT / 8.0,
             listening_depth=5.0 * radius,
             slowest=0.3 * radius * cut_off,
-            regime=self.regime,
+            law=self.law,
         )
         experiment = Experiment(packing, sand=sand, wave=wave, frequencies=((0.0, 100.0), (frequency, frequency)))
         return experiment, self.content
 
     def judge(self) -> Judgement:
-        """Run the sample and compare it with a smaller step in the finite regime, which neglects nothing."""
-        return judge_scene(self.experiment, self.seed, reference="finite")
+        """Run the sample and compare it with a finer one."""
+        return judge_scene(self.experiment, self.seed)
 
 
 def _lattice(extreme: Extreme, sand: Sand) -> Packing:

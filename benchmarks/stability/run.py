@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 sys.path.append(str(Path(__file__).parent))
 
-from extreme_scenes import BOXES, QUANTITIES, REGIMES, Extreme, Packed
+from extreme_scenes import BOXES, LAWS, QUANTITIES, Extreme, Packed
 from own_scenes import OwnScene
 from step_limits import Limits, detections, endurance
 
@@ -71,24 +71,24 @@ def maps(folder: Path) -> Judged:
     )
     print(
         markdown_table(
-            ("step over the true limit", "regime", "ended after steps", "steps between looks", "reason"),
-            [(f"{row.factor:g}", row.regime, row.steps or "not ended", row.looks, row.problem) for row in detections()],
+            ("step over the true limit", "law", "ended after steps", "steps between looks", "reason"),
+            [(f"{row.factor:g}", row.law, row.steps or "not ended", row.looks, row.problem) for row in detections()],
         )
     )
     return walks | packings
 
 
 def print_packings(packings: Judged) -> None:
-    """Print velocities and largest error of the small packings in each regime."""
+    """Print velocities and largest error of the small packings with each law."""
     pairs = [pair for row in packings.values() for pair in row]
-    by_regime = {regime: [found for scene, found in pairs if scene.regime == regime] for regime in REGIMES}
-    counts = [sum(found.vs is not None for found in row) for row in by_regime.values()]
-    errors = [max(abs(found.error or 0.0) for found in row) for row in by_regime.values()]
+    by_law = {law: [found for scene, found in pairs if scene.law == law] for law in LAWS}
+    counts = [sum(found.vs is not None for found in row) for row in by_law.values()]
+    errors = [max(abs(found.error or 0.0) for found in row) for row in by_law.values()]
     rows = (
         ("velocities, of 18", *counts),
-        ("largest error against the finite regime with a quarter of the step", *errors),
+        ("largest error against the finite law with a quarter of the step", *errors),
     )
-    print(markdown_table(("regime", *by_regime), rows) + "\n")
+    print(markdown_table(("law", *by_law), rows) + "\n")
 
 
 def random_scenes(count: int, draw: int) -> Judged:
@@ -105,7 +105,7 @@ def random_scenes(count: int, draw: int) -> Judged:
 
 @apply_style
 def draw_maps(walks: Judged) -> Figure:
-    """Draw one row of marks for each regime along each quantity."""
+    """Draw one row of marks for each law along each quantity."""
     across = 2
     down = -(-len(walks) // across)
     figure = new_figure(1.6 * down)
@@ -113,11 +113,11 @@ def draw_maps(walks: Judged) -> Figure:
     for axes, (name, row) in zip(panels, walks.items(), strict=False):
         quantity = QUANTITIES[name]
         for scene, found in row:
-            place = quantity.walk.index(getattr(scene, name)), REGIMES.index(scene.regime)
+            place = quantity.walk.index(getattr(scene, name)), LAWS.index(scene.law)
             axes.plot(*place, "s", color=VERDICT_COLOURS[found.verdict], markersize=6)
         axes.set_xticks(range(len(quantity.walk)), [f"{value:g}" for value in quantity.walk], fontsize=6)
-        axes.set_yticks(range(len(REGIMES)), REGIMES, fontsize=7)
-        axes.set(ylim=(-0.6, len(REGIMES) - 0.4), xlabel=quantity.label, ylabel="regime")
+        axes.set_yticks(range(len(LAWS)), LAWS, fontsize=7)
+        axes.set(ylim=(-0.6, len(LAWS) - 0.4), xlabel=quantity.label, ylabel="law")
     letter_panels(panels[: len(walks)])
     for axes in panels[len(walks) :]:
         axes.set_axis_off()

@@ -6,10 +6,10 @@ The true limit follows from the eigenvalues of the kernel's actual step.
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Literal, Self, get_args
 
 import numpy as np
-from extreme_scenes import REGIMES, Extreme
+from extreme_scenes import Extreme
 
 from calcidem.dem.engine.leapfrog import State, duplicate, no_recording, run_kernel
 from calcidem.dem.engine.readout import energies
@@ -17,6 +17,7 @@ from calcidem.dem.engine.scene import Regime
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.propagation import prepare_recorder
+from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
 
 _FACTORS = (0.99, 1.01, 1.05, 1.2, 2.0)  # step over the true limit
 
@@ -39,7 +40,7 @@ class Limits:
 
         All disks have the scene's damping, so the true limit is ``2 / (omega_max sqrt(1 + alpha))``.
         """
-        damped, _ = replace(scene, regime="linear", step_fraction=0.8).at_rest(scene.damping)
+        damped, _ = replace(scene, step_fraction=0.8).at_rest(scene.damping)
         predicted = float(start(damped, features=choose_features(damped, "linear")).critical_time_step[0])
         undamped = replace(damped, damping=0.0)
         fastest = fastest_mode(start(undamped, features=choose_features(undamped, "linear")))
@@ -52,8 +53,8 @@ class Detection:
 
     factor: float
     """Step over the true limit from the eigenvalues."""
-    regime: Regime
-    """See `state.start`."""
+    law: Literal["linear", "finite"]
+    """See `WaveRule`."""
     steps: int | None
     """Steps after which a guard ended it; None if none did."""
     problem: str
@@ -93,21 +94,22 @@ def _acceleration_matrix(state: State) -> Floats:
 
 
 def detections() -> tuple[Detection, ...]:
-    """Force steps around the true limit in all regimes of the plain lattice."""
-    return tuple(force_step(factor, regime) for factor in _FACTORS for regime in REGIMES)
+    """Force steps around the true limit with both laws in the plain lattice."""
+    return tuple(force_step(factor, law) for factor in _FACTORS for law in ("linear", "finite"))
 
 
-def force_step(factor: float, regime: Regime) -> Detection:
+def force_step(factor: float, law: Literal["linear", "finite"]) -> Detection:
     """Transmit a pulse through the plain lattice with a step that configurations do not allow."""
-    scene = Extreme(regime=regime, damping=0.0)
+    scene = Extreme(law=law, damping=0.0)
     experiment, content = scene.experiment()
-    experiment = replace(experiment, wave=replace(experiment.wave, boundary_damping=0.0))
+    experiment = experiment.with_wave(boundary_damping=0.0)
     bonded = experiment.ordering(scene.seed).at(content).bonded
     recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), 1, check=lambda: None)
     step = recorder.state.time_step * 0.0 + factor * Limits.of_scene(scene).true
     recorder.state = replace(recorder.state, time_step=step)
     record = recorder.run(lambda _: False, lambda: None)[0]
-    return Detection(factor, regime, record.steps if record.problem else None, record.problem, recorder.steps_per_look)
+    looks = SAMPLES_PER_CHUNK * recorder.stride
+    return Detection(factor, law, record.steps if record.problem else None, record.problem, looks)
 
 
 _LONG = 100_000  # steps
@@ -138,13 +140,13 @@ def endurance() -> tuple[Endurance, ...]:
         Endurance(
             regime, _LONG, energy_drift(regime, _LONG), _residual_motion(regime, _LONG), _restart_keeps_bits(regime)
         )
-        for regime in REGIMES
+        for regime in get_args(Regime)
     )
 
 
 def _moving_state(regime: Regime) -> State:
     """Pressed lattice without damping, with random velocities so small that no contact opens or slips."""
-    scene, packing = replace(_PRESSED_LATTICE, regime=regime).at_rest(0.0)
+    scene, packing = _PRESSED_LATTICE.at_rest(0.0)
     features = replace(choose_features(scene, regime, account=True), servo=False)
     limit = float(start(scene, features=features).critical_time_step[0])
     speed = _MOTION * packing.report.mean_overlap / limit
@@ -182,7 +184,7 @@ def _linear_invariant(state: State) -> Callable[[State], float]:
 
 def _residual_motion(regime: Regime, steps: int) -> float:
     """Largest displacement in an undisturbed balanced scene, over the mean overlap."""
-    scene, packing = replace(_PRESSED_LATTICE, regime=regime).at_rest(0.3)
+    scene, packing = _PRESSED_LATTICE.at_rest(0.3)
     state = start(scene, features=replace(choose_features(scene, regime), servo=False))
     return float(np.abs(advance(state, steps).motion.displacement[:, :2]).max()) / packing.report.mean_overlap
 

@@ -1,6 +1,6 @@
 """Where time goes beside the kernel: libraries, compilation, the first command, and the phases of a campaign.
 
-    python benchmarks/start/run.py [--ranks R] [--seeds N] [--config examples/paper-small-pulse.toml] [--json FILE]
+    python benchmarks/start/run.py [--ranks R] [--seeds N] [--config examples/paper.toml] [--json FILE]
 
 Seconds of the processor (user and system) of whole processes or of the main thread, and of the clock where people
 wait. `--seeds` gives the seeds of the campaign whose phases are told apart; 0 leaves it out.
@@ -50,8 +50,8 @@ moved, began = [], time.process_time()
 clock("a packing", lambda: make_packing(rule, Sand(), generator, lambda: moved.append(time.process_time() - began)))
 found["of this until it has moved"] = moved[1] - moved[0]
 packing = kept_packing(configuration.packing_hash, lambda _: None)
-for number, action in enumerate(kernel_compilations(configuration, packing)):
-    clock(f"wave: {('largest', 'smallest')[number]} content", action)
+for name, action in zip(("samples", "check samples"), kernel_compilations(configuration, packing)):
+    clock(f"wave: {name}", action)
 print(json.dumps(found))
 """
 
@@ -61,8 +61,9 @@ PHASES = {
     "lists of neighbours": ("calcidem.dem.engine.leapfrog.renew_assembly",),
     "drawing cement": ("calcidem.dem.wave.experiment.draw_cement",),
     "looks at the records": ("calcidem.dem.wave.measurement.is_settled",),
-    "guards": tuple(f"calcidem.dem.wave.recorder.{name}" for name in ("problems_of", "nonlinearity", "slipped_force")),
+    "guards": ("calcidem.dem.wave.recorder.problems_of",),
     "readings and their errors": ("calcidem.dem.wave.measurement.interpret",),
+    "other work of the checks": ("calcidem.app.campaign.task.check_content",),
     "other work of a batch": ("calcidem.app.campaign.task.measure",),
     "path and graph": ("calcidem.app.campaign.task._describe_graph",),
     "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.storage.records.cell.pack_arrays"),
@@ -165,7 +166,7 @@ def show(title: str, seconds: dict[str, float]) -> None:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--config", type=Path, default=ROOT / "examples" / "paper-small-pulse.toml")
+    parser.add_argument("--config", type=Path, default=ROOT / "examples" / "paper.toml")
     parser.add_argument("--ranks", type=int, default=2)
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--json", type=Path)

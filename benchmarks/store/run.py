@@ -56,7 +56,7 @@ def cells(seeds: int) -> Iterator[CellResult]:
                 yield CellResult(
                     key,
                     CellStatus.NO_ARRIVAL,
-                    "no peak of the receiver continues the motion of the stations",
+                    "the receiver has no peak within half a period of the fitted wave",
                     rank=1,
                 )
                 continue
@@ -70,7 +70,7 @@ def cells(seeds: int) -> Iterator[CellResult]:
                 time_step=8e-8,
                 stability_limit=1e-7,
                 steps=12_000,
-                error_bound=6e-4,
+                numerical_error=6e-4,
                 content_reached=content,
                 p_contacts=400,
                 c_contacts=900,

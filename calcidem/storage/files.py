@@ -3,9 +3,11 @@
 import os
 import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
+from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 
 BESIDE_A_DATABASE = ("-wal", "-shm", "-journal")
@@ -66,7 +68,7 @@ def _beginning(path: Path) -> bytes:
     """First 16 bytes of a file; empty if it does not exist or is not a file."""
     if not path.is_file():
         return b""
-    with path.open("rb") as file:
+    with open_input(path) as file:
         return file.read(16)
 
 
@@ -133,3 +135,15 @@ def is_network_filesystem(path: Path, mountinfo: str | None = None) -> bool:
         "virtiofs wekafs"
     )
     return kind.startswith("fuse.") or kind in networks.split()
+
+
+def can_lock(folder: Path) -> bool:
+    """Whether the file system of a folder has the locks that SQLite uses; True if that is unknown."""
+    with suppress(ImportError, OSError), TemporaryFile(dir=folder) as file:
+        import fcntl  # noqa: PLC0415 - not on Windows
+
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return False
+    return True

@@ -27,21 +27,22 @@ def launcher(variables: Mapping[str, str] = os.environ) -> str | None:
 
 
 def own_rank(variables: Mapping[str, str] = os.environ) -> int | None:
-    """Return the number of this MPI rank, from 0, as its launcher tells; None without one."""
+    """Return the number of this MPI rank, from 0, None without one; `LaunchError` as `whole_number`."""
     names = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
-    return next((int(variables[name]) for name in names if variables.get(name, "").isdigit()), None)
+    ranks = (whole_number(name, 100_000, variables, least=0) for name in names)
+    return next((rank for rank in ranks if rank is not None), None)
 
 
-def whole_number(name: str, largest: int, variables: Mapping[str, str] = os.environ) -> int | None:
-    """Return the whole number from 1 to `largest` in an environment variable, None if it is not set or empty.
+def whole_number(name: str, largest: int, variables: Mapping[str, str] = os.environ, *, least: int = 1) -> int | None:
+    """Return the whole number from `least` to `largest` in an environment variable, None if it is not set or empty.
 
     `LaunchError` for any other value.
     """
     text = variables.get(name, "").strip()
     if not text:
         return None
-    if not (text.isascii() and text.isdigit() and len(text) <= len(str(largest)) and 1 <= int(text) <= largest):
-        raise LaunchError(f"{name}={text}: set it to a whole number from 1 to {largest}, or unset it")
+    if not (text.isascii() and text.isdigit() and len(text) <= len(str(largest)) and least <= int(text) <= largest):
+        raise LaunchError(f"{name}={text}: set it to a whole number from {least} to {largest}, or unset it")
     return int(text)
 
 

@@ -3,16 +3,18 @@
 import os
 import signal
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from enum import IntEnum
+from functools import partial
 from types import FrameType
 from typing import Any, Self
 
+from calcidem.sweep.attempt import SweepInterrupted
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE
 
 # mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them a quarter of a second later.
 # So a launcher that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
-_HURRY_SIGNALS = ("SIGTERM", "SIGINT", "SIGUSR2")
+_HURRY_SIGNALS = ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2")
 """Store finished batches and stop now; the running ones are dropped."""
 
 
@@ -28,17 +30,44 @@ class StopLevel(IntEnum):
     """The same, since a rank has died and its launcher ends the others."""
 
 
-class SignalHandlers:
-    """Context manager that handles signals and restores the former handlers; for the main thread only.
+class StopRequest:
+    """Context manager that turns signals into a level of urgency to be polled; for the main thread only.
 
-    Signals are given by their names. Those that this system lacks are left out, and those that are ignored stay so, as
-    `nohup` and a shell's `&` require.
+    Signals that this system lacks are left out, and those that are ignored stay so, as `nohup` and a shell's `&`
+    require. The former handlers are restored.
+
+    A second urgent signal calls `end_at_once`, unless it comes within a second of the first: a batch system and mpirun
+    may both forward the same request.
+
+    Parameters
+    ----------
+    finishes
+        Whether SIGUSR1 is a request; the ranks that compute ignore it and finish their batches.
+    has_lost
+        Asked at a SIGTERM: whether it came since another rank has died.
+
+    Attributes
+    ----------
+    has_lost
+        As the parameter.
+    end_at_once
+        Ends all; by default this process.
+    level
+        Urgency of a requested end.
+    reason
+        Name of the signal that requested it, empty if none.
     """
 
-    def __init__(self, handlers: Mapping[str, Callable[[int, FrameType | None], None]]) -> None:
-        self._handlers: Mapping[signal.Signals, Any] = {
-            getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)
+    def __init__(self, *, finishes: bool = True, has_lost: Callable[[], bool] = lambda: False) -> None:
+        wanted = {"SIGUSR1": self._drain if finishes else lambda *_: None} | dict.fromkeys(_HURRY_SIGNALS, self._hurry)
+        self._handlers: dict[signal.Signals, Any] = {
+            getattr(signal, name): handler for name, handler in wanted.items() if hasattr(signal, name)
         }
+        self.has_lost = has_lost
+        self.end_at_once: Callable[[], object] = partial(os._exit, EXIT_RESUMABLE)
+        self._hurry_since: float | None = None
+        self.level = StopLevel.NONE
+        self.reason = ""
 
     def __enter__(self) -> Self:
         """Install the handlers."""
@@ -54,42 +83,6 @@ class SignalHandlers:
         """Restore the former handlers."""
         self._swap()
 
-    def _swap(self) -> None:
-        self._handlers = {number: signal.signal(number, handler) for number, handler in self._handlers.items()}
-
-
-class StopRequest(SignalHandlers):
-    """Context manager that turns signals into a level of urgency to be polled.
-
-    A second urgent signal ends the process at once, unless it comes within a second of the first: a batch system and
-    mpirun may both forward the same request.
-
-    Parameters
-    ----------
-    finishes
-        Whether SIGUSR1 is a request; the ranks that compute ignore it and finish their batches.
-    has_lost
-        Asked at a SIGTERM: whether it came since another rank has died.
-
-    Attributes
-    ----------
-    has_lost
-        As the parameter.
-    level
-        Urgency of a requested end.
-    reason
-        Name of the signal that requested it, empty if none.
-    """
-
-    def __init__(self, *, finishes: bool = True, has_lost: Callable[[], bool] = lambda: False) -> None:
-        super().__init__(
-            {"SIGUSR1": self._drain if finishes else lambda *_: None} | dict.fromkeys(_HURRY_SIGNALS, self._hurry)
-        )
-        self.has_lost = has_lost
-        self._hurry_since: float | None = None
-        self.level = StopLevel.NONE
-        self.reason = ""
-
     @property
     def explanation(self) -> str:
         """Reason in words for the user; SIGUSR2 stands for another signal of the user."""
@@ -100,6 +93,14 @@ class StopRequest(SignalHandlers):
     def hurry(self) -> bool:
         """Whether the running batches have to be dropped."""
         return self.level >= StopLevel.HURRY
+
+    def check(self) -> None:
+        """Raise `SweepInterrupted` if what runs has to be dropped."""
+        if self.hurry():
+            raise SweepInterrupted
+
+    def _swap(self) -> None:
+        self._handlers = {number: signal.signal(number, handler) for number, handler in self._handlers.items()}
 
     def _drain(self, number: int, _frame: FrameType | None) -> None:
         if self.level is StopLevel.NONE:
@@ -112,4 +113,4 @@ class StopRequest(SignalHandlers):
             is_loss = name == "SIGTERM" and self.has_lost()
             self.level, self.reason = StopLevel.LOST if is_loss else StopLevel.HURRY, name
         elif now - self._hurry_since > 1.0:
-            os._exit(EXIT_RESUMABLE)
+            self.end_at_once()

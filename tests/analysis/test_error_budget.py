@@ -9,18 +9,18 @@ CELLS = {
     "vs": np.array([100.0, 200.0, 300.0, np.nan]),
     "reading_error": np.array([0.03, 0.04, np.nan, np.nan]),
     "numerical_error": np.array([0.004, 0.003, 0.001, np.nan]),
+    "pulse_effect": np.array([0.02, 0.021, np.nan, 0.5]),
     "vs_error": np.array([0.0303, 0.0401, np.nan, np.nan]),
-    "path_departure": np.array([2.0, 2.1, np.nan, np.nan]),
 }
 
 
 def test_budget_sums_up_the_cells_that_have_errors() -> None:
-    """Medians, the scatter by readings and marked cells are those of the cells that have the numbers."""
+    """Medians, scatter by readings and velocities that depend on the pulse are those of cells with the numbers."""
     budget = error_budget(CELLS)
     assert (budget.reading, budget.numerical, budget.total) == pytest.approx((0.035, 0.003, 0.0352))
     assert budget.scatter == pytest.approx(np.sqrt((3.0**2 + 8.0**2) / 2))
-    assert (budget.compared, budget.departing) == (2, 1)  # a departure of two standard errors is none
-    assert str(budget) == "3.5 % (median; reading 3.5 %, simulation 0.3 %)"
+    assert budget.loud == 1  # an effect of 2 % is allowed, and a cell without a velocity has none
+    assert str(budget) == "3.5 % (median; reading 3.5 %, simulation 0.3 %, pulse 2.1 %)"
 
 
 def test_one_sample_read_for_many_seeds_has_no_scatter_by_readings() -> None:

@@ -136,7 +136,7 @@ class Workshop(MarkedProcesses):
                         cell.time_step,
                         cell.stability_limit,
                     ),
-                    *(cell.content_reached, cell.p_contacts, cell.c_contacts, cell.error_bound),
+                    *(cell.content_reached, cell.p_contacts, cell.c_contacts, cell.numerical_error),
                     *(cell.section, cell.cement),
                 )
                 for cell in campaign.select(with_arrays=True)

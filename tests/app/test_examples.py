@@ -186,5 +186,5 @@ def test_a_crate_describes_its_files_and_gives_the_campaign_back(tmp_path: Path)
         assert versions == [run.versions["calcidem"] for _, run in campaign.runs()]
         assert entities[root["identifier"]["@id"]]["value"] == campaign.record.hash
     other = tmp_path / "other.toml"
-    other.write_text(calcidem.preset_text("paper-small-pulse"))
+    other.write_text(calcidem.preset_text("paper-as-printed"))
     assert "is not the configuration of" in run_example("ro_crate.py", database, other, out, code=1)

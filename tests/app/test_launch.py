@@ -86,7 +86,7 @@ def test_ranks_that_die_in_each_start_end_the_run(workshop: "Workshop", fault: s
     ended = workshop.run("run", "c.toml", "--ranks", "3", "--restarts", "5")
     assert ended.code == 1
     assert "The run did not begin (" in ended.errors
-    assert said in ended.output + ended.errors
+    assert said in " ".join((ended.output + ended.errors).split())  # mpirun breaks its lines
     assert "nothing was computed." in ended.errors
     assert (workshop.folder / "starts").read_text().count("start") == 2
     assert workshop.leaves_no_process()
@@ -221,7 +221,7 @@ def state_of(process: int) -> str:
 
 @FULL
 def test_a_second_signal_ends_a_run_whose_rank_0_is_frozen_at_once(workshop: "Workshop") -> None:
-    """A stopped rank 0 cannot obey, so the second SIGTERM ends all, and the user waits no longer than promised."""
+    """A stopped rank 0 cannot obey, so a second SIGTERM, which is no echo of the first, ends all."""
     workshop.configure(seeds=40)
     command = workshop.start("run", "c.toml", "--ranks", "3")
     workshop.wait_for_cells(1)
@@ -231,11 +231,11 @@ def test_a_second_signal_ends_a_run_whose_rank_0_is_frozen_at_once(workshop: "Wo
         assert command.poll() is None
         time.sleep(0.02)
     command.send_signal(signal.SIGTERM)
-    time.sleep(0.5)
+    time.sleep(1.2)
     command.send_signal(signal.SIGTERM)
     begin = time.monotonic()
     ended = workshop.wait(command)
     assert time.monotonic() - begin < 5.0  # seconds, of which the tables of what is stored take most
     assert ended.code == 75
-    assert "a second signal asked for it" in ended.errors
+    assert "was killed by SIGKILL" in ended.errors
     assert workshop.leaves_no_process()

@@ -117,9 +117,9 @@ def magnified(configuration: Configuration, factor: float) -> Configuration:
 
 
 def velocities(configuration: Configuration, packing: Packing) -> list[float | None]:
-    """Velocities of samples without cement and with it, most of which are read."""
+    """Velocities of samples with little and with more cement, most of which are read."""
     experiment = configuration.experiment(packing)
-    found = [cell.vs for content in (0.0, 2.0) for cell in measure(experiment, content, (1, 2))]
+    found = [cell.vs for content in (0.66, 2.0) for cell in measure(experiment, content, (1, 2))]
     assert sum(vs is not None for vs in found) >= 3
     return found
 

@@ -129,7 +129,7 @@ def test_every_format_gives_the_same_disks(name: str, tmp_path: Path) -> None:
     form, text = FILES[name]
     found = bring(tmp_path, text())
     assert found.form == form
-    x, y, radius, _ = _read_disks(tmp_path / "disks.csv")
+    x, y, radius, *_ = _read_disks(tmp_path / "disks.csv")
     np.testing.assert_allclose(np.column_stack([x, y, radius]), LATTICE, rtol=0, atol=1e-15)
     np.testing.assert_array_equal((x, y, radius), (found.x, found.y, found.radius))
     assert found.height == pytest.approx(0.0022 * 0.87 * 11 + 0.0011 + 0.0011, abs=5e-5)

@@ -1,8 +1,12 @@
 """The packing of a campaign: kept, found again, and made anew when what was kept is damaged."""
 
-from collections.abc import Iterator
+import io
+import tracemalloc
+import zipfile
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
+from hashlib import sha256
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -112,10 +116,7 @@ def test_another_seed_is_another_packing(told: list[str], packing: Packing) -> N
     assert not np.array_equal(other.x, packing.x)
 
 
-# Samples of `paper-locked` are started by two kernels that no other test needs.
-@pytest.mark.parametrize(
-    "preset", [pytest.param(each, marks=pytest.mark.full) if each == "paper-locked" else each for each in Preset]
-)
+@pytest.mark.parametrize("preset", [*Preset])
 def test_the_packing_of_a_preset_comes_with_calcidem(
     told: list[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, preset: Preset
 ) -> None:
@@ -135,10 +136,9 @@ def test_the_shipped_campaign_is_on_the_packing_of_its_preset(tmp_path: Path) ->
     with Store(tmp_path / "paper.db") as store, as_file(files(presets) / PAPER_CAMPAIGN) as path:
         import_netcdf(path, store, stored_packing)
         record = store.packing()
-    (tmp_path / "c.toml").write_text(preset_text("paper"), encoding="utf-8")
-    archive = preset_packings()[load_configuration(tmp_path / "c.toml").packing_hash[:32]]
-    assert record is not None
-    assert packing_from_bytes(archive.read_bytes()).content_hash == record.content_hash
+    (tmp_path / "c.toml").write_text(preset_text("paper-as-printed"), encoding="utf-8")
+    key = load_configuration(tmp_path / "c.toml").packing_hash
+    assert packing_from_bytes(preset_packings()[key[:32]].read_bytes(), key).content_hash == record.content_hash
 
 
 @pytest.fixture
@@ -154,7 +154,7 @@ def store(packing: Packing, tmp_path: Path) -> Iterator[Store]:
 def put_into_cache(packing: Packing) -> None:
     """Put a packing where the tiny one would be."""
     cache_folder().mkdir()
-    (cache_folder() / _cached_name(TINY.packing_hash)).write_bytes(packing_to_bytes(packing))
+    (cache_folder() / _cached_name(TINY.packing_hash)).write_bytes(packing_to_bytes(packing, TINY.packing_hash))
 
 
 def test_the_database_comes_before_the_cache(store: Store, told: list[str], packing: Packing) -> None:
@@ -192,7 +192,75 @@ def test_a_damaged_cache_is_said_and_repaired(told: list[str], packing: Packing,
     assert f"{path} is damaged" in told[1]
     assert same_bits(replace(made, report=packing.report), packing)
     if path.is_file():
-        assert same_bits(packing_from_bytes(path.read_bytes()), made)
+        assert same_bits(packing_from_bytes(path.read_bytes(), TINY.packing_hash), made)
+
+
+def test_an_archive_is_refused_under_another_key(told: list[str], packing: Packing) -> None:
+    """A file that was copied to the name of another packing is said to be that of another, and not computed on."""
+    other = replace(TINY, packing_draw=PackingDraw(seed=2))
+    put_into_cache(packing)
+    next(cache_folder().iterdir()).rename(cache_folder() / _cached_name(other.packing_hash))
+    made = provide_packing(other, None, told.append)
+    assert "that of another configuration" in told[0]
+    assert made.content_hash != packing.content_hash
+
+
+def test_a_stored_packing_is_refused_under_another_key(store: Store, told: list[str]) -> None:
+    """A database whose packing belongs to another configuration does not lend it."""
+    with pytest.raises(DamagedStoreError, match="that of another configuration"):
+        provide_packing(replace(TINY, packing_draw=PackingDraw(seed=2)), store, told.append)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda p: replace(p, x=np.where(np.arange(len(p.x)) == 3, np.nan, p.x)), "not in the box"),
+        (lambda p: replace(p, y=np.where(np.arange(len(p.y)) == 3, 2.0 * p.height, p.y)), "not in the box"),
+        (lambda p: replace(p, radius=-p.radius), "no size"),
+        (lambda p: replace(p, x=p.x[:-1]), "differ in length"),
+        (lambda p: replace(p, x=p.x + 1e-4 * np.sin(np.arange(len(p.x)))), "pairs are said to touch"),
+        (lambda p: replace(p, y=p.y + 1e-9 * np.sin(np.arange(len(p.y)))), "mean overlap"),
+        (lambda p: replace(p, preload=replace(p.preload, pairs=p.preload.pairs[1:])), "differ in length"),
+        (
+            lambda p: replace(p, preload=replace(p.preload, pairs=p.preload.pairs[1:], shear=p.preload.shear[1:])),
+            "pairs are said to touch",
+        ),
+        (lambda p: replace(p, preload=replace(p.preload, pairs=p.preload.pairs + len(p.x))), "out of bounds"),
+        (lambda p: replace(p, preload=replace(p.preload, shear=p.preload.shear * np.inf)), "not finite"),
+    ],
+)
+def test_moved_grains_with_a_valid_checksum_are_refused(
+    packing: Packing, change: Callable[[Packing], Packing], said: str
+) -> None:
+    """An archive that somebody wrote himself is taken only if its disks touch as it says."""
+    with pytest.raises(DamagedPackingError, match=said):
+        packing_from_bytes(packing_to_bytes(change(packing)))
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused_before_it_does(packing: Packing) -> None:
+    """A megabyte that would become a gigabyte is refused, and so is one that states a smaller size."""
+    bomb = io.BytesIO()
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("x.npy", "w") as member:
+        for _ in range(64):
+            member.write(bytes(2**24))
+    honest = bomb.getvalue()
+    liar = honest.replace((2**30).to_bytes(4, "little"), (10).to_bytes(4, "little"))
+    for body in (honest, liar):
+        heading = packing_to_bytes(packing).partition(b"\n")[0]
+        tracemalloc.start()
+        with pytest.raises(DamagedPackingError, match="the archive"):
+            packing_from_bytes(b"\n".join((heading, sha256(body).hexdigest().encode(), body)))
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+        tracemalloc.stop()
+
+
+def test_the_small_packing_is_what_its_configuration_makes(
+    small_packing: Packing, small_configuration: Configuration
+) -> None:
+    """The packing of most tests states the key of its configuration, and has the contacts that this makes."""
+    made = packing_source.new_packing(small_configuration, lambda _: None)
+    assert np.array_equal(made.pairs, small_packing.pairs)
+    assert made.content_hash == small_packing.content_hash
 
 
 def test_a_cache_that_cannot_be_written_costs_only_time(
@@ -228,15 +296,14 @@ def test_contents_are_checked_against_the_packing(packing: Packing) -> None:
     assert "wave.receiver_half_width = 0.05" in message
 
 
-@pytest.mark.parametrize("changed", [{"amplitude": 10.0}, {"frequency": 1e6}])
-def test_a_pulse_is_checked_against_the_packing(packing: Packing, changed: dict[str, float]) -> None:
-    """A pulse that is too loud or too short for the packing is refused before anything is computed."""
-    frequency = changed.pop("frequency", 1e3)
-    unfit = replace(
-        TINY,
-        campaign=replace(TINY.campaign, contents=(0.0,)),
-        wave=replace(TINY.wave, receiver_half_width=0.005, boundary_thickness=0.001, listening_depth=0.005, **changed),
-        excitation=replace(TINY.excitation, frequency=frequency),
-    )
-    with pytest.raises(ValueError, match=r"at 0 % wave\.(amplitude|frequency) = "):
-        check_against_packing(unfit, packing)
+def test_a_pulse_is_checked_against_the_packing(packing: Packing) -> None:
+    """A pulse too short for the packing is refused before anything is computed; of a loud one the user is warned."""
+    wave = replace(TINY.wave, receiver_half_width=0.005, boundary_thickness=0.001, listening_depth=0.005)
+    fit = replace(TINY, campaign=replace(TINY.campaign, contents=(0.0,)), wave=wave)
+    short = replace(fit, excitation=replace(TINY.excitation, frequency=1e6))
+    with pytest.raises(ValueError, match=r"at 0 % wave\.frequency = "):
+        check_against_packing(short, packing)
+    slow = replace(TINY.excitation, frequency=1e3)
+    loud, quiet = (replace(fit, wave=replace(wave, amplitude=v), excitation=slow) for v in (10.0, 1e-6))
+    assert any("wave.amplitude = 10: " in doubt for doubt in check_against_packing(loud, packing))
+    assert not any("wave.amplitude" in doubt for doubt in check_against_packing(quiet, packing))

@@ -50,7 +50,7 @@ def test_a_pulse_that_unbalanced_forces_would_hide_is_refused_before_the_run(
 ) -> None:
     """Bonds that do not preserve the forces leave what the packing left unbalanced; a louder pulse is heard."""
     for amplitude, refused in ((1e-6, True), (1e-2, False)):
-        wave = replace(small_configuration.wave, regime="small", amplitude=amplitude)
+        wave = replace(small_configuration.wave, law="finite", amplitude=amplitude)
         chosen = replace(small_configuration, wave=wave, bonding=Bonding("zero"))
         if refused:
             with pytest.raises(ConfigurationError, match=r"wave\.amplitude = 1e-06: unbalanced forces of the packing"):

@@ -1,25 +1,31 @@
 """The live page as a browser and its enemies see it: the real command, on loopback, on a real store."""
 
+import asyncio
+import errno
 import json
 import os
+import resource
 import signal
 import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from time import monotonic
+from time import monotonic, sleep
+from typing import Any
 
 import numpy as np
 import pytest
 from live_page import ADDRESS, PATIENCE, Live, serve, start
 
 from calcidem.app.campaign.status import CampaignStatus
-from calcidem.app.serve.address import page_beside_run
+from calcidem.app.serve.address import PageAddress, page_beside_run
 from calcidem.app.serve.columns import CellColumns
 from calcidem.app.serve.feed import CampaignFeed
+from calcidem.app.serve.hub import Hub
 from calcidem.app.serve.movies import MovieMaker
+from calcidem.app.serve.server import LivePage
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import Store
@@ -29,7 +35,14 @@ pytestmark = pytest.mark.slow
 
 HOSTILE = """<img src=x onerror=alert(1)>"'`&</script>"""
 SEEDS, CONTENTS = (1, 2, 3), (0.0, 5.0)
-NUMERICS = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 1.2e-7, "steps": 3000, "expected_error": 0.01}
+NUMERICS = {
+    "frequency": 8e3,
+    "time_step": 1e-7,
+    "stability_limit": 1.2e-7,
+    "steps": 3000,
+    "numerical_error": 0.01,
+    "pulse_effect": 0.001,
+}
 
 
 def begin(database: Path | str, name: str = HOSTILE) -> None:
@@ -133,6 +146,39 @@ def test_nonsense_is_refused(live: Live, path: str) -> None:
     assert live.ask(f"/campaigns/0/{path}")[0] == 400
     assert live.ask("/campaigns/7/records")[0] == 404
     assert live.ask("/campaigns/0/packings/3")[0] == 404
+    assert live.ask(f"/campaigns/{'9' * 5000}/records")[0] == 404
+    assert live.ask(f"/campaigns/0/packings/{'9' * 5000}")[0] == 404
+
+
+def test_connections_without_requests_keep_nobody_out(live: Live) -> None:
+    """More half-sent requests than the server may have open files: the page answers at once, and its stream goes on."""
+    files = resource.RLIMIT_NOFILE
+    resource.prlimit(live.process.pid, files, (256, resource.prlimit(live.process.pid, files)[1]))
+    with ExitStack() as opened:
+        listening = live.events()
+        next(listening)
+        for number in range(400):
+            one = opened.enter_context(socket.create_connection(("127.0.0.1", live.port), PATIENCE))
+            one.sendall(b"GET / HTTP/1.1\r\nHost: 127" + b"." * (number % 2))
+        begun = monotonic()
+        assert live.ask("/")[0] == 200
+        assert monotonic() - begun < 5.0
+        record(live.databases[0], 3, 0.0, 1250.0)
+        assert any(name == "cells" for name, _ in listening)
+
+
+@pytest.mark.full
+def test_a_half_sent_request_is_not_waited_for(live: Live) -> None:
+    """Neither bytes that come one by one, nor an answer before, keep a connection."""
+    begun = monotonic()
+    with socket.create_connection(("127.0.0.1", live.port), PATIENCE) as one:
+        one.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET / HT")
+        assert one.recv(65536).startswith(b"HTTP/1.1 403")
+        with suppress(ConnectionError):
+            while monotonic() - begun < 60.0:
+                one.sendall(b"x")
+                sleep(0.5)
+    assert 9.0 < monotonic() - begun < 30.0
 
 
 def test_a_port_in_use_is_refused(tmp_path: Path, invoke: Callable[..., str]) -> None:
@@ -214,6 +260,50 @@ def test_a_feed_notices_whatever_happens_to_its_database(tmp_path: Path) -> None
     feed.refresh()
     assert (feed.status()["name"], feed.status()["cells"]) == ("second", {"pending": 6})
     feed.close()
+
+
+@pytest.mark.parametrize("kind", [PermissionError, BlockingIOError, OSError])
+def test_a_database_that_cannot_be_read_for_a_while_is_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type[OSError]
+) -> None:
+    """The page keeps what it has, says of when that is, and goes on once the file system answers."""
+    database = tmp_path / "campaign.db"
+    begin(database, "first")
+    record(database, 1, 5.0, 1000.0)
+    hub = Hub([CampaignFeed(0, str(database), None)])
+
+    async def look() -> dict[str, Any]:
+        await hub.refresh()
+        return hub.feeds[0].status()
+
+    def fail(*_: object, **__: object) -> None:
+        raise kind(errno.EIO, "Input/output error")
+
+    assert asyncio.run(look())["problem"] == ""
+    with monkeypatch.context() as broken:
+        broken.setattr(Path, "stat", fail)
+        told = asyncio.run(look())
+    assert "Input/output error" in told["problem"]
+    assert "Shown is what was read at 20" in told["problem"]
+    assert told["cells"] == {"done": 1, "pending": 5}
+    record(database, 2, 5.0, 1000.0)
+    told = asyncio.run(look())
+    assert told["problem"] == ""
+    assert told["cells"] == {"done": 2, "pending": 4}
+    hub.close()
+
+
+def test_an_error_of_the_watching_ends_the_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No task dies unseen: a page of old data would be taken for a new one."""
+    database = tmp_path / "campaign.db"
+    begin(database)
+
+    def fail(_: CampaignFeed) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(CampaignFeed, "refresh", fail)
+    with pytest.raises(ZeroDivisionError):
+        LivePage([(str(database), None)], PageAddress.take()).serve()
 
 
 @pytest.mark.full

@@ -1,6 +1,5 @@
 import sys
 from collections import Counter
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -10,19 +9,15 @@ from places import CHECKOUT
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies import stability as study
 from calcidem.app.studies.stability import SceneVerdict, stability
-from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.error_estimate import shift_by_change
-from calcidem.dem.wave.measurement import interpret, measure
-from calcidem.dem.wave.propagation import send_waves
-from calcidem.dem.wave.reading import Reading, read_section
+from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.ends import CellStatus
 
 sys.path.append(str(CHECKOUT / "benchmarks" / "stability"))
 
-from extreme_scenes import Extreme, Packed, small_packing
+from extreme_scenes import Extreme, Packed
 from own_scenes import OWN_KINDS, OwnScene
 from step_limits import Limits, energy_drift, force_step
 
@@ -38,14 +33,14 @@ def test_a_quantity_of_a_campaign_is_varied_alone(
     few = {"wave.damping": (0.3, 1.0), "wave.frequency": (0.1,), "campaign.contents": (1.0,)}
     monkeypatch.setattr(study, "QUANTITIES", {key: (key, values) for key, values in few.items()})
     experiment = small_configuration.experiment(small_packing)
-    found = stability(small_configuration, experiment, 5.0)
+    found = stability(small_configuration, experiment, 2.55)
     assert [row["verdict"] for row in found.rows[:3]] == [
         SceneVerdict.STABLE,
         SceneVerdict.REFUSED,
         SceneVerdict.STOPPED,
     ]
     assert "a factor in [0, 0.7]" in found.rows[1]["reason"]
-    assert found.rows[3]["campaign.contents"] == pytest.approx(experiment.ordering(1).maximum_content, abs=1e-6)
+    assert found.rows[3]["campaign.contents"] == pytest.approx(study.capacity(experiment, 1), abs=1e-6)
     assert "| wave.damping | 1 | 1 | 0 | 0 |" in found.text
     assert not found.is_wrong
     assert len(found.figures[""]().axes) == 4
@@ -90,10 +85,10 @@ def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None
     assert all(judgement.reason for judgement in judgements if judgement.verdict != SceneVerdict.STABLE)
 
 
-@pytest.mark.parametrize("regimes", [{"linear"}, pytest.param({"linear", "small", "finite"}, marks=pytest.mark.full)])
-def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(regimes: set[str]) -> None:
+@pytest.mark.parametrize("laws", [{"auto"}, pytest.param({"linear", "finite"}, marks=pytest.mark.full)])
+def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(laws: set[str]) -> None:
     """Where a velocity is to be expected most scenes give one, and each is right."""
-    scenes = [scene for scene in Extreme.draw(40, seed=3, box="plausible") if scene.regime in regimes]
+    scenes = [scene for scene in Extreme.draw(40, seed=3, box="plausible") if scene.law in laws]
     judgements = [scene.judge() for scene in scenes]
     assert [judgement for judgement in judgements if judgement.verdict == SceneVerdict.WRONG] == []
     assert sum(judgement.error is not None for judgement in judgements) >= 15 / 40 * len(scenes) > 2
@@ -112,7 +107,7 @@ def test_no_scene_of_ones_own_goes_wrong_in_silence(scenes: int) -> None:
 
 @pytest.mark.full
 def test_an_unstable_run_is_found_at_the_first_look() -> None:
-    """With a step 5 % above the true limit a run ends after 50 samples; 1 % below it goes on."""
+    """With a step 5 % above the true limit a run ends after 20 samples; 1 % below it goes on."""
     caught = force_step(1.05, "linear")
     assert caught.steps == caught.looks
     assert "moves at" in caught.problem
@@ -141,23 +136,15 @@ def test_disks_that_float_in_a_pore_do_no_harm(floating: int) -> None:
 @pytest.mark.parametrize(
     ("stress", "friction", "seed"),
     [
-        (5e3, 0.2, 1),
         (5e3, 1.0, 1),
         *(pytest.param(*case, marks=pytest.mark.full) for case in product((1e3, 5e3, 5e4), (0.2, 0.5, 1.0), (1, 2, 3))),
     ],
 )
-def test_near_isostaticity_the_linear_regime_bounds_what_it_leaves_out(
-    stress: float, friction: float, seed: int
-) -> None:
-    """A bare packing has the finite regime's velocity within the linear one's bound, and none below isostaticity."""
-    packing = small_packing(stress, friction, seed)
-    scene = Packed(stress, friction, 0.0, "linear", seed)
-    judgement = scene.judge()
-    assert judgement.verdict != SceneVerdict.WRONG, judgement
-    if friction > Sand().friction and seed == 1:
-        assert packing.report.coordination_number_without_rattlers < 3.0
-        assert judgement.vs is None
-        assert judgement.reason
+def test_near_isostaticity_a_law_that_leaves_much_out_is_not_trusted(stress: float, friction: float, seed: int) -> None:
+    """A bare packing has the finite law's velocity within the stated error, whatever law is tried first."""
+    for law in ("auto", "linear"):
+        judgement = Packed(stress, friction, 0.0, law, seed).judge()
+        assert judgement.verdict != SceneVerdict.WRONG, judgement
 
 
 @pytest.mark.parametrize(
@@ -165,13 +152,13 @@ def test_near_isostaticity_the_linear_regime_bounds_what_it_leaves_out(
     [
         # Such packings, made by an earlier version, gave 157 m/s for 246 with 2 %, 180 for 170 with 1.5 %, and 60.5 for
         # 59.3 with 0.6 % on seven periods.
-        Packed(5e4, 0.5, 1.0, "linear"),
-        Packed(5e4, 1.0, 1.0, "linear", 3),
+        Packed(5e4, 0.5, 1.0, "auto"),
+        Packed(5e4, 1.0, 1.0, "auto", 3),
         pytest.param(Packed(1e2, 1.0, 2.0, "linear"), marks=pytest.mark.full),
     ],
 )
 def test_slip_that_begins_down_the_way_is_counted(scene: Packed) -> None:
-    """Contacts of cemented packings near isostaticity slip after the pulse was sent; what was stated is not given."""
+    """Contacts of cemented packings near isostaticity slip after the pulse was sent; the check measures its effect."""
     judgement = scene.judge()
     assert judgement.verdict != SceneVerdict.WRONG, judgement
 
@@ -193,18 +180,17 @@ def test_a_step_above_the_limit_is_refused_with_the_cure() -> None:
     assert "give 0.05 to 0.95" in judgement.reason
 
 
-@pytest.mark.parametrize("regime", ["linear", "small"])
-def test_a_pulse_too_strong_for_its_regime_is_refused(regime: str) -> None:
-    """10 m/s is refused where stiffness or geometry are taken for constant, with the largest amplitude that is not."""
-    judgement = replace(Extreme(amplitude=10.0), regime=regime).judge()  # type: ignore[arg-type]
-    assert judgement.verdict == SceneVerdict.REFUSED
-    assert "amplitude of at most" in judgement.reason
+def test_a_pulse_too_strong_for_the_linear_law_gives_no_wrong_velocity() -> None:
+    """At 10 m/s a forced linear law states the error against the finite one, or gives a reason."""
+    judgement = Extreme(amplitude=10.0, law="linear").judge()
+    assert judgement.verdict != SceneVerdict.WRONG
+    assert judgement.vs is None, judgement
 
 
 @pytest.mark.full
 def test_what_is_unbalanced_is_held_while_a_tiny_pulse_passes() -> None:
-    """A gap in the lattice leaves forces unbalanced: a tiny pulse has the linear regime's velocity all the same."""
-    finite, linear = (Extreme(amplitude=1e-9, missing=0.1, regime=each).judge() for each in ("finite", "linear"))
+    """A gap in the lattice leaves forces unbalanced: a tiny pulse has the linear law's velocity all the same."""
+    finite, linear = (Extreme(amplitude=1e-9, missing=0.1, law=each).judge() for each in ("finite", "linear"))
     assert finite.verdict == linear.verdict == SceneVerdict.STABLE
     assert finite.vs == pytest.approx(linear.vs, rel=5e-3)
 
@@ -212,7 +198,7 @@ def test_what_is_unbalanced_is_held_while_a_tiny_pulse_passes() -> None:
 @pytest.mark.full
 def test_bonds_that_break_are_reported_after_one_retry() -> None:
     """A pulse that breaks its sample gives no velocity but the number of broken bonds, and says it was tried twice."""
-    scene = Extreme(strength=0.01, regime="small", amplitude=1e-3, content=0.9)
+    scene = Extreme(strength=0.01, law="finite", amplitude=1e-3, content=0.9)
     experiment, content = scene.experiment()
     found = measure(experiment, content, [1], lanes=1)[0]
     assert found.status is CellStatus.UNSTABLE
@@ -222,38 +208,21 @@ def test_bonds_that_break_are_reported_after_one_retry() -> None:
     assert found.section.time_step == pytest.approx(0.5 * scene.step_fraction * found.section.stability_limit)
 
 
-def test_chatter_counts_what_half_of_the_step_changes() -> None:
-    """Where contacts chatter the velocity is that of half of the step, and its change by it is a part of its bound."""
+def test_a_step_that_matters_is_halved() -> None:
+    """Where contacts chatter the check takes a smaller step, or states what is left as error."""
     scene = Extreme(damping=0.66, content=0.3, contrast=100.0)
     strong, content = scene.experiment()
     found = measure(strong, content, [1], lanes=1)[0]
-    assert found.section.time_step == pytest.approx(0.5 * scene.step_fraction * found.section.stability_limit)
-    cemented = [strong.ordering(1).at(content).bonded]
-    (coarse,) = send_waves(strong, cemented, found.section.frequency, stop_when=lambda _: False, lanes=1)
-    before, reading = read_section(coarse, strong.pick), found.reading
-    assert isinstance(before, Reading)
-    assert reading is not None
-    assert found.error_parts is not None
-    change = abs(before.travel_time / reading.travel_time - 1.0)
-    assert found.error_bound >= found.error_parts.chatter > 3.2 * change > 0.0
-    assert found.expected_error > 0.7 * change
-    # Peaks at the same time may agree by luck: a signal that is 20 % stronger counts as a change.
-    section = found.section
-    louder = replace(section, across=6 * section.across // 5, along=6 * section.along // 5)
-    other = interpret(strong, found, louder).error_parts
-    assert other is not None
-    assert other.chatter == pytest.approx(4.6 * 0.71 * 0.2 * shift_by_change(section, reading), rel=1e-2)
-    ended = interpret(strong, found, replace(section, problem="a guard ended the full step"))
-    assert ended.vs is None
-    assert "make step_fraction or damping smaller" in ended.reason
-    usual = measure(replace(strong, wave=replace(strong.wave, damping=0.35)), content, [1], lanes=1)[0]
-    assert usual.section.time_step == pytest.approx(scene.step_fraction * usual.section.stability_limit)
+    check = found.check
+    assert found.section.time_step == pytest.approx(check.step_fraction * found.section.stability_limit)
+    assert check.step_fraction < scene.step_fraction
+    assert scene.judge().verdict != SceneVerdict.WRONG
 
 
 @pytest.mark.full
 def test_a_scene_at_rest_stays_at_rest() -> None:
     """Undisturbed, the balanced lattice moves by rounding alone over 20 000 steps."""
-    experiment, _ = Extreme(regime="finite").experiment()
+    experiment, _ = Extreme(law="finite").experiment()
     scene = wave_scene(experiment.packing, experiment.sand, experiment.wave, None)
     state = advance(start(scene, regime="small", preload=experiment.packing.preload), 20_000)
     overlap = experiment.packing.report.mean_overlap
@@ -263,7 +232,7 @@ def test_a_scene_at_rest_stays_at_rest() -> None:
 @pytest.mark.full
 def test_a_restarted_run_goes_on_as_if_it_had_never_stopped() -> None:
     """Twice 500 steps from a moving state are 1000 steps, bit by bit."""
-    experiment, _ = Extreme(regime="finite", confinement=1e6).experiment()
+    experiment, _ = Extreme(law="finite", confinement=1e6).experiment()
     scene = wave_scene(experiment.packing, experiment.sand, experiment.wave, None)
     velocity = 1e-3 * np.random.default_rng(1).standard_normal((scene.count, 2))
     state = start(scene, regime="small", velocity=velocity)

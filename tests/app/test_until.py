@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.provenance import describe_run
+from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.campaign.until import SeedDemand
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
@@ -152,6 +154,24 @@ def test_what_is_wanted_is_no_part_of_the_identity_and_has_no_parts(tmp_path: Pa
         path.write_text(UNTIL.format(seeds=8, until=table))
         with pytest.raises(ConfigurationError, match=words):
             load_configuration(path)
+
+
+def test_a_cell_that_is_given_up_at_a_start_counts_at_that_start(tmp_path: Path) -> None:
+    """Its content gets its further seeds in the same run, not in the next one."""
+    path = tmp_path / "c.toml"
+    path.write_text(UNTIL.format(seeds=8, until="{ mean = 0.02 }"))
+    configuration = load_configuration(path, {"database": str(tmp_path / "c.db"), "output": str(tmp_path)})
+    said: list[str] = []
+    with CampaignRun(configuration, said.append) as work:
+        for _ in range(3):  # deaths
+            work.store.begin_run(describe_run(2))
+            work.store.record_running([CellKey(8, 0.66)])
+        work.store.begin_run(describe_run(2))
+        known = [measured(Batch(0, ((seed, 0.66),)), lambda: None)[0] for seed in range(1, 8)]
+        work.store.record_results(known)
+        batches = work._plan_batches()
+    assert "quarantined: seed 8, 0.66 %: 3 runs died" in said[-1]
+    assert min(seed for batch in batches for seed, _ in batch.cells) == 9
 
 
 @pytest.mark.full

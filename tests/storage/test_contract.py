@@ -167,7 +167,10 @@ def test_losses_are_counted_over_restarts_and_forgiven_by_retry(
     for losses in (1, 2, 3):
         again = open_here()
         again.use_campaign()
-        assert again.record_lost([key], "killed by signal 9") == {key: AttemptCount(losses, losses)}
+        again.begin_run(records.run())
+        assert again.record_running([key]) == {key: AttemptCount(losses, losses - 1)}
+    store.begin_run(records.run())
+    assert store.attempt_counts([key]) == {key: AttemptCount(3, 3)}
     assert key in store.pending()
     store.record_results([records.failed(1, 5.0, status=CellStatus.QUARANTINED, attempt=4)])
     store.retry([CellStatus.QUARANTINED])
@@ -243,24 +246,21 @@ def test_selection(store: Store, records: "Records", selection: Selection, count
 
 
 def test_derived_quantities_are_those_of_the_records(store: Store, records: "Records") -> None:
-    """Total error and departure can be selected, sorted by and fetched as in the records; old cells lack them."""
-    numbers = {"reading_error": 0.03, "expected_error": 0.04, "path_error": 0.04}
+    """The total error can be selected, sorted by and fetched as in the records; cells of an older version lack it."""
     store.record_results(
         [
-            records.done(0, 5.0, **numbers, path_vs=1.08 * 1150.0),
-            records.done(1, 5.0, **numbers, path_vs=0.86 * 1151.0),
+            records.done(0, 5.0, reading_error=0.03, numerical_error=0.04, pulse_effect=0.0),
+            records.done(1, 5.0, reading_error=0.03, numerical_error=0.04, pulse_effect=0.12),
             records.done(2, 5.0, reading_error=None),
         ]
     )
-    found = store.table(("seed", "vs_error", "path_departure"), Selection(contents=(5.0,)), sort=("-path_departure",))
+    found = store.table(("seed", "vs_error"), Selection(contents=(5.0,)), sort=("-vs_error",))
     assert found["seed"].tolist() == [1, 0, 2, 3]
-    assert found["path_departure"][:2] == pytest.approx([0.14 / 0.05, 0.08 / 0.05])
-    assert found["vs_error"][:2] == pytest.approx(2 * [(0.03**2 + (1.5 / 1.96 * 0.04) ** 2) ** 0.5])
+    assert found["vs_error"][:2] == pytest.approx([0.13, 0.05])
     assert np.isnan(found["vs_error"][2:]).all()
-    (marked,) = store.results(Selection(where="path_departure > 2"))
+    (marked,) = store.results(Selection(where="vs_error > 0.1"))
     assert marked.key.seed == 1
     assert marked.vs_error == found["vs_error"][0]
-    assert marked.path_departure == found["path_departure"][0]
     half = 1.96 * 1151.0 * marked.vs_error
     assert marked.vs_interval == pytest.approx((1151.0 - half, 1151.0 + half))
     assert len(list(store.results(Selection(where="vs_error is None", statuses=(CellStatus.DONE,))))) == 1

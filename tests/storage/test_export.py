@@ -21,6 +21,7 @@ import xarray as xr
 
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.cli.import_ import _RAISED_BY_DAMAGE
+from calcidem.input_file import InputFileError
 from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.errors import (
     CampaignMismatchError,
@@ -36,7 +37,7 @@ from calcidem.storage.errors import (
 from calcidem.storage.netcdf import export, trial
 from calcidem.storage.netcdf import import_netcdf as importing
 from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.netcdf.import_netcdf import _read, import_netcdf
 from calcidem.storage.records import CellKey, CellStatus
 from calcidem.storage.sql.store import Store
 
@@ -60,12 +61,12 @@ def address(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 def filled(store: Store, records: "Records") -> Store:
     """Fill a store with something of everything."""
     store.extend((7,), (9.0,))
-    store.begin_run(records.run())
+    store.record_running([CellKey(3, 5.0)])
+    store.begin_run(records.run())  # which counts it as lost
     for index in (0, 1):
         store.save_packing(records.packing(index))
     store.record_results(records.with_arrays(seed, content) for seed in (0, 1) for content in (0.0, 0.3, 5.0))
     store.record_results([records.done(2, 0.0), records.failed(2, 5.0, status=CellStatus.UNSTABLE)])
-    store.record_lost([CellKey(3, 5.0)], "killed by signal 9")
     store.record_results([records.failed(3, 0.3)])
     store.retry()
     store.end_run("stopped", records.run().started + timedelta(hours=1))
@@ -386,5 +387,26 @@ def test_swapped_blocks_are_refused_or_read(tmp_path: Path, monkeypatch: pytest.
 def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     """Only a file is opened: a pipe that nobody writes would never be."""
     os.mkfifo(tmp_path / "pipe.nc")
-    with Store(tmp_path / "new.db") as store, pytest.raises(StoreUnavailableError, match="is not a file"):
+    with Store(tmp_path / "new.db") as store, pytest.raises(InputFileError, match="is a pipe"):
         import_netcdf(tmp_path / "pipe.nc", store)
+
+
+@pytest.mark.parametrize("count", [10**9, 10**15])
+def test_a_variable_of_more_than_is_stored_is_refused(tmp_path: Path, count: int) -> None:
+    """A few kilobytes that state a petabyte are refused before their memory is taken, and before it is read."""
+    path = tmp_path / "bomb.nc"
+    with netCDF4.Dataset(path, "w") as file:
+        file.createDimension("seed", count)
+        file.createVariable("status", "i1", ("seed",), chunksizes=(1000,), zlib=True)[0] = 1
+    with Store(tmp_path / "new.db") as store, pytest.raises(DamagedStoreError, match="more than it stores"):
+        import_netcdf(path, store)
+
+
+def test_what_would_not_fit_into_memory_is_not_read(tmp_path: Path) -> None:
+    """At most a gigabyte is read at a time, whatever the file unpacks to."""
+    with netCDF4.Dataset(tmp_path / "large.nc", "w") as file:
+        file.createDimension("seed", 10**12)
+        variable = file.createVariable("status", "f8", ("seed",), chunksizes=(1000,))
+        with pytest.raises(ValueError, match=r"status would take 8e\+03 GB"):
+            _read(variable)
+        assert _read(variable, slice(5, 8)).shape == (3,)

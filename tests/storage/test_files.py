@@ -128,7 +128,7 @@ def test_full_disk_keeps_what_was_there(database: Path, records: "Records") -> N
             connection.exec_driver_sql(f"PRAGMA max_page_count={pages}")
         big = [records.with_arrays(seed, content) for seed in (2, 3) for content in (0.0, 0.3, 5.0)]
         with pytest.raises(DiskFullError, match="Free some space"):
-            store.record_lost([result.key for result in big], "x" * 10_000)
+            store.record_results(big)
         assert store.attempt_counts([big[0].key])[big[0].key].attempts == 0
         with store._connections._engine.connect() as connection:
             connection.exec_driver_sql("PRAGMA max_page_count=1000000")

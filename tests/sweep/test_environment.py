@@ -68,3 +68,10 @@ def test_the_launcher_is_recognised() -> None:
     assert own_rank({"PMI_RANK": "2"}) == 2
     assert launcher({"SLURM_JOB_ID": "5"}) is None
     assert own_rank({"SLURM_JOB_ID": "5"}) is None
+
+
+@pytest.mark.parametrize("text", ["abc", "-1", "1.5", "9" * 5000, "\N{SUPERSCRIPT TWO}"])
+def test_a_rank_that_is_none_is_refused(text: str) -> None:
+    """The error names variable, value and remedy."""
+    with pytest.raises(LaunchError, match=r"PMI_RANK=.*set it to a whole number from 0 to 100000, or unset it"):
+        own_rank({"PMI_RANK": text})

@@ -26,9 +26,9 @@ def test_sigusr1_asks_to_finish_what_runs() -> None:
             assert (request.level, request.hurry(), request.reason) == (level, False, reason)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR2])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGUSR2])
 def test_urgent_signals_ask_to_hurry(number: signal.Signals) -> None:
-    """SIGTERM, SIGINT and SIGUSR2 raise the level, also after SIGUSR1, and SIGUSR1 does not lower it."""
+    """SIGTERM, SIGINT, SIGHUP and SIGUSR2 raise the level, also after SIGUSR1, and SIGUSR1 does not lower it."""
     with StopRequest() as request:
         send(signal.SIGUSR1)
         send(number)

@@ -5,21 +5,18 @@ in the database, or in what the launcher wrote.
 """
 
 import os
-import re
 import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from types import FrameType
 from typing import IO
 
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
@@ -28,7 +25,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import StoreError
 from calcidem.storage.passwords import PASSWORDS_VARIABLE
 from calcidem.storage.records import RunRecord
-from calcidem.storage.sql.store import Store, read_campaign
+from calcidem.storage.sql.store import read_campaign
 from calcidem.storage.store import STALE_AFTER
 from calcidem.sweep.attempt import SweepInterrupted
 from calcidem.sweep.environment import (
@@ -40,15 +37,11 @@ from calcidem.sweep.environment import (
     requested_tasks,
 )
 from calcidem.sweep.processes import die_with_parent
-from calcidem.sweep.signals import SignalHandlers
+from calcidem.sweep.signals import StopLevel, StopRequest
 from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepState
 
 _MPIRUN_VARIABLE = "MPIRUN"
 """Variable that names the launcher, instead of the one next to Python or in the search path."""
-
-# On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. It forwards SIGUSR2; rank 0 treats it as the
-# same request, and has time to end.
-_FORWARDED = {"SIGUSR1": "SIGUSR1"} | dict.fromkeys(("SIGUSR2", "SIGTERM", "SIGINT", "SIGHUP"), "SIGUSR2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,16 +77,16 @@ class Launch:
                 f"--ranks {self.ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}"
             )
         mpirun = find_mpirun()
-        with _Relay() as relay, view.display() as display:
+        with StopRequest() as stop, view.display() as display:
             reporter = ProgressReporter(display)
             try:
                 configuration = load()
-                with prepared_store(configuration, view.say, relay.end_at_once, reporter.on_packing) as (_, packing):
+                with prepared_store(configuration, view.say, stop.check, reporter.on_packing) as (_, packing):
                     view.begin(configuration, packing)
-                code = self._start_until_complete(mpirun, configuration, relay, display)
+                code = self._start_until_complete(mpirun, configuration, stop, display)
                 display.show(RunProgress(RunStage.WRITING, "tables and files"))
                 with read_campaign(configuration.database, configuration.campaign.name) as store:
-                    view.finish(store, configuration, code, in_haste=relay.in_haste)
+                    view.finish(store, configuration, code, in_haste=stop.hurry())
             except SweepInterrupted:
                 view.say("Ended by a signal before the ranks began; the same command starts again.")
                 return EXIT_RESUMABLE
@@ -102,28 +95,28 @@ class Launch:
         return code
 
     def _start_until_complete(
-        self, mpirun: str, configuration: Configuration, relay: "_Relay", display: ProgressDisplay
+        self, mpirun: str, configuration: Configuration, stop: StopRequest, display: ProgressDisplay
     ) -> int:
         """Start the launcher, and again after deaths; return the exit code."""
         begun = fruitless = False
         for restart in range(self.restarts + 1):
             start = _Start(mpirun, self.ranks, self.arguments, configuration, display)
-            why = start.attend(relay, self.start_timeout)
+            why = start.attend(stop, self.start_timeout)
             found = start.own_run()
             state = "" if found is None or found.exit_state is None else found.exit_state.partition(":")[0]
             if state in {SweepState.COMPLETE, SweepState.STOPPED}:
                 return EXIT_COMPLETE if state == SweepState.COMPLETE else EXIT_RESUMABLE
-            if state == SweepState.ERROR or (found is None and start.was_refused):
+            if state == SweepState.ERROR or (found is None and start.code == 2):  # rank 0 refused its input
                 return start.code if 0 < start.code <= EXIT_RESUMABLE else EXIT_ERROR
             if found is not None:
                 why = f"The run was cut off ({why}): everything stored is safe, and the same command continues."
-            elif relay.asked:
+            elif stop.level:
                 raise SweepInterrupted
             else:
                 why = f"The run did not begin ({why}); nothing was computed."
             sys.stderr.write(f"{why}\n")
             begun |= found is not None
-            if relay.asked or (found is None and fruitless):
+            if stop.level or (found is None and fruitless):
                 break
             fruitless = found is None
             if restart < self.restarts:
@@ -141,7 +134,6 @@ class _Start:
         self._configuration, self._display = configuration, display
         self._name = Path(mpirun).name
         self._before = self._latest_run()[0]
-        self._tail: deque[str] = deque(maxlen=5)
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {COMMAND_VARIABLE: "1"}
         # ssh forwards no environment to other hosts. Command lines show names, never values. PG: PostgreSQL's library.
         names = {*THREAD_VARIABLES, COMMAND_VARIABLE, PASSWORDS_VARIABLE}
@@ -168,53 +160,46 @@ class _Start:
         """Exit code of the launcher; negative for a signal."""
         return self._process.returncode
 
-    @property
-    def was_refused(self) -> bool:
-        """Whether rank 0 refused its input."""
-        return self.code == 2
-
     def own_run(self) -> RunRecord | None:
         """Run that this start began; None without one."""
         number, run = self._latest_run()
         return run if number != self._before else None
 
-    def attend(self, relay: "_Relay", start_timeout: float) -> str:
+    def attend(self, stop: StopRequest, start_timeout: float) -> str:
         """Wait for the end of the launcher, or end it; return why."""
         begin = next_look = time.monotonic()
+        default, stop.end_at_once = stop.end_at_once, self._kill
         self._display.show(RunProgress(RunStage.STARTING, f"{self._name} starts the ranks"))
         reporter = ProgressReporter(self._display)
-        run, ended, why = None, None, ""
+        run, told, ended, why = None, StopLevel.NONE, None, ""
         while self._process.poll() is None:
             time.sleep(0.1)
             now = time.monotonic()
             if now >= next_look:
                 run = self.own_run()
                 next_look = now + (0.3 if run is None else 1.0)
-            if run is None:
-                why = self._why_not_begun(relay, now - begin, start_timeout)
-            else:
+            if run is None and stop.level:
+                why = "a signal asked for it"
+            elif run is None and now - begin > start_timeout:
+                why = f"rank 0 did not begin within {start_timeout:g} s"
+            elif run is not None:
                 reporter.read = partial(read_own_status, self._configuration)
                 reporter.show_cells()
-                for number in relay.take():
-                    self._process.send_signal(number)
+                if stop.level > told:
+                    # On SIGTERM and SIGINT mpirun kills its ranks after a quarter of a second. It forwards these two.
+                    told = stop.level
+                    self._process.send_signal(signal.SIGUSR1 if told is StopLevel.DRAIN else signal.SIGUSR2)
                 ended = ended or (now if run.exit_state is not None else None)
-                why = self._why_not_ended(relay, now - begin, None if ended is None else now - ended)
+                why = self._why_not_ended(now - begin, None if ended is None else now - ended)
             if why:
-                self._end(at_once=relay.is_impatient)
+                self._end()
+        stop.end_at_once = default
         for reader in self._readers:
             reader.join(2.0)  # a process that has left its group may keep a pipe open
         return why or self._explanation()
 
-    def _why_not_begun(self, relay: "_Relay", seconds: float, start_timeout: float) -> str:
-        """Why a launch is ended whose rank 0 has not begun some seconds after the start; empty to wait."""
-        if relay.asked:
-            return "a signal asked for it"
-        return f"rank 0 did not begin within {start_timeout:g} s" if seconds > start_timeout else ""
-
-    def _why_not_ended(self, relay: "_Relay", seconds: float, since_end: float | None) -> str:
+    def _why_not_ended(self, seconds: float, since_end: float | None) -> str:
         """Why a launch is ended some seconds after its start and after the end of its run; empty to wait."""
-        if relay.is_impatient:
-            return "a second signal asked for it"
         if since_end is not None and since_end > 15.0:  # s
             return "the ranks did not end"
         # Launchers do not notice the loss of a network.
@@ -222,18 +207,21 @@ class _Start:
             return "rank 0 has been silent for minutes"
         return ""
 
-    def _open(self) -> Store:
-        return read_campaign(self._configuration.database, self._configuration.campaign.name)
-
     def _latest_run(self) -> tuple[int, RunRecord | None]:
-        with suppress(StoreError), self._open() as store:
+        with (
+            suppress(StoreError),
+            read_campaign(self._configuration.database, self._configuration.campaign.name) as store,
+        ):
             if runs := store.runs():
                 return runs[-1]
         return 0, None
 
     def _is_silent(self) -> bool:
         """Whether the heartbeat of rank 0 is too old."""
-        with suppress(StoreError), self._open() as store:
+        with (
+            suppress(StoreError),
+            read_campaign(self._configuration.database, self._configuration.campaign.name) as store,
+        ):
             holder = store.lease_holder()
             return holder is None or datetime.now(UTC) - holder.heartbeat > STALE_AFTER
         return False
@@ -245,16 +233,12 @@ class _Start:
             return run.exit_state.partition(": ")[2] or run.exit_state
         if self.code < 0:
             return f"{self._name} was killed by {signal.Signals(-self.code).name}"
-        words = " ".join(" ".join(self._tail).split())
-        told = re.search(r"process rank \d+ [^()]* exited on signal \d+ \([^)]*\)", words)
-        return told.group() if told else f"{self._name} returned {self.code}, see above"
+        return f"{self._name} returned {self.code}, see above"
 
     def _pass_on(self, pipe: IO[bytes], stream: IO[str]) -> None:
         """Write the lines of the ranks, above the display if there is one."""
         for line in pipe:
             text = line.decode(errors="replace").rstrip("\r\n")
-            if text.strip("- "):
-                self._tail.append(text)
             if stream.isatty():
                 self._display.write(text)
             else:
@@ -262,16 +246,19 @@ class _Start:
                     stream.write(f"{text}\n")
                     stream.flush()
 
-    def _end(self, *, at_once: bool) -> None:
-        """End the launcher, in order if there is time; its ranks end with it."""
-        if not at_once:
-            self._process.terminate()
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(5.0)
-                return
-        with suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)  # its connections to hosts that do not answer, too
+    def _end(self) -> None:
+        """End the launcher; its ranks end with it."""
+        self._process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(5.0)
+            return
+        self._kill()
         self._process.wait()
+
+    def _kill(self) -> None:
+        """Kill the launcher, and its connections to hosts that do not answer."""
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
 
 
 def find_mpirun() -> str:
@@ -301,49 +288,3 @@ def launcher_options(mpirun: str, ranks: int, forwarded: Sequence[str] = ()) -> 
         options.insert(0, "--allow-run-as-root")
     names = [word for name in forwarded for word in ("-x", name)]
     return [*options, "--map-by", ":OVERSUBSCRIBE", "--bind-to", "none", *names]
-
-
-class _Relay(SignalHandlers):
-    """Records signals for the launcher.
-
-    Attributes
-    ----------
-    asked, in_haste
-        Whether any was received, and one that requests an end at once.
-    """
-
-    def __init__(self) -> None:
-        super().__init__(dict.fromkeys(_FORWARDED, self._note))
-        self._noted: list[signal.Signals] = []
-        self._first_urgent: float | None = None
-        self._second_urgent: float | None = None
-        self.asked = False
-
-    @property
-    def in_haste(self) -> bool:
-        """Whether an end at once was requested."""
-        return self._first_urgent is not None
-
-    @property
-    def is_impatient(self) -> bool:
-        """Whether a second urgent signal was received a second ago."""
-        return self._second_urgent is not None and time.monotonic() - self._second_urgent > 1.0
-
-    def take(self) -> list[signal.Signals]:
-        """Signals to forward, each once."""
-        noted, self._noted = self._noted, []
-        return noted
-
-    def end_at_once(self) -> None:
-        """Raise `SweepInterrupted` if any was received."""
-        if self.asked:
-            raise SweepInterrupted
-
-    def _note(self, number: int, _frame: FrameType | None) -> None:
-        self.asked = True
-        passed_on = signal.Signals[_FORWARDED[signal.Signals(number).name]]
-        self._noted.append(passed_on)
-        if passed_on is signal.SIGUSR2:
-            if self._first_urgent is not None:
-                self._second_urgent = self._second_urgent or time.monotonic()
-            self._first_urgent = self._first_urgent or time.monotonic()

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from calcidem.app.campaign.identity import physics_version
 from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError, StoreError
@@ -18,7 +18,7 @@ from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import first_of
 
-_Values: TypeAlias = tuple[float | None, ...] | None
+_Values: TypeAlias = tuple[Any, ...] | None
 """`EXACT_QUANTITIES` of a done cell, else None."""
 
 _Numbers: TypeAlias = Mapping[tuple[int, CellKey, int], int]
@@ -212,7 +212,7 @@ def _settled_cells(sources: Sequence[Store]) -> dict[CellKey, dict[int, _Values]
         columns = source.table(("seed", "content", "status", *EXACT_QUANTITIES))
         for seed, content, status, *values in zip(*(column.tolist() for column in columns.values()), strict=True):
             if status != CellStatus.PENDING:
-                known = tuple(None if math.isnan(value) else value for value in values)
+                known = tuple(None if value in {None, ""} or value != value else value for value in values)  # noqa: PLR0124 - NaN
                 settled[CellKey(int(seed), content)][position] = known if status == CellStatus.DONE else None
     return settled
 

@@ -55,6 +55,7 @@ from calcidem.storage.records import (
     RecordedSection,
     RunRecord,
 )
+from calcidem.storage.records.error_budget import depends_on_pulse
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Closable, Selection
 
@@ -188,8 +189,8 @@ class Campaign(Closable):
     def vs_error(self) -> xr.DataArray:
         """Return the relative standard errors (seed, content) of the velocities, NaN where unknown.
 
-        They combine the errors of reading and simulation (`reading_error`, `numerical_error` in `to_xarray`). The 95 %
-        interval of a velocity extends 1.96 of them to either side.
+        They combine reading, simulation and pulse (`reading_error`, `numerical_error` and `pulse_effect` in
+        `to_xarray`). The 95 % interval of a velocity extends 1.96 of them to either side.
         """
         return cell_matrices(self.store, ("vs_error",))["vs_error"]
 
@@ -332,8 +333,8 @@ class Campaign(Closable):
 
         Along content, intervals also along bound: n, missing, failed, mean, standard deviation (m/s), skewness,
         kurtosis, Jarque-Bera test, confidence and prediction intervals. Errors of the velocities are medians of the
-        relative standard errors, the standard deviation by reading errors alone (m/s), and the number of cells whose
-        path_vs departs from vs (`calcidem.analysis.error_budget`).
+        relative standard errors, and the standard deviation by reading errors alone (m/s), see
+        `calcidem.analysis.error_budget`.
 
         Examples
         --------
@@ -350,9 +351,10 @@ class Campaign(Closable):
         return described.assign(budget_dataset(cells).data_vars)
 
     def small_strain_modulus(self, density: float | None = None) -> xr.DataArray:
-        """Return the shear moduli G0 = rho Vs^2 (Eq. 1) along (seed, content) in Pa, NaN for cells that are not done.
+        """Return the shear moduli G0 = rho c^2 (Eq. 1) of the effective velocities along (seed, content) in Pa.
 
-        The default density of the sample is that of the paper's soil, 1659 kg/m^3.
+        NaN for cells without one. The default density of the sample is that of the paper's soil, 1659 kg/m^3.
+        `StoreError` if velocities depend on the pulse: then they give no modulus.
 
         Examples
         --------
@@ -360,7 +362,16 @@ class Campaign(Closable):
         >>> 1e9 < float(moduli.sel(content=5.0).mean()) < 1e10, moduli.attrs["units"]
         (True, 'Pa')
         """
-        moduli = small_strain_modulus(self.vs(), density).rename("small_strain_modulus")
+        found = cell_matrices(self.store, ("effective_vs", "pulse_effect"))
+        effect = found["pulse_effect"].max("seed")
+        loud = effect[depends_on_pulse(effect.to_numpy())]
+        if loud.size:
+            contents = ", ".join(f"{content:g}" for content in loud["content"].to_numpy())
+            raise StoreError(
+                f"Velocities depend on the pulse, by up to {float(loud.max()):.1%}, at {contents} %.",
+                "Compute with a smaller wave.amplitude: a modulus of small strain needs a quiet pulse.",
+            )
+        moduli = small_strain_modulus(found["effective_vs"], density).rename("small_strain_modulus")
         return moduli.assign_attrs(units="Pa", long_name="small-strain shear modulus")
 
     @property

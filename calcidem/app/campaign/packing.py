@@ -18,6 +18,7 @@ from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import PACKING_METHOD, Packing, PackingFileError, PackingStage
 from calcidem.dem.sample.packing_file import packing_from_csv
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
+from calcidem.input_file import MOST_BYTES, InputFileError, read_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.sql.store import Store
@@ -36,14 +37,14 @@ def provide_packing(
 
     While a packing is made, ``check`` is called every fraction of a second and may raise to end it, and ``watch``
     receives the progress. `PackingError` if it has to be made and does not come to rest, `DamagedStoreError` if the
-    stored one is damaged.
+    stored one is damaged or belongs to another configuration.
     """
     if store is not None and 0 in store.packing_indices():
-        return stored_packing(store.packing())
+        return stored_packing(store.packing(), configuration.packing_hash)
     kept = kept_packing(configuration.packing_hash, tell)
     packing = kept or new_packing(configuration, tell, check, watch)
     if kept is None:
-        _write_cache(cache_folder() / _cached_name(configuration.packing_hash), packing, tell)
+        _write_cache(packing, configuration.packing_hash, tell)
     return packing
 
 
@@ -57,10 +58,10 @@ def new_packing(
     draw = configuration.packing_draw
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")
-        path = Path(draw.file)
-        if sha256(path.read_bytes()).hexdigest() != draw.file_sha256:
-            raise PackingFileError(f"{path} was changed while the campaign began; run the command again")
-        return packing_from_csv(path, configuration.sand, configuration.packing, check, watch)
+        disks = Path(draw.file)
+        if sha256(read_input(disks, MOST_BYTES)).hexdigest() != draw.file_sha256:
+            raise PackingFileError(f"{disks} was changed while the campaign began; run the command again")
+        return packing_from_csv(disks, configuration.sand, configuration.packing, check, watch)
     tell("Packing: being made; this is done once.")
     generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
     return make_packing(configuration.packing, configuration.sand, generator, check, watch)
@@ -71,9 +72,14 @@ def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:
     archive = preset_packings().get(packing_hash[:32])
     if archive is not None:
         tell("Packing: comes with calcidem.")
-        return packing_from_bytes(archive.read_bytes())
+        return packing_from_bytes(archive.read_bytes(), packing_hash)
     path = cache_folder() / _cached_name(packing_hash)
-    if (packing := _read_cache(path, tell)) is not None:
+    try:
+        packing = packing_from_bytes(read_input(path, MOST_BYTES), packing_hash) if path.exists() else None
+    except (OSError, InputFileError, DamagedPackingError) as error:
+        tell(f"Packing: the cached {path} is damaged ({error}); making it again.")
+        return None
+    if packing is not None:
         tell(f"Packing: taken from the cache, {path}.")
     return packing
 
@@ -83,23 +89,13 @@ def _cached_name(packing_hash: str) -> str:
     return f"packing-{PACKING_METHOD}-{packing_hash[:32]}.npz"
 
 
-def _read_cache(path: Path, tell: Tell) -> Packing | None:
-    """Packing in a file of the cache; None without an intact one."""
-    try:
-        return packing_from_bytes(path.read_bytes())
-    except FileNotFoundError:
-        return None
-    except (OSError, DamagedPackingError) as error:
-        tell(f"Packing: the cached {path} is damaged ({error}); making it again.")
-        return None
-
-
-def _write_cache(path: Path, packing: Packing, tell: Tell) -> None:
+def _write_cache(packing: Packing, packing_hash: str, tell: Tell) -> None:
     """Put a packing into the cache atomically; a cache that cannot be written only costs time later."""
+    path = cache_folder() / _cached_name(packing_hash)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with write_atomically(path) as temporary:
-            temporary.write_bytes(packing_to_bytes(packing))
+            temporary.write_bytes(packing_to_bytes(packing, packing_hash))
     except (OSError, OutputRefusedError) as error:
         cure = f"set {CACHE_VARIABLE} to a folder that works"
         why = error.strerror if isinstance(error, OSError) else f"{path.name} is not a file of a packing"

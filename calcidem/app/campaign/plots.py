@@ -50,13 +50,14 @@ matplotlib.figure.Figure
     return method
 
 
-def _with_step_of(experiment: Experiment, cell: CellResult) -> Experiment:
-    """Return the experiment with the step of a cell, halved if a guard ended its run or its contacts chatter."""
+def _with_settings_of(experiment: Experiment, cell: CellResult) -> Experiment:
+    """Return the experiment with contact law and step of a cell, as its check or a guard chose them."""
+    if cell.law is not None:
+        experiment = experiment.with_wave(law=cell.law)
     if cell.time_step is None or cell.stability_limit is None:
         return experiment
-    wave = experiment.wave
-    halvings = round(math.log2(wave.step_fraction * cell.stability_limit / cell.time_step))
-    return replace(experiment, wave=replace(wave, step_fraction=wave.step_fraction * 0.5**halvings))
+    halvings = round(math.log2(experiment.wave.step_fraction * cell.stability_limit / cell.time_step))
+    return experiment.with_wave(step_fraction=experiment.wave.step_fraction * 0.5**halvings)
 
 
 class CampaignPlots:
@@ -208,7 +209,7 @@ class CampaignPlots:
         experiment, bonded = self._cemented(seed=seed, content=content)
         wave = experiment.wave
         film = film_wave(
-            _with_step_of(experiment, cell),
+            _with_settings_of(experiment, cell),
             bonded,
             cell.frequency or experiment.frequency(content),
             frames=frames,

@@ -82,7 +82,7 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
             settled = {key for key in own if statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING}
             widths = _expected_half_widths(store, configuration)
             if store.packing_indices():
-                packing = stored_packing(store.packing())
+                packing = stored_packing(store.packing(), configuration.packing_hash)
     packing = packing or kept_packing(configuration.packing_hash, lambda _: None)
     cells = len(plan.seed_numbers) * len(plan.contents)
     yield (

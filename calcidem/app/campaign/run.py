@@ -146,7 +146,7 @@ def run_command_line(
         try:
             if executor is None:
                 refuse_singletons()
-            work = CampaignRun(load(), view.say, stop_at_once(stop_request), reporter.on_packing)
+            work = CampaignRun(load(), view.say, stop_request.check, reporter.on_packing)
             with work:
                 view.begin(work.configuration, work.packing)
                 end = work.compute(executor, reporter, stop_request)
@@ -161,16 +161,6 @@ def run_command_line(
             # After a restart a server has all stored data.
             is_lost = isinstance(error, StoreUnavailableError) and work is not None and work.end is not None
             return EXIT_RESUMABLE if is_lost else code
-
-
-def stop_at_once(stop_request: StopRequest) -> Callable[[], None]:
-    """Check that raises `SweepInterrupted` if a signal requests an end at once."""
-
-    def check() -> None:
-        if stop_request.hurry():
-            raise SweepInterrupted
-
-    return check
 
 
 @contextmanager
@@ -300,6 +290,7 @@ class CampaignRun:
     def _plan_batches(self) -> tuple[Batch[Cell], ...]:
         """Plan the cells; return the batches of those without an outcome, in the order of computation."""
         plan = self.configuration.campaign
+        self._quarantine_deadly()  # first, since the number of seeds depends on the outcomes
         if plan.until is None:
             own = {cell for batch in planned_batches(self.configuration) for cell in batch.cells}
         else:
@@ -312,13 +303,17 @@ class CampaignRun:
         pending = [key for key in self.store.pending(contents=plan.contents) if (key.seed, key.content) in own]
         self._sink = StoreSink(self.store, pending, self._tell)
         self._losses = self._sink.losses
-        deadly = [cell for cell, count in self._losses.items() if count >= LOSSES_BEFORE_QUARANTINE]
+        return batches_of(self.configuration, {(key.seed, key.content) for key in pending}, self._losses)
+
+    def _quarantine_deadly(self) -> None:
+        """Store an outcome of the cells that were being computed at too many deaths."""
+        counts = self.store.attempt_counts()
+        if deadly := {key for key, count in counts.items() if count.losses >= LOSSES_BEFORE_QUARANTINE}:
+            deadly &= set(self.store.pending(contents=self.configuration.campaign.contents))
         reason = f"{LOSSES_BEFORE_QUARANTINE} runs died while it was computed, so it is not tried again"
-        self.store.record_results(CellResult(CellKey(*cell), CellStatus.QUARANTINED, reason) for cell in deadly)
-        for seed, content in deadly:
-            self._tell(f"quarantined: seed {seed}, {content:g} %: {reason}")
-        cells = {(key.seed, key.content) for key in pending} - set(deadly)
-        return batches_of(self.configuration, cells, self._losses)
+        self.store.record_results(CellResult(key, CellStatus.QUARANTINED, reason) for key in deadly)
+        for key in sorted(deadly):
+            self._tell(f"quarantined: {key}: {reason}")
 
     def _more(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> tuple[Batch[Cell], ...]:
         """Further batches that the outcomes require, if the configuration has `until`."""
@@ -408,7 +403,7 @@ def _refuse_before_writing(configuration: Configuration) -> None:
     # An empty database is refused for reading, and new for writing.
     with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as store:
         if choose_campaign(store, configuration) and store.packing_indices():
-            check_against_packing(configuration, stored_packing(store.packing()))
+            check_against_packing(configuration, stored_packing(store.packing(), configuration.packing_hash))
 
 
 def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) -> tuple[CellKey, ...]:

@@ -10,19 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from calcidem.dem.engine.scene import Preload
+from calcidem.dem.sample.judgement import refuse_changed
 from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport
 from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.records import PackingRecord
+from calcidem.storage.records.arrays import unpack_arrays
 
 CACHE_VARIABLE = "CALCIDEM_CACHE"
 """Variable with the folder of the cache, instead of ``$XDG_CACHE_HOME/calcidem``."""
 
-_HEADING = b"calcidem packing 1\n"
-_DIGEST_LENGTH = 64
-
 
 class DamagedPackingError(ValueError):
-    """Bytes that `packing_to_bytes` did not make, or that were changed."""
+    """Bytes that `packing_to_bytes` did not make for this configuration, or that were changed."""
 
 
 def cache_folder() -> Path:
@@ -31,8 +30,15 @@ def cache_folder() -> Path:
     return Path(own) if own else Path(shared or Path.home() / ".cache") / "calcidem"
 
 
-def packing_to_bytes(packing: Packing) -> bytes:
-    """Header, SHA-256 of the rest, and arrays and report in NumPy's npz format."""
+def _heading(packing_hash: str) -> bytes:
+    return f"calcidem packing 1 {packing_hash}".rstrip().encode()
+
+
+def packing_to_bytes(packing: Packing, packing_hash: str = "") -> bytes:
+    """Heading, SHA-256 of the rest, and arrays and report in NumPy's npz format.
+
+    The heading of a file states the configuration's `packing_hash`, for which a database has a column.
+    """
     body = io.BytesIO()
     np.savez(
         body,
@@ -44,25 +50,28 @@ def packing_to_bytes(packing: Packing) -> bytes:
         shear=packing.preload.shear,
         report=np.frombuffer(json.dumps(asdict(packing.report)).encode(), dtype=np.uint8),
     )
-    digest = sha256(body.getvalue()).hexdigest().encode()
-    return _HEADING + digest + b"\n" + body.getvalue()
+    return b"\n".join((_heading(packing_hash), sha256(body.getvalue()).hexdigest().encode(), body.getvalue()))
 
 
-def packing_from_bytes(archive: bytes) -> Packing:
+def packing_from_bytes(archive: bytes, packing_hash: str = "") -> Packing:
     """Packing from the bytes of `packing_to_bytes`, bit for bit.
 
-    `DamagedPackingError` if the bytes were changed or truncated, or are something else.
+    `DamagedPackingError` if the bytes were changed or truncated, belong to another configuration, or are something
+    else, and if the disks do not touch as they state.
     """
     if not archive or not isinstance(archive, bytes):  # a damaged database may give a text
         raise DamagedPackingError("it is empty, or a text")
-    start = len(_HEADING) + _DIGEST_LENGTH + 1
-    head, body = archive[:start], archive[start:]
-    if head != _HEADING + sha256(body).hexdigest().encode() + b"\n":
+    head, _, rest = archive.partition(b"\n")
+    digest, _, body = rest.partition(b"\n")
+    if head != _heading(packing_hash):
+        raise DamagedPackingError("it is no packing, or that of another configuration")
+    if digest != sha256(body).hexdigest().encode():
         raise DamagedPackingError("the checksum does not fit")
-    with np.load(io.BytesIO(body), allow_pickle=False) as arrays:
+    try:
+        arrays = {name: values.copy() for name, values in unpack_arrays(body).items()}  # kernels need writable ones
         report = json.loads(arrays["report"].tobytes())
         width, height = (float(length) for length in arrays["size"])
-        return Packing(
+        packing = Packing(
             x=arrays["x"],
             y=arrays["y"],
             radius=arrays["radius"],
@@ -71,6 +80,10 @@ def packing_from_bytes(archive: bytes) -> Packing:
             preload=Preload(arrays["pairs"], arrays["shear"]),
             report=PackingReport(**report | {"wall_stress": tuple(report["wall_stress"])}),
         )
+        refuse_changed(packing)
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise DamagedPackingError(f"its content is impossible: {error}") from error
+    return packing
 
 
 def packing_record(packing: Packing, *, index: int, packing_hash: str) -> PackingRecord:
@@ -98,14 +111,15 @@ def packing_record(packing: Packing, *, index: int, packing_hash: str) -> Packin
     )
 
 
-def stored_packing(record: PackingRecord) -> Packing:
+def stored_packing(record: PackingRecord, packing_hash: str | None = None) -> Packing:
     """Packing of a record, bit for bit the stored one.
 
-    `DamagedStoreError` if the record's state is missing or damaged, or belongs to another packing than the record.
+    `DamagedStoreError` if the record's state is missing or damaged, or belongs to another packing than the record, and
+    if the record belongs to another configuration than that of `packing_hash`.
     """
     try:
         packing = packing_from_bytes(record.state)
-        _check_record(record, packing)
+        _check_record(record, packing, packing_hash)
     except DamagedPackingError as error:
         raise DamagedStoreError(
             f"The stored state of packing {record.index} can't be used: {error}.",
@@ -114,8 +128,10 @@ def stored_packing(record: PackingRecord) -> Packing:
     return packing
 
 
-def _check_record(record: PackingRecord, packing: Packing) -> None:
-    """Raise `DamagedPackingError` if a record contradicts the packing in its state."""
+def _check_record(record: PackingRecord, packing: Packing, packing_hash: str | None) -> None:
+    """Raise `DamagedPackingError` if a record contradicts the packing in its state or the configuration."""
+    if packing_hash not in {None, record.hash}:
+        raise DamagedPackingError("it is that of another configuration")
     for name in ("x", "y", "radius", "width", "height"):
         if not np.array_equal(getattr(packing, name), getattr(record, name)):
             raise DamagedPackingError(f"its {name} is not that of the record")

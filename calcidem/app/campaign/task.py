@@ -146,9 +146,11 @@ def _prepared_computation(configuration: Configuration, packing: Packing, versio
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 others.append(file)  # another process compiles it; continue with the next
-            else:
-                compile_kernel()
-                fcntl.flock(file, fcntl.LOCK_UN)
+                continue
+            except OSError:
+                pass  # a file system without locks: each process for itself
+            compile_kernel()
+            file.close()  # and unlock it
         for file in others:
             fcntl.flock(file, fcntl.LOCK_SH)  # wait for it, and load the result from disk
     return CellComputation(configuration, packing)

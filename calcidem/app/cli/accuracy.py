@@ -41,6 +41,7 @@ def accuracy_command(
     from calcidem.app.config.reader import change_configuration, load_configuration
     from calcidem.app.studies.accuracy.report import accuracy, choose_settings, parse_target
     from calcidem.app.studies.cells import Cells
+    from calcidem.app.studies.results import StudyResult
 
     loaded = load_configuration(configuration)
     planned = change_configuration(loaded, {"campaign.contents": sorted(set(content or loaded.campaign.contents))})
@@ -50,5 +51,11 @@ def accuracy_command(
         parse_target(target or "1%")
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
-    result = accuracy(planned, cells, velocities, only=only or (), target=target)
-    tell_study(result, layout, out and out / "accuracy.md")
+    table = out and out / "accuracy.md"
+
+    def write(part: StudyResult) -> None:
+        if table is not None:
+            list(part.write(table))
+
+    result = accuracy(planned, cells, velocities, only=only or (), target=target, tell=write)
+    tell_study(result, layout, table)

@@ -63,7 +63,7 @@ def calibrate_command(
     """Fit parameters to measured means, and standard deviations, of Vs; write a configuration."""
     from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.config.measured import read_targets
-    from calcidem.app.config.reader import load_configuration
+    from calcidem.app.config.reader import load_configuration, parse_file
     from calcidem.app.studies.calibrate import FITTED_BY_DEFAULT, FitPlan, calibrate
     from calcidem.app.studies.campaigns import study_workers
     from calcidem.app.studies.parameters import ParameterRange, refuse_unwritable, text_with_values
@@ -76,7 +76,7 @@ def calibrate_command(
     ranges = [ParameterRange.parse(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
     chosen = range(first_seed, first_seed + seeds)
     plan = FitPlan(targets, ranges, chosen, tuple(dict.fromkeys(predict or ())), tolerance)
-    text = configuration.read_text(encoding="utf-8-sig")
+    _, text = parse_file(configuration)
     refuse_unwritable(text, loaded, plan.start(loaded, packing), out)
     trials = out.with_suffix(".trials.db")
     tell(f"Every trial is a campaign in {trials}; after a stop the same command continues.")

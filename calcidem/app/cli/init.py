@@ -17,8 +17,8 @@ def init_command(
     preset: Annotated[
         Preset | None,
         typer.Option(
-            help="quick (default): 6 contents x 4 seeds; paper: 17 x 116, pulse of 5 m/s; paper-small-pulse: 1 mm/s, "
-            "linear; paper-literal: Table 1 as printed; paper-locked: locked-in stress."
+            help="quick (default): 6 contents x 4 seeds; paper: 17 x 116; both with a quiet pulse; paper-as-printed: "
+            "the same with the printed pulse of 5 m/s, on which its velocities depend."
         ),
     ] = None,
     full: Annotated[bool, typer.Option("--full", help="Include every key with its meaning.")] = False,

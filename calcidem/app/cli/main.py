@@ -17,7 +17,7 @@ from typer.core import TyperGroup
 
 from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable
 from calcidem.storage.passwords import keep_passwords_back
-from calcidem.sweep.environment import THREAD_VARIABLES, launcher
+from calcidem.sweep.environment import THREAD_VARIABLES, launcher, whole_number
 from calcidem.version import __version__
 
 _OBJECTS_BEFORE_COLLECTING = 10_000
@@ -89,6 +89,8 @@ def main() -> None:
         sys.stderr.write(f"Error: {wrong}\n")
         sys.exit(2)
     try:
+        for variable in THREAD_VARIABLES:
+            whole_number(variable, 100_000)
         sys.argv[1:] = keep_passwords_back(sys.argv[1:])
         _build_application()()
     except Exception as error:  # noqa: BLE001 - the last resort: whatever it is, it is told in one message

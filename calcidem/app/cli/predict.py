@@ -9,6 +9,7 @@ import typer
 
 from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, Level, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
+from calcidem.input_file import read_text
 from calcidem.storage.records import P_CONTACT, CementPattern
 
 
@@ -83,9 +84,9 @@ def predict_command(
 
 def _read_pattern(path: Path) -> CementPattern:
     """Cemented contacts in a file; P and C contacts have the same effect on a path."""
+    text = read_text(path, 1_000_000_000)  # bytes; the contacts of 10 million disks have fewer
     try:
-        with path.open(encoding="utf-8-sig", newline="") as source:
-            lines = [row[:2] for row in csv.reader(source) if row]
+        lines = [row[:2] for row in csv.reader(text.splitlines()) if row]
         if lines and not any(entry.strip().lstrip("-").isdigit() for entry in lines[0]):
             del lines[0]  # a header
         contacts = np.array([[int(entry) for entry in row] for row in lines], dtype=np.int32).reshape(len(lines), 2)

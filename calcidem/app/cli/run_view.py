@@ -116,11 +116,11 @@ def packing_lines(packing: Packing) -> Iterator[str]:
 
 def _vs_table(store: Store, selection: Selection) -> Table:
     """Table of Vs against content for selected cells of the store's campaign."""
-    columns = store.table((*STATUS_QUANTITIES, "wavelengths_on_path", "broken_bonds"), selection)
+    columns = store.table((*STATUS_QUANTITIES, "effective_vs", "wavelengths_on_path", "broken_bonds"), selection)
     found = CampaignStatus.of(store, columns, ())
-    velocities = ("mean m/s", "sd m/s", "reading m/s", "min m/s", "max m/s")
+    velocities = ("mean m/s", "sd m/s", "reading m/s", "effective m/s", "its sd m/s")
     table = make_table(
-        "Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda", "seconds")
+        "Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda")
     )
     table.add_column("other cells")
     marks, is_near = [], False
@@ -129,15 +129,17 @@ def _vs_table(store: Store, selection: Selection) -> Table:
         marks.append(marks_of(one.counts, one.budget.loud))
         median = median_known(columns["wavelengths_on_path"][here])
         is_near |= (near := median < FEWEST_WAVELENGTHS)
-        smallest, largest = (one.vs.min(), one.vs.max()) if one.vs.size else (np.nan, np.nan)
+        effective = columns["effective_vs"][here].astype(float)
+        effective = effective[np.isfinite(effective)]
+        mean = float(effective.mean()) if effective.size else np.nan
+        deviation = float(effective.std(ddof=1)) if effective.size > 1 else np.nan
         others = one.counts.keys() - {CellStatus.DONE}
         table.add_row(
             f"{one.content:g}",
             f"{one.vs.size}/{len(one.statuses)}{marks[-1]}",
-            *map(format_number, (one.mean, one.deviation, one.budget.scatter, smallest, largest)),
-            format_number(small_strain_modulus(one.mean) / 1e6, "{:.4g}"),
+            *map(format_number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
+            format_number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, "{:.4g}"),
             format_number(median, "{:.2f}") + (" *" if near else ""),
-            f"{np.nansum(columns['seconds'][here].astype(float)):.1f}",
             ", ".join(f"{one.counts[status]} {status.words}" for status in CellStatus if status in others),
         )
     remarks = [f"standard error of Vs: {found.budget}; reading m/s: sd that errors of the readings alone would give"]

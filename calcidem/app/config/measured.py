@@ -7,6 +7,7 @@ from pathlib import Path
 
 from calcidem.analysis.measured import Target
 from calcidem.app.config.errors import ConfigurationError, Problem
+from calcidem.input_file import read_text
 
 COLUMNS = {
     "content": "percent, 0 or more",
@@ -21,10 +22,9 @@ def read_targets(file: Path) -> tuple[Target, ...]:
     """Read means and, if given, standard deviations and numbers of samples from a CSV file.
 
     Lines that begin with ``#`` are comments. `ConfigurationError` with all problems: missing or unknown columns,
-    invalid numbers, repeated contents.
+    invalid numbers, repeated contents; `InputFileError` if it cannot be read as text.
     """
-    with file.open(encoding="utf-8-sig", errors="replace", newline="") as source:
-        text = source.read(1_000_000)  # far more than a table of all contents has; a device cannot fill the memory
+    text = read_text(file, 1_000_000)  # bytes; far more than a table of all contents has
     try:
         reader = csv.reader(io.StringIO(text))
         table = [(reader.line_num, [entry.strip() for entry in line]) for line in reader]

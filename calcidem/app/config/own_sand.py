@@ -63,7 +63,7 @@ class OwnDisks:
     @classmethod
     def read(cls, file: Path, folder: Path) -> Self:
         """Read disks for a configuration in a folder; `PackingFileError`, naming the line, for an invalid file."""
-        x, y, radius = checked_disks(file)
+        x, y, radius, _ = checked_disks(file)
         width = float(f"{np.max(x + radius):.6g}")
         # Below the lid, which compresses loose disks: at rest they cover 0.8 of their box.
         at_rest = float(np.pi * np.sum(radius**2)) / (0.8 * width)

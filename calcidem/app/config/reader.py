@@ -7,7 +7,6 @@ import tomllib
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import replace
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,13 @@ from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import SECTIONS, SETTLED_BY_FILE, TAKEN_FROM_ELSEWHERE, Configuration
 from calcidem.dem.engine.fields import FieldError, Settings, field_hints, quote, similar
 from calcidem.dem.sample.packing_file import checked_disks
+from calcidem.input_file import read_text
 
 
 def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any] | None = None) -> Configuration:
     """Read and check a configuration in a TOML file; `ConfigurationError` with all its problems.
+
+    `InputFileError` if it is no text file of less than 4 MB.
 
     ``overrides`` are values of section ``[run]`` that replace those of the file; None keeps the value of the file.
     """
@@ -36,11 +38,12 @@ def change_configuration(origin: Configuration | str | os.PathLike[str], values:
     """
     if isinstance(origin, Configuration):
         return read_configuration(_with_values({}, values), base=origin)
-    document = _with_values(parse_file(Path(origin)), values)
+    document, text = parse_file(Path(origin))
+    _with_values(document, values)
     try:
         return read_configuration(document, os.fspath(origin), Path(origin).parent)
     except ConfigurationError as error:
-        lines, problems = _lines_of_keys(Path(origin)), []
+        lines, problems = _lines_of_keys(text), []
         for problem in error.problems:
             places = [lines[name] for name in problem.fields if name in lines and name not in values]
             problems.append(replace(problem, message=f"line {places[0]}: {problem.message}") if places else problem)
@@ -59,12 +62,11 @@ def _with_values(document: dict[str, Any], values: Mapping[str, object]) -> dict
     return document
 
 
-def _lines_of_keys(path: Path) -> dict[str, int]:
-    """Number of the line of each section and ``section.key`` of a file; no protection against odd strings."""
+def _lines_of_keys(text: str) -> dict[str, int]:
+    """Number of the line of each section and ``section.key`` of a text; no protection against odd strings."""
     found: dict[str, int] = {}
     section = ""
-    lines = path.read_text(encoding="utf-8-sig").splitlines() if path.is_file() else []  # a pipe is read once
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(text.split("\n"), 1):
         if written := re.match(r"""\s*(\[*)\s*([\w."'-]+)\s*[]=]""", line):
             name = re.sub("[\"']", "", written[2])
             section = name if written[1] else section
@@ -72,29 +74,20 @@ def _lines_of_keys(path: Path) -> dict[str, int]:
     return found
 
 
-def parse_file(path: Path) -> dict[str, Any]:
-    """Sections of a TOML file, or a `ConfigurationError` with the reason."""
-    most = 4_000_000  # bytes; 100,000 listed seeds have fewer, and no device or data file can fill the memory
+def parse_file(path: Path) -> tuple[dict[str, Any], str]:
+    """Sections of a TOML file, and its text; `ConfigurationError` or `InputFileError` with the reason."""
+    if not path.exists():
+        problem = "the file does not exist; check the name, or write an example with 'calcidem init'"
+        raise ConfigurationError(str(path), [Problem(problem)])
+    text = read_text(path, 4_000_000)  # bytes; 100,000 listed seeds have fewer
     try:
-        with path.open("rb") as file:
-            content = file.read(most + 1)
-        document = tomllib.loads(content.decode("utf-8-sig")) if len(content) <= most else None
-        if document is None:
-            problem = f"has more than {most} bytes, which no configuration needs; check the name"
-        elif not document:
+        document = tomllib.loads(text)
+        if not document:
             problem = "the file is empty; write an example with 'calcidem init' and change it"
         elif _is_deeper(document, 8):  # four levels are needed
             problem = "has tables or lists in one another, 8 deep; no key has such a value, leave them out"
         else:
-            return document
-    except FileNotFoundError:
-        problem = "the file does not exist; check the name, or write an example with 'calcidem init'"
-    except IsADirectoryError:
-        problem = "this is a folder; give the name of a TOML file"
-    except OSError as error:
-        problem = f"the file cannot be read ({error.strerror}); give one that can"
-    except UnicodeDecodeError as error:
-        problem = f"byte {error.start + 1} is not UTF-8 text; save the file as UTF-8"
+            return document, text
     except (ValueError, RecursionError) as error:  # invalid TOML, too long numbers, too deep brackets
         problem = f'not TOML: {error}; numbers are written 1.5, strings "...", lists [1, 2]'
     raise ConfigurationError(str(path), [Problem(problem)])
@@ -209,10 +202,10 @@ def _take_own_disks(
     rule, draw = configuration.packing, configuration.packing_draw
     try:
         path = (folder / Path(str(draw.file)).expanduser()).absolute()
-        _, y, radius = checked_disks(path, rule.width)
+        _, y, radius, digest = checked_disks(path, rule.width)
         smallest, largest = (2.0 * float(value) for value in (radius.min(), radius.max()))
         rule = replace(rule, height=float(np.max(y + radius)), diameter=(smallest, largest))
-        draw = replace(draw, file=str(path), file_sha256=sha256(path.read_bytes()).hexdigest())
+        draw = replace(draw, file=str(path), file_sha256=digest)
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError if ~ has no folder
         concerned = ("packing.file", *(f"packing.{key}" for key in SETTLED_BY_FILE))  # other checks would be in vain
         problems.append(Problem(f"packing.file = {quote(draw.file)}: {error}", concerned))

@@ -1,7 +1,6 @@
 """Readers of disks of other programs: LAMMPS data and dump files, text exports of YADE, tables such as PFC's lists."""
 
 import csv
-import gzip
 import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -13,6 +12,7 @@ import numpy as np
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import PackingFileError
 from calcidem.dem.sample.packing_file import FARTHEST
+from calcidem.input_file import read_text
 
 _UNIT_IN_NAME = re.compile(r"[\[(_]\s*(m|cm|mm|um|µm|nm)\s*[\])]?$", re.IGNORECASE)
 """Unit of length at the end of a column's name."""
@@ -46,14 +46,9 @@ class ForeignDisks:
 
         ``columns`` are names of the columns from the left, instead of those in the file; names other than x, y, z,
         radius, diameter, type and id are ignored. In a LAMMPS dump the snapshot of ``timestep`` is read, by default the
-        last one. `PackingFileError` names file, line and remedy.
+        last one. `PackingFileError` and `InputFileError` name file, line and remedy.
         """
-        try:
-            content = file.read_bytes()
-            text = (gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content).decode("utf-8-sig")
-        except (OSError, EOFError, UnicodeDecodeError) as error:
-            raise PackingFileError(f"{file} can't be read as text ({error}); check its name") from error
-        lines = text.splitlines()
+        lines = read_text(file, 500_000_000).splitlines()  # bytes; a dump of all snapshots of a run may have more
         read = _recognise(lines, file)
         if timestep is not None and read is not _read_dump:
             raise PackingFileError(

@@ -10,9 +10,15 @@ import numpy as np
 
 from calcidem.app.disks.foreign_disks import ForeignDisks
 from calcidem.dem.kernels.layout import Flags, Floats
-from calcidem.dem.sample.judgement import DEEP_OVERLAP, LARGEST_OVERLAP, deepest_overlap, judge_porosity
+from calcidem.dem.sample.judgement import (
+    DEEP_OVERLAP,
+    LARGEST_OVERLAP,
+    deepest_overlap,
+    judge_porosity,
+    overlapping_pairs,
+)
 from calcidem.dem.sample.packing import PackingFileError
-from calcidem.dem.sample.packing_file import FEWEST_DISKS, overlapping_pairs, refuse_deep_overlaps, write_disks_csv
+from calcidem.dem.sample.packing_file import FEWEST_DISKS, refuse_deep_overlaps, write_disks_csv
 from calcidem.storage.files import write_atomically
 
 

@@ -25,6 +25,7 @@ from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.wording import ABSENT, Table, decimal
+from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
 from calcidem.storage.netcdf.export import write_netcdf
@@ -54,7 +55,7 @@ _MEANINGS: Mapping[str, str] = {
     "coverage": "Share of samples that lie in the 95 % interval predicted for them.",
     "step / limit": "Time step over the largest one at which the computation is stable.",
     "standard error of the mean": "Uncertainty of the mean of Vs, which falls with the number of samples.",
-    "mean effective_vs (m/s)": "Velocity of the damped wave that fits a section, mean over the samples.",
+    "mean effective_vs": "Velocity of the damped wave that fits a section, mean over the samples.",
     "coordination number": "Mean number of contacts of a grain.",
     "unbalanced-force ratio": "Mean net force on a grain over the mean contact force; near 0 at rest.",
     "porosity": "Area of the voids over area of the box.",
@@ -137,9 +138,11 @@ def unnamed_page(store: Store) -> Path:
     """
     database = store.address.path
     page = Path(f"{Path(store.record.name).name}.html") if database is None else database.with_suffix(".html")
-    # Style and head are the first 50,000 bytes.
-    if page.exists() and _identity(store) not in page.read_bytes()[:50_000].decode(errors="replace"):
-        raise OutputRefusedError(f"{page} is not a report of this campaign.", "Give another name with --out.")
+    if page.exists():
+        with open_input(page) as file:
+            head = file.read(50_000)  # style and head
+        if _identity(store).encode() not in head:
+            raise OutputRefusedError(f"{page} is not a report of this campaign.", "Give another name with --out.")
     return page
 
 

@@ -74,20 +74,22 @@ def _meaning_table(analysis: CampaignAnalysis) -> Table:
     """Quantities of the velocities: modulus, wavelengths, calcite and, where computed, static speed."""
     cells, static = analysis.cells, bool(np.isfinite(analysis.cells["static_speed"]).any())
     rows = []
-    for row in analysis.distributions:
+    for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
         column = cells.sel(content=row.content)
         rows.append(
             (
                 f"{row.content:g}",
                 decimal(row.vs.mean),
-                significant(small_strain_modulus(row.vs.mean) / 1e6),
+                significant(
+                    math.nan if budget.loud else small_strain_modulus(float(column["effective_vs"].mean())) / 1e6
+                ),
                 decimal(median_known(column["wavelengths_on_path"]), 2),
                 decimal(median_known(column["wavelength_over_d50"]), 1),
                 decimal(median_known(column["content_of_contacts"]), 2),
                 *(
                     (
                         decimal(median_known(column["static_speed"])),
-                        decimal(median_known(column["vs"] / column["static_speed"]), 2),
+                        decimal(median_known(column["effective_vs"] / column["static_speed"]), 2),
                     )
                     if static
                     else ()
@@ -104,13 +106,14 @@ def _meaning_table(analysis: CampaignAnalysis) -> Table:
         "calcite by Eq. 2 (%)",
     )
     return Table(
-        "What Vs stands for (medians). G0 = rho Vs\N{SUPERSCRIPT TWO} for a soil of "
+        "What Vs stands for (medians). G0 = rho c\N{SUPERSCRIPT TWO} of the mean effective_vs, not where the pulse "
+        "changes it, for a soil of "
         f"{published_study().parameters['soil_density']:g} kg/m\N{SUPERSCRIPT THREE}. Local damping of {alpha:g} is a "
         f"damping ratio of {damping_ratio(alpha):.3f}, and slows fronts. Marked: fewer than "
         f"{FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver. d50 is that by mass. Calcite by Eq. 2 "
         "counts each cemented contact once; the content counts overlapping clusters in full."
         + (" Static speed: of long waves, from the stiffness of the sample at rest." if static else ""),
-        (*header, *(("static speed (m/s)", "Vs / static speed") if static else ())),
+        (*header, *(("static speed (m/s)", "effective Vs / static speed") if static else ())),
         tuple(rows),
         frozenset(near_field_rows(analysis)),
     )

@@ -2,6 +2,7 @@
 
 import os
 from contextlib import suppress
+from datetime import UTC, datetime
 from threading import RLock
 from typing import Any
 
@@ -59,6 +60,7 @@ class CampaignFeed:
         self._columns: CellColumns | None = None
         self._shown: list[str] = []
         self._mark: StoreMark | None = None
+        self._read: datetime | None = None
         self._told: dict[str, Any] | None = None
         self._run: tuple[bool, int, str | None] | None = None
         self._unchecked: list[tuple[int, ...]] = []
@@ -91,6 +93,8 @@ class CampaignFeed:
                 problem = hide_passwords(str(error))
                 if self._wait and isinstance(error, StoreUnavailableError | UnknownCampaignError):
                     problem = f"Waiting for the campaign to begin: {error.problem}"
+                if self._read is not None:
+                    problem += f" Shown is what was read at {self._read:%Y-%m-%d %H:%M:%S} UTC."
                 told = problem != self._problem
                 self._problem = problem
                 return [self._status_event()] if told else []
@@ -118,12 +122,11 @@ class CampaignFeed:
                 "sequence": self.sequence,
                 "checked": self._checked,
             }
-            if self._store is None or self._columns is None:
-                return told
-            with suppress(StoreError):  # the next refresh reports it
-                found = CampaignStatus.of(self._store, self._columns.rows(STATUS_QUANTITIES), ())
-                told = found.to_json() | told | {"name": found.name, "reasons": self._reasons(self._columns)}
-            return told
+            if self._store is not None and self._columns is not None:
+                with suppress(StoreError):  # the next refresh reports it
+                    found = CampaignStatus.of(self._store, self._columns.rows(STATUS_QUANTITIES), ())
+                    return found.to_json() | told | {"name": found.name, "reasons": self._reasons(self._columns)}
+            return (self._told or {}) | told
 
     def records(self) -> bytes:
         """Return all cells (`CellColumns.packed`); empty as long as the database cannot be read."""
@@ -158,13 +161,18 @@ class CampaignFeed:
     def _open(self) -> Store:
         """Return the store, opened again if its file was replaced."""
         path = Address.parse(self.database).path
-        found = path.stat() if path is not None and path.exists() else None
-        same = found is not None and self._file is not None and os.path.samestat(found, self._file)
-        if self._store is not None and path is not None and not same:
-            self.close()
-        if self._store is None:
-            self._store = read_campaign(self.database, self.name)
-            self._file = found
+        try:
+            found = path.stat() if path is not None and path.exists() else None
+            same = found is not None and self._file is not None and os.path.samestat(found, self._file)
+            if self._store is not None and path is not None and not same:
+                self.close()
+            if self._store is None:
+                self._store = read_campaign(self.database, self.name)
+                self._file = found
+        except OSError as error:  # a network that does not answer, a folder that is closed for a while
+            raise StoreUnavailableError(
+                f"{self.label} can't be read ({error.strerror}).", "It is tried again."
+            ) from error
         return self._store
 
     def _analyse(self) -> CampaignAnalysis:
@@ -187,7 +195,7 @@ class CampaignFeed:
         mark = store.mark()
         if self._columns is None or self._mark is None or mark.cells != self._mark.cells:
             self._begin(store)
-            self._mark = mark
+            self._mark, self._read = mark, datetime.now(UTC)
             return [self._status_event()]  # longer work follows later, since users may wait for the first picture
         if mark != self._mark:
             events += self._take_new(store, self._mark)
@@ -195,7 +203,7 @@ class CampaignFeed:
         elif self._problem or self._run_state(store) != self._run:
             self._problem = ""
             events.append(self._status_event())
-        self._mark, self._run = mark, self._run_state(store)
+        self._mark, self._run, self._read = mark, self._run_state(store), datetime.now(UTC)
         if self._unchecked:
             before = self._checked
             self._check_some(store)

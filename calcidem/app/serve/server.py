@@ -20,6 +20,7 @@ import uvicorn
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.convertors import IntegerConvertor, register_url_convertor
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -33,6 +34,7 @@ from starlette.responses import (
 )
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from calcidem.app.serve.address import PageAddress
 from calcidem.app.serve.feed import CampaignFeed
@@ -53,14 +55,14 @@ class _LiveApplication:
 
     def routes(self) -> Starlette:
         """Return the application of a server."""
-        of_campaign = "/campaigns/{campaign:int}"
+        of_campaign = "/campaigns/{campaign:number}"
         return Starlette(
             routes=[
                 *(Route(address, _static(kind, text)) for address, (kind, text) in _fixed(self.hub).items()),
                 Route("/events", self._events),
                 Route(f"{of_campaign}/records", self._records),
                 Route(f"{of_campaign}/cell", self._cell),
-                Route(f"{of_campaign}/packings/{{index:int}}", self._packing),
+                Route(f"{of_campaign}/packings/{{index:number}}", self._packing),
                 Route(f"{of_campaign}/movie", self._movie, methods=["GET", "POST"]),
                 Route("/movies/{name}", self._movie_file),
             ]
@@ -230,6 +232,49 @@ def _is_foreign(scope: Scope, headers: Mapping[str, str]) -> bool:
     )
 
 
+class _Connection(H11Protocol):
+    """Connection that lasts only while it answers, so that nobody who merely opens connections keeps others out."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Make room: of more than 100 connections the oldest one that answers nothing is closed."""
+        others = [one for one in self.connections if isinstance(one, _Connection) and not one.transport.is_closing()]
+        super().connection_made(transport)
+        self.began = self.loop.time()
+        if len(others) >= 100:
+            waiting = [one for one in others if one.is_waiting]
+            min(waiting, key=lambda one: one.began, default=self).transport.close()
+        self._look_later()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget it."""
+        self._timer.cancel()
+        super().connection_lost(exc)
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether no whole request has arrived since the last answer."""
+        return self.cycle is None or self.cycle.response_complete
+
+    def _look_later(self) -> None:
+        self._timer = self.loop.call_later(10.0, self._look, self.cycle)  # s, ample for the headers of a request
+
+    def _look(self, before: object) -> None:
+        """Close the connection if there was no request since the last look."""
+        if self.is_waiting and self.cycle is before:
+            self.transport.close()
+        else:
+            self._look_later()
+
+
+class _Number(IntegerConvertor):
+    """Number in an address, of so few digits that it is one."""
+
+    regex = "[0-9]{1,9}"
+
+
+register_url_convertor("number", _Number())
+
+
 class _Server(uvicorn.Server):
     """Leaves signals to the caller, since uvicorn would raise them again at its end."""
 
@@ -271,27 +316,30 @@ class LivePage:
                 ws="none",
                 server_header=False,
                 timeout_graceful_shutdown=1,  # s,
+                http=_Connection,
+                backlog=64,  # so many connections are accepted before the oldest are closed
             )
         )
 
-        loop = asyncio.get_running_loop()
-
         async def end_in_order() -> None:
-            await hub.end()
-            server.should_exit = True
+            try:
+                await hub.end()
+            finally:
+                server.should_exit = True
 
-        def end() -> None:
-            tasks.append(loop.create_task(end_in_order()))
-
-        tasks: list[asyncio.Task[None]] = []  # the loop itself keeps no reference
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, end)
-        watching = asyncio.create_task(hub.watch())
         try:
-            ready()
-            await server.serve([self.address.listener])
+            async with asyncio.TaskGroup() as tasks:  # an error of any of them ends the server
+                watching = tasks.create_task(hub.watch())
+                for number in (signal.SIGINT, signal.SIGTERM):
+                    asyncio.get_running_loop().add_signal_handler(
+                        number, lambda: tasks.create_task(end_in_order()) and None
+                    )
+                ready()
+                await server.serve([self.address.listener])
+                watching.cancel()
+        except* Exception as errors:  # noqa: BLE001
+            raise errors.exceptions[0] from None
         finally:
-            watching.cancel()
             movies.end()
             # A regularly closed database leaves no other files; the server does not wait for a locked one.
             closing = Thread(target=hub.close, daemon=True)

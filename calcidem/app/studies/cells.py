@@ -16,6 +16,7 @@ from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.wave.check import check_content
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
 from calcidem.dem.wave.section import Section
@@ -68,21 +69,27 @@ class Cells:
     def measure(self, experiment: Experiment, contents: Sequence[float] = (), seeds: Sequence[int] = ()) -> CellsFound:
         """Measure all cells, or those of some contents and seeds; `ValueError` if the experiment refuses one."""
         seeds = seeds or self.seeds
-        lanes = min(self.lanes, 1 << (len(seeds) - 1).bit_length())
+        lanes = self._width(seeds)
         return {
             (cell.seed, content): cell
             for content in contents or self.contents
             for cell in measure_all(experiment, content, seeds, lanes=lanes)
         }
 
+    def _width(self, seeds: Sequence[int]) -> int:
+        """Width of the kernel for some seeds."""
+        return min(self.lanes, 1 << (len(seeds) - 1).bit_length())
+
     def measure_and_time(
         self, experiment: Experiment, content: float, seeds: Sequence[int] = ()
     ) -> tuple[CellsFound, float]:
         """Measure the cells of a content, and return also the processor time of a cell, s.
 
-        It is repeated if kernels were compiled. Unlike the wall time of a `Measurement`, processor time excludes other
-        programs on a shared machine.
+        It is repeated if kernels were compiled, and leaves out the check samples. Unlike the wall time of a
+        `Measurement`, processor time excludes other programs on a shared machine.
         """
+        if experiment.is_checked:
+            experiment.once(check_content, content, self._width(seeds or self.seeds))
         while True:
             compiled, began = seconds_compiling(), process_time()
             found = self.measure(experiment, [content], seeds)

@@ -14,6 +14,7 @@ from calcidem.app.campaign.patterns import stored_experiment
 from calcidem.app.studies.cells import Cells
 from calcidem.app.studies.results import StudyResult, markdown_table, number
 from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.wave.check import check_content, with_check
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, interpret
 from calcidem.dem.wave.propagation import send_waves
@@ -74,7 +75,7 @@ def _damping_study(
     velocity = np.full(received.shape[:2], np.nan)
     for row, content in enumerate(contents):
         for column, factor in enumerate(factors):
-            damped = replace(experiment, wave=replace(experiment.wave, damping=factor))
+            damped = experiment.with_wave(damping=factor)
             found = _long_measurement(damped, content, seed, float(time[row, -1]))
             if found.section.problem:
                 received[row, column] = np.nan
@@ -131,12 +132,13 @@ def _pulse_frequency(signal: Floats, sampling_interval: float, moment: float, re
 
 def _long_measurement(experiment: Experiment, content: float, seed: int, duration: float) -> Measurement:
     """Record one sample for a given time in s, regardless of arrivals."""
-    patient = replace(experiment, wave=replace(experiment.wave, slowest=experiment.distance / duration))
+    found = experiment.once(check_content, content, 1)
+    patient = with_check(experiment, found).with_wave(slowest=experiment.distance / duration)
     cement, frequency = experiment.ordering(seed).at(content), experiment.frequency(content)
     (section,) = send_waves(
         patient, [cement.bonded], frequency, stop_when=lambda section: section.duration >= duration, lanes=1
     )
-    return Measurement(seed, content, cement, section)
+    return Measurement(seed, content, cement, section, found)
 
 
 def _set_units(study: xr.Dataset) -> None:

@@ -4,6 +4,7 @@ Each quantity is varied alone, or all are drawn at random. Every scene is run as
 """
 
 import json
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -31,10 +32,11 @@ from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.cells import signal_distance
 from calcidem.app.studies.results import StudyResult, markdown_table
 from calcidem.dem.engine.material import Sand
-from calcidem.dem.engine.scene import Regime
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.check import PATTERNS
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
+from calcidem.storage.records.error_budget import NORMAL_95
 
 
 class SceneVerdict(StrEnum):
@@ -92,7 +94,7 @@ def stability(
     units = {
         "cement.bond_modulus": pressed_stiffness(radius, overlap, experiment.stiffen()[1]),
         "wave.frequency": experiment.frequency(content),
-        "campaign.contents": experiment.ordering(seed).maximum_content,
+        "campaign.contents": capacity(experiment, seed),
     }
     if scenes:
         ranges = {
@@ -140,41 +142,36 @@ def stability(
     )
 
 
-def judge_scene(scene: Callable[[], tuple[Experiment, float]], seed: int, reference: Regime | None = None) -> Judgement:
-    """Measure a scene; if it gives a velocity, repeat it longer and more precisely with a quarter of the step.
+def judge_scene(scene: Callable[[], tuple[Experiment, float]], seed: int) -> Judgement:
+    """Measure a scene; if it gives a velocity, repeat it with the finite law, longer, with a quarter of the step.
 
-    ``scene`` returns an experiment and a content, percent, or raises a `ValueError`. With a regime as ``reference`` the
-    deciding run is in it.
+    ``scene`` returns an experiment and a content, percent, or raises a `ValueError`. A velocity is wrong if it differs
+    by more than 5 % and by more than its stated 95 % interval.
     """
     try:
         experiment, content = scene()
         (found,) = measure(experiment, content, [seed], lanes=1)
+        if found.vs is None or found.reading is None:
+            return Judgement(SceneVerdict.STOPPED, found.reason)
+        finer = replace(experiment, is_checked=False).with_wave(
+            law="finite",
+            precision="float64",
+            step_fraction=found.check.step_fraction / 4.0,
+            samples_per_period=experiment.wave.samples_per_period * 4,
+            slowest=experiment.wave.slowest / 2.0,
+        )
+        (exact,) = measure(finer, content, [seed], lanes=1)
     except ValueError as error:
         return Judgement(SceneVerdict.REFUSED, str(error).splitlines()[-1].strip())
-    if found.vs is None:
-        return Judgement(SceneVerdict.STOPPED, found.reason)
-    wave = experiment.wave
-    finer = replace(
-        wave,
-        step_fraction=wave.step_fraction / 4.0,
-        samples_per_period=wave.samples_per_period * 4,
-        slowest=wave.slowest / 2.0,
-        precision="float64",
-        regime=reference or wave.regime,
-    )
-    try:
-        (exact,) = measure(replace(experiment, wave=finer), content, [seed], lanes=1)
-    except ValueError as error:  # the packing creeps too much for the deciding regime
-        return Judgement(SceneVerdict.REFUSED, f"without a reference: {error}")
     if exact.vs is None:  # a borderline case of the reading, if the signals agree
         distance = signal_distance(found.section, exact.section)
         reason, error_of_vs = f"{exact.reason} with a smaller step, signals {distance:.2g} apart", None
         right = distance < 0.1
     else:
         reason, error_of_vs = found.section.retry, found.vs / exact.vs - 1.0
-        # The bound covers the neglect of a regime; 5 % cover the effect of a step on a reading.
-        tolerance = 0.0 if reference and wave.regime == "linear" else 0.05
-        right = abs(error_of_vs) <= max(tolerance, found.error_bound or 0.0)
+        check = found.check
+        stated = math.hypot(found.reading.error, check.numerical_error or 0.0, check.pulse_effect or 0.0)
+        right = abs(error_of_vs) <= max(0.05, NORMAL_95 * stated)
     return Judgement(SceneVerdict.STABLE if right else SceneVerdict.WRONG, reason, found.vs, error_of_vs)
 
 
@@ -193,6 +190,11 @@ def count_verdicts(groups: Mapping[str, Iterable[str]]) -> list[tuple[object, ..
     """Name of each group of scenes, and the number of its scenes with each `SceneVerdict`."""
     counts = {name: Counter(verdicts) for name, verdicts in groups.items()}
     return [(name, *(count[verdict] for verdict in SceneVerdict)) for name, count in counts.items()]
+
+
+def capacity(experiment: Experiment, seed: int) -> float:
+    """Largest content of the sample of a seed and of the check samples, percent."""
+    return min(experiment.ordering(each).maximum_content for each in {seed, *range(PATTERNS)})
 
 
 def pressed_stiffness(radius: float, overlap: float, sand: Sand) -> float:

@@ -82,14 +82,14 @@ def read_variants(path: str | os.PathLike[str], database: str) -> tuple[Variant,
     """
     source = os.fspath(path)
     try:
-        listed = _ListedPlan.model_validate(parse_file(Path(path)))
+        listed = _ListedPlan.model_validate(parse_file(Path(path))[0])
     except ValidationError as error:
         words = {"missing": "is missing; add it", "extra_forbidden": "is not known; leave it out"}
         found = (
             (".".join(map(str, detail["loc"])), words.get(detail["type"], detail["msg"])) for detail in error.errors()
         )
         raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
-    base = parse_file(Path(path).parent / listed.configuration)
+    base, _ = parse_file(Path(path).parent / listed.configuration)
     _change(base, "run", {"database": database, "store_sections": False})
     known = {REFERENCE, *(variant.name for variant in listed.variant)}
     problems = [

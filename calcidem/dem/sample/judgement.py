@@ -140,6 +140,40 @@ def deepest_overlap(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> fl
     return float(overlap.max(initial=0.0))
 
 
+def overlapping_pairs(x: Floats, y: Floats, radius: Floats) -> tuple[Integers, Floats]:
+    """Return the overlapping pairs (C, 2) of disks (N,), and their overlaps (C,), m."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - what only reads stored disks does not wait for SciPy
+
+    centres = np.column_stack([x, y])
+    pairs = cKDTree(centres).query_pairs(2.0 * float(radius.max()), output_type="ndarray")
+    overlap = radius[pairs].sum(axis=1) - np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
+    return pairs[overlap > 0.0], overlap[overlap > 0.0]
+
+
+def refuse_changed(packing: Packing) -> None:
+    """Refuse a stored packing whose disks do not lie in its box, or do not touch as its pairs and its report say.
+
+    `ValueError` names the contradiction.
+    """
+    x, y, radius, (pairs, shear) = packing.x, packing.y, packing.radius, (packing.pairs, packing.preload.shear)
+    count, contacts = len(radius), len(shear)
+    if (x.shape, y.shape, pairs.shape, shear.shape) != ((count,), (count,), (contacts, 2), (contacts,)):
+        raise ValueError("its arrays differ in length")
+    rim = np.minimum.reduce([x, packing.width - x, y, packing.height - y])
+    if not ((rim >= (1.0 - LARGEST_OVERLAP) * radius) & (radius > 0.0) & np.isfinite(rim + radius)).all():
+        raise ValueError("a disk has no size or is not in the box")
+    if not np.isfinite(shear).all():
+        raise ValueError("a force is not finite")
+    touching, overlap = overlapping_pairs(x, y, radius)
+    stated, found = (np.sort(listed, axis=1) @ [count, 1] for listed in (pairs, touching))
+    differ = np.stack(np.divmod(np.setxor1d(stated, found), count), axis=1)
+    gap = radius[differ].sum(axis=1) - np.hypot(*(values[differ[:, 0]] - values[differ[:, 1]] for values in (x, y)))
+    if (np.abs(gap) > 1e-12 * radius.max()).any():  # a disk just touches another, or not
+        raise ValueError(f"{contacts} pairs are said to touch, and {len(touching)} do")
+    if not np.isclose(overlap.mean(), packing.report.mean_overlap, rtol=1e-8, atol=1e-13 * radius.max()):
+        raise ValueError(f"its mean overlap is {overlap.mean():g} m, not {packing.report.mean_overlap:g} m")
+
+
 def _softer(deepest: float, stress: float, sand: Sand) -> str:
     """Propose a stress and a modulus for an overlap of 5 % of the radius; it scales with (stress / modulus)^(2/3)."""
     factor = (deepest / 0.05) ** 1.5

@@ -3,17 +3,18 @@
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.compaction import OWN_DISKS, Cost, box_walls, packing_at_rest, relax
-from calcidem.dem.sample.judgement import LARGEST_OVERLAP
+from calcidem.dem.sample.judgement import LARGEST_OVERLAP, overlapping_pairs
 from calcidem.dem.sample.packing import Packing, PackingFileError, PackingRule, PackingStage
+from calcidem.input_file import MOST_BYTES, as_text, read_input
 
 _CSV_COLUMNS = ("x", "y", "radius")
 FEWEST_DISKS = 10
@@ -63,7 +64,7 @@ def packing_from_csv(
     watch
         Called as often with the progress.
     """
-    x, y, radius = checked_disks(file, rule.width)
+    x, y, radius, _ = checked_disks(file, rule.width)
     height = float(np.max(y + radius))
     boxed = replace(rule, height=height)
     slippery = replace(sand, friction=rule.friction_preparation)
@@ -73,31 +74,27 @@ def packing_from_csv(
     return packing_at_rest(relax(scene, None, boxed, cost, check, OWN_DISKS), boxed, cost)
 
 
-def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Floats, Floats]:
-    """Return x, y, radius (N,) of the disks in a file, refusing deep overlaps with each other or with walls.
+def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Floats, Floats, str]:
+    """Return x, y, radius (N,) of the disks in a file, and its SHA-256; refuse deep overlaps of disks and walls.
 
-    Without a width, m, the rightmost disk touches the right wall. `PackingFileError` names the line.
+    Without a width, m, the rightmost disk touches the right wall. `PackingFileError` names the line; `InputFileError`
+    if the file cannot be read as text.
     """
-    x, y, radius, lines = _read_disks(file)
+    x, y, radius, lines, digest = _read_disks(file)
     _check_walls(file, lines, x, y, radius, float(np.max(x + radius)) if width is None else width)
     refuse_deep_overlaps(file, lines, x, y, radius)
-    return x, y, radius
+    return x, y, radius, digest
 
 
-def _read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int]]:
-    """Return x, y, radius (N,) and line of each disk in the file; `PackingFileError` names the line."""
-    try:
-        if not file.is_file() and file.exists():
-            raise PackingFileError(f"{file} is a folder or a device; give a CSV file")
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            rows = list(_numbered_rows(file, stream.read().splitlines()))
-    except (OSError, UnicodeDecodeError) as error:
-        raise PackingFileError(f"{file} can't be read as text ({error}); check its name") from error
+def _read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int], str]:
+    """Return x, y, radius (N,) and line of each disk in the file, and the file's SHA-256; as `checked_disks`."""
+    content = read_input(file, MOST_BYTES)
+    rows = list(_numbered_rows(file, as_text(content, file).splitlines()))
     if len(rows) < FEWEST_DISKS:
         raise PackingFileError(f"{file} has {len(rows)} disks; give at least {FEWEST_DISKS}")
     numbers, values = zip(*rows, strict=True)
     x, y, radius = np.array(values).T
-    return x.copy(), y.copy(), radius.copy(), list(numbers)
+    return x.copy(), y.copy(), radius.copy(), list(numbers), sha256(content).hexdigest()
 
 
 def _numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[float, float, float]]]:
@@ -143,14 +140,6 @@ def _check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Flo
                 f"{file}, line {lines[disk]}: the disk at ({x[disk]:g}, {y[disk]:g}) m reaches {beyond:.3g} m beyond "
                 f"the {wall}; move the disks into 0 < x < {width:g} m, 0 < y, or change width"
             )
-
-
-def overlapping_pairs(x: Floats, y: Floats, radius: Floats) -> tuple[Integers, Floats]:
-    """Return the overlapping pairs (C, 2) of disks (N,), and their overlaps (C,), m."""
-    centres = np.column_stack([x, y])
-    pairs = cKDTree(centres).query_pairs(2.0 * float(radius.max()), output_type="ndarray")
-    overlap = radius[pairs].sum(axis=1) - np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
-    return pairs[overlap > 0.0], overlap[overlap > 0.0]
 
 
 def refuse_deep_overlaps(file: Path, lines: Sequence[int], x: Floats, y: Floats, radius: Floats) -> None:

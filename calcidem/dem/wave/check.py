@@ -77,20 +77,23 @@ def check_content(
 
     def velocities(settings: Experiment, width: int, *senses: float) -> Floats:
         """(senses, patterns, 2) Vs and effective velocity, m/s; NaN without one."""
-        signs = [sense for sense in senses for _ in bonded]
-        sections = send_waves(
-            settings,
-            bonded * len(senses),
-            frequency,
-            stop_when=lambda section: is_settled(section, experiment.clamp, section.remaining_speed),
-            lanes=width,
-            check=check,
-            signs=signs,
-        )
+        samples = [(flags, sense) for sense in senses for flags in bonded]
+        sections: list[Section] = []
+        for begin in range(0, len(samples), width):
+            batch = samples[begin : begin + width]
+            sections += send_waves(
+                settings,
+                [flags for flags, _ in batch],
+                frequency,
+                stop_when=lambda section: is_settled(section, experiment.clamp, section.remaining_speed),
+                lanes=width,
+                check=check,
+                signs=[sense for _, sense in batch],
+            )
         found = [_velocities_of(section, experiment) for section in sections]
         return np.array(found).reshape(len(senses), len(bonded), 2)
 
-    law, step = _cheapest_law(experiment), rule.step_fraction
+    law, step = cheapest_law(experiment), rule.step_fraction
     for halving in range(_HALVINGS + 1):
         forth, back = velocities(_finer(experiment, step), _LANES, 1.0, -1.0)
         usual = velocities(experiment.with_wave(law=law, step_fraction=step), lanes, 1.0)[0]
@@ -108,13 +111,13 @@ def check_content(
 
 def kernels_of(experiment: Experiment, lanes: int) -> tuple[tuple[str, Experiment, int], ...]:
     """Name, settings and width of the kernels that the samples of an experiment need; one more if a check refuses."""
-    usual = experiment.with_wave(law=_cheapest_law(experiment))
+    usual = experiment.with_wave(law=cheapest_law(experiment))
     if not experiment.is_checked:
         return (("samples", usual, lanes),)
     return ("samples", usual, lanes), ("check samples", _finer(experiment, experiment.wave.step_fraction), _LANES)
 
 
-def _cheapest_law(experiment: Experiment) -> Law:
+def cheapest_law(experiment: Experiment) -> Law:
     """Law that a check tries first."""
     if experiment.wave.law != "auto":
         return experiment.wave.law

@@ -102,7 +102,8 @@ def is_settled(section: Section, clamp: float, remaining_speed: float) -> bool:
         Bound of all later velocities of the section, m/s.
     """
     if _largest(section) < SILENCE:
-        return remaining_speed < SILENCE * section.amplitude
+        is_sent = section.times[-1] > 1.0 / section.frequency  # until then the pulse adds motion
+        return bool(is_sent) and remaining_speed < SILENCE * section.amplitude
     wave = fit_wave(section, clamp)
     # Before the S wave comes, its forerunners fit any fast wave, none of them well: their errors mostly 0.3 and more.
     return wave is not None and wave.error < 0.15 and _is_decided(section, wave)

@@ -12,7 +12,7 @@ Transmitter = Literal["wall", "driven"]
 Law = Literal["auto", "linear", "finite"]
 
 WHOLE_DOMAIN = "whole_domain"
-FEWEST_SAMPLES = 20  # samples per period of the pulse; with 20 a peak shifts by 0.1 % (docs/reading.md)
+FEWEST_SAMPLES = 20  # samples per period of the pulse; with 20 a peak shifts by 0.1 % (docs/velocity.md)
 
 
 @checked

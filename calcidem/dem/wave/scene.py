@@ -23,7 +23,7 @@ from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
 
 TRANSMITTER, RECEIVER = 1, 4  # indices of the walls of `wave_scene`
 DEEPEST_LISTENING = 0.3
-"""Largest listening depth over box width; beyond it, velocities in a lattice are over 10 % high (docs/reading.md)."""
+"""Largest listening depth over box width; beyond it, velocities in a lattice are over 10 % high (docs/velocity.md)."""
 
 
 def wave_scene(packing: Packing, sand: Sand, rule: WaveRule, bonds: Bonds | None) -> Scene:

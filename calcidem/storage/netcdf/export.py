@@ -18,6 +18,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
+from calcidem.input_file import open_input
 from calcidem.storage.dataset import INDEX_NAMES, as_matrices, campaign_attributes
 from calcidem.storage.errors import DamagedStoreError, DiskError, OutputRefusedError, UnknownCampaignError
 from calcidem.storage.files import write_atomically
@@ -86,7 +87,7 @@ def belongs_to_another(path: str | os.PathLike[str], campaign_hash: str | None) 
         with netCDF4.Dataset(path, "r") as file:
             return getattr(file, "calcidem_campaign_hash", None) != campaign_hash
     except (OSError, RuntimeError, DamagedStoreError):
-        with Path(path).open("rb") as broken:
+        with open_input(Path(path)) as broken:
             return broken.read(4) == b"\x89HDF"
 
 
@@ -104,8 +105,13 @@ def _replace_netcdf(path: str | os.PathLike[str], campaign_hash: str | None) -> 
         except (OSError, RuntimeError) as error:
             free = shutil.disk_usage(temporary.parent).free
             problem = f"{path} could not be written ({error}); its disk has {free / 1e6:.3g} MB left."
-            cure = "Free some space or write to another disk; the former file and the database are unchanged."
-            raise DiskError(problem, cure) from error
+            if isinstance(error, PermissionError) and temporary.exists():  # netCDF4 was imported before calcidem
+                cure = "Its file system has no locks: set HDF5_USE_FILE_LOCKING=FALSE before Python starts"
+            elif free < 1e8:  # bytes
+                cure = "Free some space or write to another disk"
+            else:
+                cure = "Check your quota and the permissions of the folder, or write to another disk"
+            raise DiskError(problem, f"{cure}; the former file and the database are unchanged.") from error
 
 
 def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:

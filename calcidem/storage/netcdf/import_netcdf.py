@@ -1,6 +1,7 @@
 """Rebuild a campaign in a store from a file that `calcidem.storage.netcdf.export` wrote."""
 
 import json
+import math
 import os
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
@@ -12,6 +13,7 @@ import netCDF4
 import numpy as np
 from numpy.typing import NDArray
 
+from calcidem.input_file import MOST_BYTES
 from calcidem.storage.dataset import INDEX_NAMES, LAYOUT
 from calcidem.storage.errors import (
     DamagedStoreError,
@@ -51,9 +53,9 @@ def import_netcdf(
     If the store already has the campaign, missing data are added and done cells are kept; runs are added each time.
     Everything is one transaction. ``check`` refuses a packing whose state does not fit.
 
-    `StoreUnavailableError` if the file is not NetCDF; `ForeignDatabaseError` if calcidem did not write it;
-    `OtherSchemaError` if it has another layout; `DamagedStoreError` if it was changed, lacks a
-    packing, or can't be read to its end; `CampaignMismatchError` if the store has another campaign of that name, or
+    `InputFileError` if it is no regular file; `StoreUnavailableError` if it is not NetCDF; `ForeignDatabaseError` if
+    calcidem did not write it; `OtherSchemaError` if it has another layout; `DamagedStoreError` if it was changed, lacks
+    a packing, or can't be read to its end; `CampaignMismatchError` if the store has another campaign of that name, or
     another packing; `LeaseHeldError` while a run writes the database.
     """
     with _open(Path(path)) as file, store.together():
@@ -73,8 +75,8 @@ def import_netcdf(
         packings = list(_read_packings(file))
         for packing in packings:
             check(packing)
-        status: NDArray[np.int8] = np.asarray(file["status"][:], dtype=np.int8)
-        named = np.asarray(file["packing_index"][:])[~np.isin(status, _WITHOUT_OUTCOME)].tolist()
+        status: NDArray[np.int8] = _read(file["status"]).astype(np.int8)
+        named = _read(file["packing_index"])[~np.isin(status, _WITHOUT_OUTCOME)].tolist()
         if lacking := set(named) - {packing.index for packing in packings}:
             raise DamagedStoreError(
                 f"{path}: packing {min(lacking)}, on which cells were computed, is missing.", _CURE_OF_CHANGE
@@ -125,7 +127,7 @@ def _results(file: Group, status: NDArray[np.int8]) -> Iterator[CellResult]:
         rows = slice(start, start + 500)
         columns = {
             # A file of an earlier version may lack quantities.
-            name: QUANTITY_BY_NAME[name].as_values(file[name][rows])
+            name: QUANTITY_BY_NAME[name].as_values(_read(file[name], rows))
             for name in _VALUE_NAMES
             if name in file.variables
         }
@@ -208,4 +210,13 @@ class _Records:
     def _read(self, dimension: str, rows: slice) -> dict[str, NDArray[Any]]:
         """Read some rows of all columns along a dimension."""
         variables = self._group.variables.items()
-        return {name: np.asarray(variable[rows]) for name, variable in variables if variable.dimensions[0] == dimension}
+        return {name: _read(variable, rows) for name, variable in variables if variable.dimensions[0] == dimension}
+
+
+def _read(variable: Any, rows: slice = slice(None)) -> NDArray[Any]:  # noqa: ANN401 - the library has no types
+    """Read some rows of a variable; `ValueError` if they take more than `MOST_BYTES`."""
+    count, *others = variable.shape
+    size = len(range(*rows.indices(count))) * math.prod(others) * getattr(variable.dtype, "itemsize", 8)
+    if size > MOST_BYTES:
+        raise ValueError(f"{variable.name} would take {size / 1e9:.3g} GB of memory at a time")
+    return np.asarray(variable[rows])

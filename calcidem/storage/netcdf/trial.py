@@ -15,7 +15,8 @@ from typing import Any
 
 import netCDF4
 
-from calcidem.storage.errors import DamagedStoreError, StoreUnavailableError
+from calcidem.input_file import open_input
+from calcidem.storage.errors import DamagedStoreError
 
 _TIME_FOR_A_BLOCK = 30.0
 """Seconds for opening a file, and for reading each block."""
@@ -29,13 +30,12 @@ _ERRORS_OF_READING = (OSError, RuntimeError, AttributeError, LookupError, TypeEr
 def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False) -> None:
     """Refuse a file on which the NetCDF library loops or crashes; files that the library itself refuses pass.
 
-    With ``names_only`` the file is only opened. `StoreUnavailableError` if it is not a file, for instance a pipe;
-    `DamagedStoreError` if opening or reading it does not end.
+    With ``names_only`` the file is only opened. `InputFileError` if it is not a regular file; `DamagedStoreError` if
+    opening or reading it does not end, or a variable is larger than the file can be unpacked to.
     """
     file = Path(path).absolute()
-    if not file.is_file():
-        what = "is not a file" if file.exists() else "does not exist"
-        raise StoreUnavailableError(f"{path} {what}.", "Check the name.")
+    with open_input(file):
+        pass
     arguments = [str(file), str(_TIME_FOR_A_BLOCK), "names" if names_only else "all"]
     ended = subprocess.run(  # noqa: S603 - this module
         [sys.executable, "-P", "-m", __name__, *arguments],
@@ -47,7 +47,7 @@ def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False)
     )
     if ended.returncode != 0:
         raise DamagedStoreError(
-            f"{path} is damaged: the NetCDF library does not finish reading it.",
+            f"{path} is damaged: the NetCDF library does not finish reading it, or a variable has more than it stores.",
             "Export it again from its database; nothing was written.",
         )
 
@@ -58,19 +58,21 @@ def _read_file(path: str, seconds: float, amount: str) -> None:
     with suppress(*_ERRORS_OF_READING), netCDF4.Dataset(path, "r") as file:
         file.set_auto_mask(False)
         if amount == "all":
-            _read(file, seconds)
+            _read(file, seconds, 1100 * Path(path).stat().st_size)  # bytes; deflate packs at most 1032 into one
 
 
-def _read(group: Any, seconds: float) -> None:  # noqa: ANN401 - the library has no types
-    """Read all variables of a group and of those in it."""
+def _read(group: Any, seconds: float, most: int) -> None:  # noqa: ANN401 - the library has no types
+    """Read all variables of a group and of those in it; one of more than `most` bytes ends the process."""
     for variable in group.variables.values():
+        if math.prod(variable.shape) * getattr(variable.dtype, "itemsize", 8) > most:
+            sys.exit(1)
         with suppress(*_ERRORS_OF_READING):
             rows = max(_BLOCK // (math.prod(variable.shape[1:]) or 1), 1)
             for start in range(0, variable.shape[0] if variable.shape else 1, rows):
                 faulthandler.dump_traceback_later(seconds, exit=True)
                 _ = variable[start : start + rows] if variable.shape else variable[...]
     for inner in group.groups.values():
-        _read(inner, seconds)
+        _read(inner, seconds, most)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calcidem.input_file import zip_members
+
 
 def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """Compress named arrays into the bytes of a NumPy ``.npz`` file.
@@ -26,9 +28,8 @@ def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def unpack_arrays(blob: bytes) -> dict[str, NDArray[Any]]:
-    """Inverse of `pack_arrays`; the arrays are read-only."""
-    with zipfile.ZipFile(io.BytesIO(blob)) as archive:
-        return {info.filename.removesuffix(".npy"): _read_array(archive.read(info)) for info in archive.infolist()}
+    """Inverse of `pack_arrays`; the arrays are read-only. `ValueError` for other or damaged bytes."""
+    return {name.removesuffix(".npy"): _read_array(content) for name, content in zip_members(blob).items()}
 
 
 def _read_array(content: bytes) -> NDArray[Any]:

@@ -3,13 +3,11 @@
 import math
 import os
 import sqlite3
-import zlib
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
-from zipfile import BadZipFile
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
@@ -26,8 +24,8 @@ from calcidem.storage.errors import (
     StoreLockedError,
     StoreUnavailableError,
 )
-from calcidem.storage.files import is_network_filesystem
-from calcidem.storage.passwords import hide_passwords, password_of
+from calcidem.storage.files import can_lock, is_network_filesystem
+from calcidem.storage.passwords import hide_passwords, with_passwords
 
 _BUSY_TIMEOUT_SECONDS = 30.0
 _WRITES = "calcidem_writes"
@@ -87,7 +85,7 @@ class Address:
                 raise StoreUnavailableError(f"{text!r} can't be a file ({error}).", "Give another name.") from error
             return cls(URL.create("sqlite", database=str(path)), path)
         try:
-            url = make_url(text)
+            url = make_url(with_passwords(text))
         except (ArgumentError, ValueError) as error:
             raise StoreUnavailableError(
                 f"'{hide_passwords(text)}' is not a database URL.",
@@ -96,8 +94,7 @@ class Address:
         if url.drivername == "postgresql":
             url = url.set(drivername="postgresql+psycopg")
         if url.get_backend_name() != "sqlite":
-            password = password_of(text)
-            return cls(url if password is None else url.set(password=password), None)
+            return cls(url, None)
         if not url.database or url.database == ":memory:":
             raise StoreUnavailableError(
                 f"'{text}' names no file.", "Give a file name; a store in memory would be lost."
@@ -149,7 +146,7 @@ class Connections:
                 yield connection
         except SQLAlchemyError as error:
             raise _translate_error(error, self.address) from error
-        except (ArithmeticError, LookupError, TypeError, ValueError, EOFError, BadZipFile, zlib.error) as error:
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
             if write:
                 raise  # the values to be written may be wrong
             problem = f"{self.address} is damaged: a stored value can't be read ({type(error).__name__}: {error})."
@@ -247,6 +244,12 @@ def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
     else:  # psycopg gives no state if no connection was made
         unreachable = "08" if type(original).__name__ == "OperationalError" else ""
         code, state = -1, getattr(original, "sqlstate", None) or unreachable
+    # SQLITE_PERM, BUSY, LOCKED, IOERR, PROTOCOL are what SQLite makes of a lock that the system refuses.
+    if code in {3, 5, 6, 10, 15} and address.path is not None and not can_lock(address.path.parent):
+        return StoreUnavailableError(
+            f"{address}: its file system has no locks, so programs could damage it for one another.",
+            "Keep it on a disk of this machine (--db), or have the file system mounted with locks.",
+        )
     for codes, states, kind, remedy in _ERRORS:
         if code in codes or state.startswith(states):
             return kind(problem, remedy)

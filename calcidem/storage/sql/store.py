@@ -5,7 +5,7 @@ import time
 import uuid
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from datetime import UTC, datetime
 from itertools import product, starmap
 from typing import Any, NamedTuple
@@ -345,33 +345,19 @@ class Store(StoreReader):
         arrays = [(i, name, content) for i, result in accepted for name, content in result.arrays.items()]
         _insert(connection, ARRAYS, [{"cell_id": i, "name": name, "content": content} for i, name, content in arrays])
 
-    def record_lost(self, keys: Iterable[CellKey], reason: str) -> dict[CellKey, AttemptCount]:
-        """Count one attempt with a lost worker for each cell; return the new counts.
-
-        Unlike other writes each call counts, since a loss has no result that would identify it. `UnknownCellError` if a
-        cell is not planned.
-        """
-        return self._add_attempts(keys, "lost", reason, losses=1)
-
     def record_running(self, keys: Iterable[CellKey]) -> dict[CellKey, AttemptCount]:
         """Begin an attempt at each cell, which its outcome will replace; return the new counts.
 
         If the run dies before, the next one counts it as lost. `UnknownCellError` if a cell is not planned.
         """
-        return self._add_attempts(keys, CellStatus.RUNNING.value, "", losses=0)
-
-    def _add_attempts(
-        self, keys: Iterable[CellKey], outcome: str, reason: str, losses: int
-    ) -> dict[CellKey, AttemptCount]:
-        told = {"outcome": outcome, "reason": reason, "recorded": datetime.now(UTC), "forgiven": False}
+        begun = {"outcome": CellStatus.RUNNING.value, "reason": "", "recorded": datetime.now(UTC), "forgiven": False}
         with self._writing() as connection:
             counts = {
-                key: AttemptCount(count.attempts + 1, count.losses + losses)
-                for key, count in self.attempt_counts(keys).items()
+                key: replace(count, attempts=count.attempts + 1) for key, count in self.attempt_counts(keys).items()
             }
             known = self._known_cells(connection, list(counts))
             rows = [{"cell_id": known[key].id, "number": count.attempts} for key, count in counts.items()]
-            _insert(connection, ATTEMPT, [row | told | {"run_id": self._run_id} for row in rows])
+            _insert(connection, ATTEMPT, [row | begun | {"run_id": self._run_id} for row in rows])
         return counts
 
     def restore_attempts(self, attempts: Iterable[AttemptRecord]) -> None:

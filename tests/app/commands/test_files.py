@@ -54,7 +54,7 @@ def test_packing_as_csv(database: Path, invoke: Invoke, campaign: Campaign, tmp_
     """The disks in the CSV file are those of the packing, to the last bit."""
     file = tmp_path / "packing.csv"
     invoke("export", database, file, "--seed", 1, "--content", 5)
-    x, y, radius, _ = _read_disks(file)
+    x, y, radius, *_ = _read_disks(file)
     packing = campaign.packing()
     for written, stored in ((x, packing.x), (y, packing.y), (radius, packing.radius)):
         np.testing.assert_array_equal(written, stored)

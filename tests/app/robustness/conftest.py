@@ -51,11 +51,14 @@ def troubled(complete: Path, tmp_path: Path) -> Path:
     with Store(path) as store:
         record = store.use_campaign()
         store.extend((9, 10), record.contents)
-        store.record_lost([CellKey(9, 2.55)], "its process ended")
+        _, run = store.runs()[0]
+        store.record_running([CellKey(9, 2.55)])
+        store.begin_run(run)  # which counts it as lost
         store.record_results(
             CellResult(key, status, f"what went wrong is {status}", attempt=2 if key == CellKey(9, 2.55) else 1)
             for key, status in TROUBLES.items()
         )
+        store.end_run("complete", run.started)
     return path
 
 

@@ -1,6 +1,8 @@
 """Bad input that was reported once, stored text that tries to control a terminal, and errors nobody foresaw."""
 
+import gzip
 import io
+import os
 import sys
 from contextlib import redirect_stderr
 from pathlib import Path
@@ -41,14 +43,42 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
     ),
     "colours in a name": (("run", "own.toml"), {"own_toml": b'[campaign]\nname = "\\u001b[31m"'}, "control characters"),
     "colours in a key": (("run", "own.toml"), {"own_toml": b'["\\u001b[31m"]'}, "unknown section"),
-    "UTF-16": (
+    "UTF-16 without a mark": (
         ("run", "own.toml"),
-        {"own_toml": preset_text("quick").encode("utf-16")},
-        "not UTF-8 text; save the file as UTF-8",
+        {"own_toml": preset_text("quick").encode("utf-16-le")},
+        "own.toml is not text (it has zero bytes)",
     ),
+    "Latin-1": (
+        ("run", "own.toml"),
+        {"own_toml": "# Körner".encode("latin-1")},
+        "own.toml is not text (byte 4 is not UTF-8, perhaps Latin-1); save the file as UTF-8",
+    ),
+    "a text that unpacks to too much": (
+        ("run", "own.toml"),
+        {"own_toml": gzip.compress(bytes(5_000_000))},
+        "own.toml has more than 4 MB; check the name",
+    ),
+    "a damaged deflate stream": (
+        ("import", "own.csv", "--out", "new.csv"),
+        {"own_csv": gzip.compress(DISKS.encode())[:100] + b"?" * 100},
+        "own.csv is damaged and can't be unpacked",
+    ),
+    "a device of targets": (
+        ("calibrate", "good.toml", "--target", "/dev/zero", "--out", "new.toml"),
+        {},
+        "/dev/zero is a pipe or a device",
+    ),
+    "a device of disks": (("init", "a.toml", "--disks", "/dev/zero"), {}, "/dev/zero is a pipe or a device"),
+    "a device to import": (("import", "/dev/zero", "--db", "new.db"), {}, "/dev/zero is a pipe or a device"),
+    "a device of contacts": (
+        ("predict", "quick.db", "--content", "5", "--pattern", "/dev/zero"),
+        {},
+        "/dev/zero is a pipe or a device",
+    ),
+    "a file of the kernel": (("run", "/proc/self/mem"), {}, "/proc/self/mem can't be read"),
     "a program": (("run", "own.toml"), {"own_toml": Path(sys.executable).read_bytes()}, "own.toml"),
-    "a device": (("run", "/dev/zero"), {}, "more than 4000000 bytes"),
-    "a folder": (("run", "folder"), {}, "this is a folder"),
+    "a device": (("run", "/dev/zero"), {}, "/dev/zero is a pipe or a device"),
+    "a folder": (("run", "folder"), {}, "folder is a folder; give the name of a file"),
     "a field of 131,073 letters": (
         ("run", "disks.toml"),
         {"own_csv": b"x,y,radius\n" + b"a" * 131_073},
@@ -136,12 +166,44 @@ def test_what_was_reported_is_said_in_a_sentence(bench: Workbench, case: str) ->
     assert said in " ".join(bench.judge(*words, **files).replace("│", " ").split())
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "pipe"),
+        ("init", "a.toml", "--disks", "pipe"),
+        ("calibrate", "good.toml", "--target", "pipe", "--out", "new.toml"),
+        ("predict", "quick.db", "--content", "5", "--pattern", "pipe"),
+        ("import", "pipe", "--db", "new.db"),
+        ("import", "pipe", "--out", "new.csv"),
+        ("sensitivity", "pipe", "--db", "new.db"),
+        ("report", "quick.db", "--measured", "pipe"),
+    ],
+)
+def test_a_pipe_is_not_waited_for(bench: Workbench, words: tuple[str, ...]) -> None:
+    """A pipe without a writer is refused by name, wherever a file is read."""
+    os.mkfifo(bench.folder / "pipe")
+    try:
+        assert "pipe is a pipe or a device; give the name of a file" in bench.judge(*words)
+    finally:
+        (bench.folder / "pipe").unlink()
+
+
+@pytest.mark.parametrize("variable", ["OMP_NUM_THREADS", "NUMBA_NUM_THREADS"])
+@pytest.mark.parametrize("text", ["0", "abc", "1.5", "9" * 5000])
+def test_a_number_of_threads_that_is_none_is_refused(
+    bench: Workbench, monkeypatch: pytest.MonkeyPatch, variable: str, text: str
+) -> None:
+    """The libraries that read it would end in a traceback, or take another number."""
+    monkeypatch.setenv(variable, text)
+    assert f"{variable}={text}: set it to a whole number from 1" in bench.judge("query", "quick.db")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 @pytest.mark.parametrize("name", ["own.toml", "own.csv"])
-def test_a_byte_order_mark_is_no_matter(bench: Workbench, name: str) -> None:
+def test_a_byte_order_mark_is_no_matter(bench: Workbench, name: str, encoding: str) -> None:
     """Files as Windows saves them are read: nothing is said until computing begins."""
-    mark = b"\xef\xbb\xbf"
     contents = {"own.toml": OWN_DISKS.encode(), "own.csv": DISKS.encode()}
-    contents[name] = mark + contents[name]
+    contents[name] = contents[name].decode().encode(encoding)
     said = bench.judge("run", "own.toml", **{key.replace(".", "_"): content for key, content in contents.items()})
     assert said.startswith("Packing: the disks in")
 

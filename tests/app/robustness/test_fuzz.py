@@ -3,7 +3,10 @@
 Commands are used as from a shell, in this process, up to where they would begin to compute.
 """
 
+import gzip
 import json
+import os
+import socket
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -12,6 +15,7 @@ from enum import Enum
 from functools import cache
 from importlib import import_module
 from inspect import Signature, signature
+from pathlib import Path
 from random import Random
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -349,3 +353,105 @@ def test_no_input_ends_in_a_traceback(bench: Workbench, subject: str) -> None:
 def test_no_input_of_thousands_ends_in_a_traceback(bench: Workbench, subject: str) -> None:
     """The same for 7,000 inputs, others each time."""
     fuzz(bench, SUBJECTS[subject], SUBJECTS[subject].many, always_the_same=False)
+
+
+# Damaged and odd files of every kind, and command lines, always the same
+
+READERS: tuple[tuple[str, ...], ...] = (
+    ("run", "own.toml"),
+    ("run", "own.toml", "--check"),
+    ("accuracy", "own.toml"),
+    ("sensitivity", "own.plan", "--db", "new.db"),
+    ("run", "disks.toml"),
+    ("init", "new.toml", "--disks", "own.csv"),
+    ("import", "own.csv", "--out", "new.csv"),
+    ("import", "own.dump", "--out", "new.csv"),
+    ("calibrate", "good.toml", "--target", "own.targets", "--out", "new.toml"),
+    ("report", "quick.db", "--measured", "own.targets"),
+    ("predict", "quick.db", "--content", "5", "--pattern", "own.pattern"),
+    ("import", "own.nc", "--db", "new.db"),
+    ("status", "own.db"),
+    ("query", "own.db"),
+    ("export", "own.db", "new.nc"),
+    ("merge", "quick.db", "own.db", "--out", "new.db"),
+    ("verify", "own.db", "--integrity"),
+)
+"""Commands that read a file: the word that begins with ``own`` is its name, or `disks.toml` names it."""
+
+DUMP = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n90\nITEM: BOX BOUNDS ff ff ff\n0 0.02\n0 0.03\n0 0\n"
+DUMP += "ITEM: ATOMS id type x y z radius\n"
+DUMP += "".join(
+    f"{n} 1 {','.join(line.split(',')[:2]).replace(',', ' ')} 0 0.001\n" for n, line in enumerate(DISKS.split()[1:])
+)
+
+
+def damaged(random: Random, content: bytes) -> bytes:
+    """Content with some damage, or in other wrapping."""
+    for _ in range(random.randint(1, 3)):
+        place, length = random.randrange(len(content) + 1), random.choice((1, 1, 4, 30, 2000))
+        noise = random.choice(
+            (random.randbytes(length), bytes(length), b"9" * length, b"\xff\xfe", b'"', b"[" * length)
+        )
+        content = random.choice(
+            (
+                content[:place],
+                content[:place] + noise + content[place + length :],
+                content[:place] + noise + content[place:],
+                content[:place] + content[place + length :],
+                gzip.compress(content),
+                content.decode("latin-1").encode(random.choice(("utf-8-sig", "utf-16", "utf-16-be", "utf-32"))),
+                content,
+            )
+        )
+    return content
+
+
+def odd_files(folder: Path) -> tuple[Path, ...]:
+    """Names of what is no ordinary file, or a very large one."""
+    os.mkfifo(folder / "pipe")
+    (folder / "loop").symlink_to(folder / "loop")
+    (folder / "zero").symlink_to("/dev/zero")
+    with (folder / "sparse").open("wb") as file:
+        file.truncate(10**12)
+    with socket.socket(socket.AF_UNIX) as server:
+        server.bind(str(folder / "socket"))
+    kernel = ("/dev/zero", "/dev/null", "/dev/full", "/proc/self/mem", "/proc/self/maps", "/proc/kmsg", "/proc/version")
+    return (*folder.iterdir(), *map(Path, kernel), folder, Path("missing"))
+
+
+def damaged_input(bench: Workbench, odd: tuple[Path, ...], number: int) -> tuple[list[str], dict[str, bytes]]:
+    """One of very many command lines and the files that it reads: a quarter is of odd files, half of damaged ones."""
+    random = Random(number)
+    whole = {
+        "own.toml": bench.files["good.toml"],
+        "own.plan": bench.files["plan.toml"],
+        "own.csv": DISKS.encode(),
+        "own.dump": DUMP.encode(),
+        "own.targets": TARGETS,
+        "own.pattern": b"first,second\n1,2\n5,7\n",
+        "own.nc": bench.files["quick.nc"],
+        "own.db": bench.files["quick.db"],
+    }
+    words = list(random.choice(READERS))
+    name = next((word for word in words if word.startswith("own.")), "own.csv")
+    if number % 4 == 0:
+        return command_line_of(number), {}
+    if number % 4 == 1:
+        words = [str(random.choice(odd)) if word == name else word for word in words]
+        return words, {"disks_toml": OWN_DISKS.replace("own.csv", str(random.choice(odd))).encode()}
+    return words, {name.replace(".", "_"): damaged(random, whole[name]), "disks_toml": OWN_DISKS.encode()}
+
+
+@pytest.mark.full
+def test_two_thousand_damaged_files_and_command_lines(bench: Workbench, tmp_path: Path) -> None:
+    """Each ends with a documented code and in sentences, without waiting, and a refusal leaves every file as it was."""
+    odd, wrong = odd_files(tmp_path), []
+    for number in range(2000):
+        words, files = damaged_input(bench, odd, number)
+        try:
+            bench.judge(*words, **files)
+        except UnicodeDecodeError:
+            pass  # Parquet on the standard output
+        except AssertionError as error:
+            wrong.append(f"{number}: {words}: {str(error)[:1000]}")
+    assert not wrong, f"{len(wrong)} of 2000: " + "\n".join(wrong)

@@ -39,6 +39,11 @@ def no_passwords(monkeypatch: pytest.MonkeyPatch) -> None:
         (f"--db=postgresql+psycopg://me:{ESCAPED}@/sand?host=/run", "--db=postgresql+psycopg://me@/sand?host=/run"),
         (f"postgresql://host/sand?user=me&password={ESCAPED}", "postgresql://host/sand?user=me"),
         (f"postgresql://host/sand?password={ESCAPED}&user=me", "postgresql://host/sand?user=me"),
+        (f"postgresql://host/sand?pass%77ord={ESCAPED}&user=me", "postgresql://host/sand?user=me"),
+        (f"postgresql://host/sand?PASS%57ORD={ESCAPED}", "postgresql://host/sand"),
+        (f"--db=postgresql://me@host/sand?sslpassword={ESCAPED}", "--db=postgresql://me@host/sand"),
+        (f"postgresql://h/d?oauth_client_secret={ESCAPED}&sslmode=require", "postgresql://h/d?sslmode=require"),
+        (f"postgresql://me:{ESCAPED}@h/d?sslpassword={ESCAPED}&x=1", "postgresql://me@h/d?x=1"),
     ],
 )
 @pytest.mark.usefixtures("no_passwords")
@@ -47,7 +52,8 @@ def test_a_password_leaves_the_command_line_and_is_found_again(typed: str, shown
     (word,) = keep_passwords_back([typed])
     assert word == shown
     address = Address.parse(word.removeprefix("--db="))
-    assert address.url.password == PASSWORD
+    assert PASSWORD in {address.url.password, *address.url.query.values()}
+    assert address.url == Address.parse(typed.removeprefix("--db=")).url
     assert MARK not in str(address)
 
 
@@ -59,7 +65,14 @@ def test_words_without_a_password_stay() -> None:
     assert os.environ[PASSWORDS_VARIABLE] == "{}"
 
 
-@pytest.mark.parametrize("address", [f"postgresql://me:a@{MARK}@host/sand", f"nosuch://me:a@{MARK}@host:b/sand"])
+@pytest.mark.parametrize(
+    "address",
+    [
+        f"postgresql://me:a@{MARK}@host/sand",
+        f"nosuch://me:a@{MARK}@host:b/sand",
+        f"postgresql://host:5432/sand?password=a@{MARK}",
+    ],
+)
 @pytest.mark.usefixtures("no_passwords")
 def test_a_password_with_a_bare_at_sign_is_refused_unseen(address: str) -> None:
     """Half of such a password would be taken for the host and be shown."""
@@ -75,6 +88,10 @@ def test_text_is_shown_and_stored_without_passwords() -> None:
         f"connecting to 'host=h password={MARK} user=me' failed",
         f"postgresql://host/sand?password={MARK}&user=me",
         f"postgresql://me:a@{MARK}@host/sand",
+        f"postgresql://host/sand?sslpassword={MARK}&user=me",
+        f"postgresql://host/sand?pass%77ord={MARK}",
+        f'invalid options in sslmode=require sslpassword = "{MARK}"',
+        f"postgresql://host:5432/sand?password=a@{MARK}",
     ):
         assert MARK not in hide_passwords(line)
         assert hide_passwords(line)[:8] == line[:8]

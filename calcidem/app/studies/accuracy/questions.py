@@ -1,7 +1,7 @@
 """Tables with their own reference: order of convergence, strength of the pulse, balance of the packing, scatter.
 
 Another amplitude of the pulse is another physical problem. The reference of every amplitude is therefore the finite
-regime at the same step and samples. The reference of a packing is the same packing closer to equilibrium. The numerical
+law at the same step and samples. The reference of a packing is the same packing closer to equilibrium. The numerical
 error of a mean is compared with its statistical error.
 """
 
@@ -15,14 +15,15 @@ import numpy as np
 from calcidem.analysis.distribution import Distribution
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.accuracy.settings import DEFAULT, REFERENCE_SAMPLES, with_wave
+from calcidem.app.studies.accuracy.settings import DEFAULT, REFERENCE_SAMPLES, unchecked
 from calcidem.app.studies.accuracy.study import Study
 from calcidem.app.studies.cells import Cells, CellsFound, at_common_times, errors_of_vs
 from calcidem.dem.engine.assembly import pair_keys
-from calcidem.dem.engine.scene import Preload, Regime
+from calcidem.dem.engine.scene import Preload
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.reading import smooth
+from calcidem.dem.wave.rule import Law
 from calcidem.dem.wave.section import Section
 
 Rows = list[dict[str, Any]]
@@ -61,20 +62,18 @@ def answer_questions(
 
 def _convergence_rows(cells: Cells, study: Study) -> Rows:
     """Order of convergence at each content with a velocity of the reference."""
-    rows, own = [], cells.experiment.wave.regime
+    rows, own = [], unchecked(cells.experiment).wave.law
     for content in dict.fromkeys(cell.content for cell in study.references if cell.vs is not None):
-        slowest = min(cell.vs for cell in study.references if cell.content == content and cell.vs is not None)
-        # The linear regime refuses a strong pulse, so the configuration's regime replaces it.
-        known: tuple[tuple[bool, Regime], ...] = ((True, own), (False, own), (False, "finite"))
-        for damped, regime in dict.fromkeys(known):
+        known: tuple[tuple[bool, Law], ...] = ((True, own), (False, "linear"), (False, "finite"))
+        for damped, law in known:
             words = "as configured" if damped else "none"
-            cells.progress(f"{content:g} %: order of convergence, damping {words}, {regime}")
-            changes, orders = signal_convergence(cells, content, slowest, damped=damped, regime=regime)
+            cells.progress(f"{content:g} %: order of convergence, damping {words}, {law}")
+            changes, orders = signal_convergence(cells, content, damped=damped, law=law)
             columns = (f"signal, {2 * step:g} to {step:g}" for step in CONVERGENCE_STEPS[1:])
             rows.append(
                 {
                     "content %": content,
-                    "regime": regime,
+                    "law": law,
                     "local damping": words,
                     **dict(zip(columns, changes, strict=True)),
                     **{f"order {place}": order for place, order in enumerate(orders, 1)},
@@ -88,28 +87,24 @@ CONVERGENCE_STEPS = (0.8, 0.4, 0.2, 0.1)
 
 
 def signal_convergence(
-    cells: Cells, content: float, velocity: float, *, damped: bool, regime: Regime = "linear"
+    cells: Cells, content: float, *, damped: bool, law: Law = "linear"
 ) -> tuple[list[float], list[float]]:
     """Change of the signal by each halving of the step, and the orders of convergence, medians over the cells.
 
     A change is the normalised L2 distance at the sampling times of the largest step. An order is the logarithm to base
-    2 of a change over the next, without an exact solution. Records last until a wave with two thirds of ``velocity``
-    (m/s) has arrived; without ``damped`` there is no damping.
+    2 of a change over the next, without an exact solution. Without ``damped`` there is no damping.
 
     Local damping opposes the velocity half a step before, whose sign changes within a step: an error of first order.
-    The shear-force increment of a sticking contact with changing stiffness, as in the small and finite regimes, has the
-    same order. All other errors are of second order, as the linear regime without damping shows.
+    The shear-force increment of a sticking contact with changing stiffness, as in the finite law, has the same order.
+    All other errors are of second order, as the linear law without damping shows.
     """
-    even = with_wave(
-        cells.experiment,
-        regime=regime,
+    even = replace(cells.experiment, is_checked=False, installation="preserve").with_wave(
+        law=law,
         precision="float64",
         samples_per_period=REFERENCE_SAMPLES,
-        slowest=velocity / 1.5,
         **({} if damped else {"damping": 0.0, "boundary_damping": 0.0}),
     )
-    even = replace(even, early_stop=False, installation="preserve")
-    runs = [cells.measure(with_wave(even, step_fraction=step), [content]) for step in CONVERGENCE_STEPS]
+    runs = [cells.measure(even.with_wave(step_fraction=step), [content]) for step in CONVERGENCE_STEPS]
     sections = [[run[seed, content].section for run in runs] for seed in cells.seeds]
     changes = np.median([_signal_changes(cell, even.pick.smoothing) for cell in sections], axis=0)
     return changes.tolist(), np.log2(changes[:-1] / changes[1:]).tolist()
@@ -130,17 +125,16 @@ def _signal_changes(sections: Sequence[Section], smoothing: float) -> Floats:
 def amplitude_rows(
     cells: Cells,
     amplitudes: Sequence[float] = (1.0e-5, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1),  # m/s
-    regimes: Sequence[Regime] = ("linear", "small"),
 ) -> Rows:
-    """Measure regimes at several amplitudes against the finite regime of the same amplitude.
+    """Measure the linear law at several amplitudes against the finite law at the same amplitude.
 
-    For the finite regime itself the row has the deviation from the velocity at the experiment's amplitude: not an
-    error, but the effect of the pulse's strength. Lost cells have a velocity in the finite regime only.
+    For the finite law itself the row has the deviation from the velocity at the experiment's amplitude: not an error,
+    but the effect of the pulse's strength. Lost cells have a velocity with the finite law only.
     """
 
-    def measured(regime: Regime, amplitude: float) -> tuple[CellsFound, str]:
-        dense = {"samples_per_period": 400}
-        setting = with_wave(cells.experiment, regime=regime, amplitude=amplitude, **dense)
+    def measured(law: Law, amplitude: float) -> tuple[CellsFound, str]:
+        setting = replace(cells.experiment, is_checked=False)
+        setting = setting.with_wave(law=law, amplitude=amplitude, samples_per_period=400)
         found: CellsFound = {}
         refusal = ""
         for content in cells.contents:
@@ -153,20 +147,18 @@ def amplitude_rows(
     own, _ = measured("finite", cells.experiment.wave.amplitude)
     rows = []
     for amplitude in amplitudes:
-        cells.progress(f"regimes at {amplitude:g} m/s")
+        cells.progress(f"laws at {amplitude:g} m/s")
         finite, refusal = measured("finite", amplitude)
-        compared: list[tuple[str, CellsFound, CellsFound, str]] = [
-            ("finite, effect of the amplitude", finite, own, refusal)
-        ]
-        for regime in regimes:
-            found, refusal = measured(regime, amplitude)
-            compared.append((regime, found, finite, refusal))
+        compared = [("finite, effect of the amplitude", finite, own, refusal)]
+        if cells.experiment.installation == "preserve":
+            linear, refusal = measured("linear", amplitude)
+            compared.append(("linear", linear, finite, refusal))
         for name, found, exact, refusal in compared:
             errors = errors_of_vs(found, exact)
             rows.append(
                 {
                     "amplitude, m/s": amplitude,
-                    "regime": name,
+                    "law": name,
                     "Vs median": float(np.median(errors)) if errors else None,
                     "Vs worst": max(errors, default=None),
                     "cells": len(errors),
@@ -190,7 +182,7 @@ def equilibrium_rows(
         packings[ratio] = packing_of(ratio)
     best = packings[min(ratios)]
     found = {
-        ratio: cells.measure(replace(cells.experiment, packing=_same_contacts(packing, best)))
+        ratio: cells.measure(replace(unchecked(cells.experiment), packing=_same_contacts(packing, best)))
         for ratio, packing in packings.items()
     }
     rows = []
@@ -200,8 +192,8 @@ def equilibrium_rows(
             {
                 "unbalanced-force ratio": ratio,
                 "changed contacts": len(set(_keys_of(packing)) ^ set(_keys_of(best))),
-                "Vs median": float(np.median(errors)),
-                "Vs worst": max(errors, default=np.inf),
+                "Vs median": float(np.median(errors)) if errors else None,
+                "Vs worst": max(errors, default=None),
                 "cells": len(errors),
             }
         )

@@ -1,13 +1,12 @@
 """Command `calcidem accuracy`: a study of the configuration's scenes, as Markdown tables, JSON and a figure."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.stats import spearmanr
 
 from calcidem.analysis.figures.style import BLACK, BLUE, GREY, VERMILION, apply_style, new_figure
 from calcidem.app.config.schema import Configuration
@@ -25,27 +24,33 @@ def accuracy(
     *,
     only: Sequence[str] = (),
     target: str | None = None,
+    tell: Callable[[StudyResult], object] = lambda _: None,
 ) -> StudyResult:
     """Measure error over run time.
 
     ``velocities`` at each content, m/s, supply the scatter of the samples; without them a few samples are measured.
     With names of settings in ``only``, only these and the default are compared with the reference. ``target`` is an
-    error for which the text names the cheapest setting. `ValueError` for an unknown name or target.
+    error for which the text names the cheapest setting. ``tell`` receives the results after each content.
+    `ValueError` for an unknown name or target, and if no content can be computed.
     """
+
+    def result(study: Study, questions: Mapping[str, Rows]) -> StudyResult:
+        parts = accuracy_tables(study, questions)
+        text = "\n\n".join(parts.values())
+        if target is not None:
+            chosen = study.cheapest_in_words(parse_target(target))
+            text += f"\nCheapest setting with an error of at most {target}: {chosen}"
+        page = "\n\n".join(f"<!-- {name} -->\n{table}\n<!-- end -->" for name, table in parts.items()) + "\n"
+        hashes = {"campaign_hash": configuration.hash, "packing_hash": cells.experiment.packing.content_hash}
+        found = _rounded({**hashes, "study": asdict(study), **questions})
+        told = json.dumps(found, separators=(",", ":"))
+        figures = {"": partial(draw_error_against_run_time, study)}
+        return StudyResult(text, page, json.loads(told)["study"]["cells"], told, figures=figures)
+
     rounds = {"rounds": 1} if only else {}
-    study = run_study(cells, compared=choose_settings(cells, only), **rounds)
-    questions = {} if only else answer_questions(study, configuration, cells, velocities)
-    parts = accuracy_tables(study, questions)
-    text = "\n\n".join(parts.values())
-    if target is not None:
-        chosen = study.cheapest_in_words(parse_target(target))
-        text += f"\nCheapest setting with an error of at most {target}: {chosen}"
-    page = "\n\n".join(f"<!-- {name} -->\n{table}\n<!-- end -->" for name, table in parts.items()) + "\n"
-    hashes = {"campaign_hash": configuration.hash, "packing_hash": cells.experiment.packing.content_hash}
-    found = _rounded({**hashes, "study": asdict(study), **questions})
-    told = json.dumps(found, separators=(",", ":"))
-    figures = {"": partial(draw_error_against_run_time, study)}
-    return StudyResult(text, page, json.loads(told)["study"]["cells"], told, figures=figures)
+    compared = choose_settings(cells, only)
+    study = run_study(cells, compared=compared, tell=lambda study: tell(result(study, {})), **rounds)
+    return result(study, {} if only else answer_questions(study, configuration, cells, velocities))
 
 
 def choose_settings(cells: Cells, only: Sequence[str]) -> list[Setting]:
@@ -127,30 +132,53 @@ def _own_cells(study: Study) -> list[CellError]:
 
 def _opening(study: Study) -> str:
     """Summarise the most important numbers."""
-    row = next(row for row in study.summaries if row.setting == DEFAULT)
-    names = {summary.setting for summary in study.summaries if summary.numerical}
-    numerical = [cell for cell in study.cells if cell.setting in names]
+    row, own = study.summaries[0], _own_cells(study)
     changes = [abs(cell.halving) for cell in study.references if cell.halving is not None]
+    if not row.cells:
+        return "No cell has a velocity with the default and in the reference."
     return (
-        f"Default against the reference, {row.cells} cells: median {row.median:.1e}, worst {row.worst:.1e}, "
+        f"Default against the reference, {row.cells} cells: median {row.median:.1e}, worst {row.worst:.1e}, of the "
+        f"effective velocity {row.effective_median:.1e} and {row.effective_worst:.1e}; "
         f"{study.reference_seconds / row.seconds:.0f} times faster ({row.seconds:.2f} s against "
         f"{study.reference_seconds:.1f} s of processor time a cell). The last halving of the reference's step "
         f"changed Vs by {max(changes, default=0.0):.1e} at most; {sum(change < HALVING for change in changes)} of "
         f"{len(changes)} cells are below {HALVING:g}. "
-        f"The error is at most the cell's own bound in {100 * row.covered:.1f} % of the cells; its rank correlation "
-        f"with the expected error is {_rank_correlation(_own_cells(study)):.2f}, over all numerical settings "
-        f"{_rank_correlation(numerical):.2f}."
+        f"The error is within 1.96 stated standard errors in {_covered(own)} of the cells, that of the effective "
+        f"velocity in {_covered_effective(own)}."
     )
+
+
+def _covered(cells: Sequence[CellError]) -> str:
+    """Share of the cells with an error of Vs within the stated one."""
+    return _percent(covered_share([cell.vs_error for cell in cells], [cell.stated for cell in cells]))
+
+
+def _covered_effective(cells: Sequence[CellError]) -> str:
+    """The same of the effective velocity."""
+    errors, stated = [cell.effective_error for cell in cells], [cell.effective_stated for cell in cells]
+    return _percent(covered_share(errors, stated))
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if np.isfinite(share) else "-"
 
 
 def _settings_table(study: Study) -> str:
     """Return one line for each setting; those that change the exact answer are marked."""
-    header = ("setting", "Vs median", "Vs worst", "first arrival", "signal (L2)", "within bound", "s a cell")
+    header = (
+        "setting",
+        "Vs median",
+        "worst",
+        "effective Vs median",
+        "worst",
+        "first arrival",
+        "signal (L2)",
+        "s a cell",
+    )
     rows = [
         (
             row.setting if row.numerical else f"*{row.setting}*",
-            *(row.median, row.worst, row.arrival, row.signal),
-            f"{100 * row.covered:.0f} %" if row.numerical and np.isfinite(row.covered) else "-",
+            *(row.median, row.worst, row.effective_median, row.effective_worst, row.arrival, row.signal),
             f"{row.seconds:.3f}",
             row.lost,
         )
@@ -165,35 +193,46 @@ def _content_table(study: Study) -> str:
     for content in sorted({cell.content for cell in study.references}):
         exact = [cell for cell in study.references if cell.content == content]
         found = [cell for cell in _own_cells(study) if cell.content == content]
+        halving = max((abs(cell.halving) for cell in exact if cell.halving is not None), default=None)
         errors = [abs(cell.vs_error) for cell in found if cell.vs_error is not None]
-        if not errors:
-            continue
-        halving = max((abs(cell.halving) for cell in exact if cell.halving is not None), default=np.nan)
-        bound = np.median([cell.bound for cell in found if cell.bound is not None])
-        expected = np.median([cell.expected for cell in found if cell.expected is not None])
-        reference = (f"{content:g}", len(errors), f"{min(cell.step_fraction for cell in exact):g}", halving)
-        default = (np.median(errors), max(errors), expected, f"{100 * covered_share(found):.0f} %", bound)
-        rows.append((*reference, *default))
+        effective = [abs(cell.effective_error) for cell in found if cell.effective_error is not None]
+        rows.append(
+            (
+                f"{content:g}",
+                len(errors),
+                f"{min(cell.step_fraction for cell in exact):g}",
+                halving,
+                *(_middle(errors), max(errors, default=None), found[0].stated, _covered(found)),
+                *(_middle(effective), max(effective, default=None)),
+                *(found[0].effective_stated, _covered_effective(found)),
+            )
+        )
     header = (
         *("content %", "cells", "reference's step / limit, smallest", "Vs by its last halving, largest"),
-        *("default: median", "worst", "expected, median", "within bound", "bound, median"),
+        *("error of Vs: median", "worst", "stated standard error", "within 1.96 of it"),
+        *("error of effective Vs: median", "worst", "stated standard error", "within 1.96 of it"),
     )
     return markdown_table(header, rows)
+
+
+def _middle(values: Sequence[float]) -> float | None:
+    return float(np.median(values)) if values else None
 
 
 def _cell_table(study: Study) -> str:
     """Return every cell of the default with its reference, unless there are many: those are in the JSON."""
     found = {(cell.seed, cell.content): cell for cell in _own_cells(study)}
-    if not found or len(study.references) > 40:
+    if len(study.references) > 40:
         return ""
     rows = []
     for exact in study.references:
         cell = found[exact.seed, exact.content]
         reference = (number(exact.vs, ".2f"), f"{exact.step_fraction:g}", exact.halving, number(cell.vs, ".2f"))
-        errors = (cell.vs_error, cell.expected, cell.bound, cell.arrival_error, cell.signal_error)
-        rows.append((f"{exact.content:g}", exact.seed, *reference, *errors))
+        errors = (cell.vs_error, cell.stated, cell.effective_error, cell.effective_stated)
+        rows.append((f"{exact.content:g}", exact.seed, *reference, *errors, cell.arrival_error, cell.signal_error))
     header = ("content %", "seed", "reference Vs, m/s", "its step / limit", "Vs by its last halving", "default Vs, m/s")
-    return markdown_table((*header, "error", "expected", "own bound", "first arrival", "signal (L2)"), rows)
+    columns = ("error", "stated", "error of effective Vs", "stated", "first arrival", "signal (L2)")
+    return markdown_table((*header, *columns), rows)
 
 
 def _damping_table(study: Study) -> str:
@@ -248,19 +287,8 @@ def draw_error_against_run_time(study: Study) -> "Figure":
         yscale="log",
         xlabel="processor time of a cell (s)",
         ylabel="relative error of $V_s$: median to worst",
-        xlim=(0.3 * min(row.seconds for row in rows), 1.5 * study.reference_seconds),
-        ylim=(0.4 * min(drawable(row.median) for row in rows), None),
+        xlim=(0.3 * min((row.seconds for row in rows), default=0.01), 1.5 * study.reference_seconds),
+        ylim=(0.4 * min((drawable(row.median) for row in rows), default=1e-6), None),
     )
     axes.legend(loc="lower left")
     return figure
-
-
-def _rank_correlation(cells: Iterable[CellError]) -> float:
-    """Spearman's rank correlation of expected and actual errors of cells; NaN below three cells."""
-    pairs = {
-        (cell.expected, abs(cell.vs_error)) for cell in cells if cell.vs_error is not None and cell.expected is not None
-    }  # a set: without cement all seeds are the same cell
-    if len(pairs) <= 2:  # two always agree
-        return np.nan
-    expected, found = np.array(list(pairs)).T
-    return float(spearmanr(expected, found).statistic)

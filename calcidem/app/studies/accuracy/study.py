@@ -1,17 +1,18 @@
 """Reference of every cell, and the error of every setting against it."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
-from calcidem.app.studies.accuracy.settings import DEFAULT, REFERENCE_SAMPLES, Setting, settings, with_wave
+from calcidem.app.studies.accuracy.settings import DEFAULT, REFERENCE_SAMPLES, Setting, settings
 from calcidem.app.studies.cells import ROUNDS, Cells, CellsFound, relative_deviation, signal_distance
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
+from calcidem.storage.records.error_budget import NORMAL_95
 
 HALVING = 1.0e-4  # largest relative change of Vs by halving the step
 FINEST = 0.05  # smallest step of a reference over the limit
@@ -45,14 +46,15 @@ class CellError:
     reference_vs: float | None
     """m/s; None without a reliable pick."""
     vs_error: float | None
-    """Relative, signed; None unless both have a velocity."""
+    effective_error: float | None
+    """Relative errors of Vs and of the effective velocity, signed; None unless both have one."""
     arrival_error: float | None
     """Relative error of the travel time of the first arrival, signed; None unless both have one."""
     signal_error: float
     """See `signal_distance`."""
-    expected: float | None
-    bound: float | None
-    """Relative error estimated by the cell itself, and its bound."""
+    stated: float | None
+    effective_stated: float | None
+    """Relative standard errors of both by the numerics, as the check of the content measured them; None without it."""
 
     @classmethod
     def compare(cls, setting: str, found: Measurement, exact: Measurement) -> Self:
@@ -66,10 +68,11 @@ class CellError:
             vs=found.vs,
             reference_vs=exact.vs,
             vs_error=relative_deviation(found.vs, exact.vs),
+            effective_error=relative_deviation(found.effective_vs, exact.effective_vs),
             arrival_error=relative_deviation(exact_arrival, arrival),
             signal_error=signal_distance(found.section, exact.section),
-            expected=found.expected_error,
-            bound=found.error_bound,
+            stated=found.check.numerical_error,
+            effective_stated=found.check.effective_numerical_error,
         )
 
 
@@ -86,12 +89,12 @@ class Summary:
     """Cells with a velocity only in the reference."""
     median: float
     worst: float
-    """Errors of Vs."""
+    effective_median: float
+    effective_worst: float
+    """Errors of Vs, and of the effective velocity."""
     arrival: float
     signal: float
     """Medians of the errors of the first arrival and of the whole signal."""
-    covered: float
-    """Share of cells whose error of Vs is within their stated bound."""
     seconds: float
     """Processor time of a cell."""
     change: float
@@ -144,37 +147,46 @@ def run_study(
     compared: Iterable[Setting] | None = None,
     coarsest: float = 0.4,
     rounds: int = ROUNDS,
+    tell: Callable[[Study], object] = lambda _: None,
 ) -> Study:
     """Measure the errors of settings.
 
     The experiment's own setting comes first in ``compared``, by default all of `settings.settings`. The search for the
-    reference starts at a step of ``coarsest`` times the limit. Settings are timed alternately in ``rounds``.
+    reference starts at a step of ``coarsest`` times the limit. Settings are timed alternately in ``rounds``. ``tell``
+    receives the results after each content. A refused content has none; `ValueError` if all are refused.
     """
     compared = tuple(settings(cells.experiment, cells.contents) if compared is None else compared)
     errors: list[CellError] = []
     references: list[ReferenceCell] = []
     reference_seconds: list[float] = []
     seconds: dict[str, dict[float, float]] = defaultdict(dict)
+
+    def study() -> Study:
+        own = {(cell.seed, cell.content): cell.vs for cell in errors if cell.setting == DEFAULT}
+        summaries = (
+            _summary_of(one, [cell for cell in errors if cell.setting == one.name], own, seconds.get(one.name, {}))
+            for one in compared
+        )
+        mean = float(np.mean(reference_seconds))
+        return Study(tuple(errors), tuple(summaries), tuple(references), mean, dict(seconds))
+
     for content in cells.contents:
         cells.progress(f"{content:g} %: reference")
-        exact, exact_cells, taken = find_reference(cells, content, coarsest)
+        try:
+            exact, exact_cells, taken = find_reference(cells, content, coarsest)
+            found, times = cells.take_turns({one.name: one.experiment for one in compared}, content, rounds)
+        except ValueError as refused:
+            cells.progress(f"{content:g} %: {refused}")
+            if content == cells.contents[-1] and not references:
+                raise
+            continue
         references += exact_cells
         reference_seconds.append(taken)
-        found, times = cells.take_turns({one.name: one.experiment for one in compared}, content, rounds)
         errors += [CellError.compare(name, own[key], exact[key]) for name, own in found.items() for key in exact]
         for name, value in times.items():
             seconds[name][content] = value
-    own = {(cell.seed, cell.content): cell.vs for cell in errors if cell.setting == DEFAULT}
-    return Study(
-        cells=tuple(errors),
-        summaries=tuple(
-            _summary_of(one, [cell for cell in errors if cell.setting == one.name], own, seconds.get(one.name, {}))
-            for one in compared
-        ),
-        references=tuple(references),
-        reference_seconds=float(np.mean(reference_seconds)),
-        seconds=dict(seconds),
-    )
+        tell(study())
+    return study()
 
 
 def _summary_of(
@@ -185,6 +197,7 @@ def _summary_of(
 ) -> Summary:
     """Summary of the cells of one setting; ``own`` are the default's velocities, ``seconds`` times at each content."""
     errors = [abs(cell.vs_error) for cell in cells if cell.vs_error is not None]
+    effective = [abs(cell.effective_error) for cell in cells if cell.effective_error is not None]
     arrivals = [abs(cell.arrival_error) for cell in cells if cell.arrival_error is not None]
     changes = [relative_deviation(cell.vs, own.get((cell.seed, cell.content))) for cell in cells]
 
@@ -198,9 +211,10 @@ def _summary_of(
         lost=sum(cell.vs is None and cell.reference_vs is not None for cell in cells),
         median=middle(errors),
         worst=max(errors, default=np.inf),
+        effective_median=middle(effective),
+        effective_worst=max(effective, default=np.inf),
         arrival=middle(arrivals),
-        signal=middle([cell.signal_error for cell in cells]),
-        covered=covered_share(cells),
+        signal=middle([cell.signal_error for cell in cells if np.isfinite(cell.signal_error)]),
         seconds=float(np.mean(list(seconds.values()))) if seconds else np.inf,
         change=max((abs(change) for change in changes if change is not None), default=np.inf),
         adds=setting.adds,
@@ -208,12 +222,14 @@ def _summary_of(
     )
 
 
-def covered_share(cells: Iterable[CellError]) -> float:
-    """Share of the cells with a velocity whose error is within their own bound."""
-    honest = [
-        abs(cell.vs_error) <= cell.bound for cell in cells if cell.vs_error is not None and cell.bound is not None
+def covered_share(errors: Iterable[float | None], stated: Iterable[float | None]) -> float:
+    """Share of errors within the 95 % interval of their stated standard error, of those with both; NaN of none."""
+    known = [
+        abs(error) <= NORMAL_95 * own
+        for error, own in zip(errors, stated, strict=True)
+        if error is not None and own is not None
     ]
-    return float(np.mean(honest)) if honest else np.nan
+    return float(np.mean(known)) if known else np.nan
 
 
 def find_reference(
@@ -242,14 +258,10 @@ def find_reference(
 
 
 def _reference_experiment(experiment: Experiment, step_fraction: float) -> Experiment:
-    """Return the experiment at the highest accuracy: float64, finite displacement, all disks, dense samples.
-
-    Early stop keeps its setting; as a separate knob it is shown to change no reading.
-    """
-    return with_wave(
-        experiment,
+    """Return the experiment at the highest accuracy: float64, finite displacement, all disks, dense samples."""
+    return replace(experiment, is_checked=False).with_wave(
         precision="float64",
-        regime="finite",
+        law="finite",
         keep=(WHOLE_DOMAIN,),
         step_fraction=step_fraction,
         samples_per_period=max(REFERENCE_SAMPLES, experiment.wave.samples_per_period),
