@@ -44,10 +44,10 @@ def expected() -> dict[str, str]:
 def test_this_processor_gives_the_bits_that_are_kept() -> None:
     """Packing, cement, steps, signals and velocities of 280 disks have the bits that are kept in the tree.
 
-    Here in the linear regime; in the others only with ``-m full``.
+    Here with the linear law; with the other only with ``-m full``.
     """
     kept, name = expected(), "as it is"
-    found = hashes_on([name], "--regimes", "linear", "--lanes", "8", "--contents", "2.55")[name]
+    found = hashes_on([name], "--laws", "linear", "--lanes", "8", "--contents", "2.55")[name]
     assert found == {key: kept[key] for key in found}
 
 
@@ -60,7 +60,7 @@ def test_every_processor_gives_the_bits_that_are_kept(processor: str) -> None:
 
 @pytest.mark.full
 def test_an_emulated_aarch64_gives_the_bits_that_are_kept(tmp_path: Path) -> None:
-    """One case in the finite regime, from the packing to the velocity; numba compiles for aarch64.
+    """One case with the finite law, from the packing to the velocity; numba compiles for aarch64.
 
     The variable AARCH64_FOLDER names the folder of a former call, which saves making it.
     """
@@ -73,14 +73,14 @@ def test_an_emulated_aarch64_gives_the_bits_that_are_kept(tmp_path: Path) -> Non
     if made.returncode != 0:
         pytest.skip(f"no emulated aarch64: {made.stderr.strip().splitlines()[-1]}")
     assert made.stdout.strip() == "aarch64"
-    case = ("--regimes", "finite", "--lanes", "8", "--contents", "2.55")
+    case = ("--laws", "finite", "--lanes", "8", "--contents", "2.55")
     done = subprocess.run(
         [*run, str(FOLDER / "program.py"), "small", *case], check=True, capture_output=True, text=True
     )
     found = {line.split(" ", 1)[1]: line.split(" ", 1)[0] for line in done.stdout.splitlines()}
     kept = expected()
     assert found == {key: kept[key] for key in found}
-    assert len(found) == 5
+    assert len(found) == 6
 
 
 def in_last_places(values: np.ndarray, exact: np.ndarray) -> float:
@@ -98,6 +98,29 @@ def test_sines_are_good_to_two_units_in_the_last_place() -> None:
     exact = np.where(quarters % 2 == 0, np.sin(rest), np.cos(rest)) * np.where(quarters % 4 >= 2, -1.0, 1.0)
     assert in_last_places(portable.sine_of_turns(turns), exact) < 2.0
     assert portable.sine_of_turns([0.0, 0.25, 0.5, 0.75, 1.0, -0.25]).tolist() == [0.0, 1.0, 0.0, -1.0, 0.0, -1.0]
+
+
+def test_cosines_and_sines_of_any_number_of_turns_are_good_to_two_units() -> None:
+    """Of the fraction of a turn, which is exact, against long double; exactly at quarters, on either side of zero."""
+    turns = np.random.default_rng(6).uniform(-1000.0, 1000.0, 20_000)
+    part = turns - np.floor(turns)
+    quarters = np.round(4.0 * part).astype(int)
+    rest = 8.0 * np.arctan(np.longdouble(1.0)) * (part - quarters / 4.0)
+    sine, cosine = np.sin(rest), np.cos(rest)
+    found = portable.cosine_and_sine(turns)
+    assert in_last_places(found[0], np.choose(quarters % 4, [cosine, -sine, -cosine, sine])) < 2.0
+    assert in_last_places(found[1], np.choose(quarters % 4, [sine, cosine, -sine, -cosine])) < 2.0
+    cosines, sines = portable.cosine_and_sine([0.0, 0.25, 0.5, 0.75, 1.0, -0.25, 7.5, -3.75])
+    assert cosines.tolist() == [1.0, 0.0, -1.0, 0.0, 1.0, 0.0, -1.0, 0.0]
+    assert sines.tolist() == [0.0, 1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0]
+
+
+def test_exponentials_are_good_to_two_units() -> None:
+    """Against long double, over the whole range and where the reduced argument changes sign."""
+    for reach in (0.4, 20.0, 700.0):
+        value = np.random.default_rng(7).uniform(-reach, reach, 20_000)
+        assert in_last_places(portable.exponential(value), np.exp(value.astype(np.longdouble))) < 2.0
+    assert portable.exponential(0.0) == 1.0
 
 
 def test_arcsines_lengths_and_powers_are_good_to_the_last_places() -> None:

@@ -274,6 +274,8 @@ def test_nothing_below_a_thousandth_is_read() -> None:
         assert read_section(quiet, 0.0) is Verdict.SILENT
         assert not is_settled(quiet, 0.0, 1.01e-3 * quiet.amplitude)
         assert is_settled(quiet, 0.0, 0.99e-3 * quiet.amplitude)
+        assert is_settled(quiet.until(41), 0.0, 0.0)
+        assert not is_settled(quiet.until(39), 0.0, 0.0)  # the pulse is being sent
     assert "reaches 0.09" in describe_refusal(Verdict.SILENT, section(wave(4.0, 0.00095)), PickRule())
     assert periods(read(section(wave(4.0, 0.00125)), 0.0).peak) == pytest.approx(4.0, rel=1e-2)
 

@@ -1,15 +1,15 @@
 """Prints a hash of everything whose bits must not depend on the processor: a line ``hash name`` for each.
 
-    python program.py small|paper [--packing FILE] [--regimes linear finite] [--lanes 1 8] [--contents 0 2.55]
+    python program.py small|paper [--packing FILE] [--laws linear finite] [--lanes 1 8] [--contents 0 2.55]
 
-``small`` is a box of 280 disks, ``paper`` the 4,663 disks of the preset `paper-small-pulse`. With ``--packing`` the
+``small`` is a box of 280 disks, ``paper`` the 4,663 disks of the preset `paper`. With ``--packing`` the
 waves run through a packing of that file, which is written if it is not there.
 """
 
 import argparse
 import hashlib
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import astuple, replace
 from itertools import product
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.rule import Law, WaveRule
 from calcidem.ends import CellStatus
 
 SEEDS = (1, 2, 3)
@@ -35,7 +35,7 @@ SMALL = PackingRule(width=0.03, height=0.06, unbalanced_force_ratio=1e-5)
 SMALL_WAVE = WaveRule(
     transmitter_half_width=0.01, receiver_half_width=0.012, boundary_thickness=0.012, listening_depth=0.006
 )
-PAPER = load_configuration(Path(presets.__file__).parent / "paper-small-pulse.toml")
+PAPER = load_configuration(Path(presets.__file__).parent / "paper.toml")
 
 
 def digest(*values: npt.ArrayLike | None) -> str:
@@ -55,17 +55,17 @@ def packed(scene: str) -> Packing:
     return make_packing(PAPER.packing, PAPER.sand, generator)
 
 
-def experiment_on(scene: str, packing: Packing, regime: str) -> Experiment:
+def experiment_on(scene: str, packing: Packing, law: Law) -> Experiment:
     """Experiment of a scene."""
     if scene == "small":
-        wave = replace(SMALL_WAVE, amplitude=1e-4 if regime == "linear" else 1e-3)
+        wave = replace(SMALL_WAVE, amplitude=1e-4 if law == "linear" else 1e-3)
         pick = PickRule(largest_error=1.0)  # there is no longer way in so small a box
         experiment = Experiment(
             packing, cement_rule=CementRule(p_share=0.77), wave=wave, pick=pick, stiffness_factor=13.0
         )
     else:
         experiment = PAPER.experiment(packing)
-    return replace(experiment, wave=replace(experiment.wave, regime=regime))
+    return experiment.with_wave(law=law)
 
 
 def hash_of_packing(packing: Packing) -> str:
@@ -82,7 +82,7 @@ def hash_of_cement(experiment: Experiment) -> str:
 
 
 def hashes_of_cells(cells: tuple[Measurement, ...]) -> Iterator[tuple[str, str]]:
-    """Hashes of step, section and readings."""
+    """Hashes of step, section and readings; of the check, which is that of a content."""
     sections = [cell.section for cell in cells]
     yield "step", digest(*((s.time_step, s.stability_limit, s.unbalanced_speed) for s in sections))
     yield (
@@ -92,11 +92,11 @@ def hashes_of_cells(cells: tuple[Measurement, ...]) -> Iterator[tuple[str, str]]
             *(counts for s in sections for counts in (s.across, s.along)),
         ),
     )
-    names = ("peak", "first_arrival", "cross_correlation", "error", "path", "path_error")
-    stable = [cell for cell in cells if cell.status is not CellStatus.UNSTABLE]
-    numbers = [tuple(cell.reading and getattr(cell.reading, name) for name in names) for cell in stable]
-    errors = [(cell.expected_error, cell.error_bound) for cell in cells if cell.error_bound is not None]
-    yield "Vs", digest(*(n for row in numbers for n in row), *(cell.vs for cell in cells), *errors)
+    names = ("wave", "bias", "error", "peak", "first_arrival", "cross_correlation")
+    stable = [cell.reading for cell in cells if cell.status is not CellStatus.UNSTABLE]
+    numbers = [reading and getattr(reading, name) for reading in stable for name in names]
+    yield "Vs", digest(*numbers, *(cell.vs for cell in cells))
+    yield "check", digest(*astuple(cells[0].check)[1:])
 
 
 def tell(value: str, name: str) -> None:
@@ -109,7 +109,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("scene", choices=("small", "paper"))
     parser.add_argument("--packing", type=Path)
-    parser.add_argument("--regimes", nargs="*", default=["linear", "finite"])
+    parser.add_argument("--laws", nargs="*", default=["linear", "finite"])
     parser.add_argument("--lanes", nargs="*", type=int, default=[1, 8])
     parser.add_argument("--contents", nargs="*", type=float, default=[0.0, 2.55])
     options = parser.parse_args()
@@ -119,10 +119,10 @@ def main() -> None:
         file.write_bytes(packing_to_bytes(packing))
     tell(hash_of_packing(packing), "packing")
     tell(hash_of_cement(experiment_on(options.scene, packing, "linear")), "cement")
-    for regime, lanes, content in product(options.regimes, options.lanes, options.contents):
-        cells = measure(experiment_on(options.scene, packing, regime), content, SEEDS[:lanes], lanes=lanes)
+    for law, lanes, content in product(options.laws, options.lanes, options.contents):
+        cells = measure(experiment_on(options.scene, packing, law), content, SEEDS[:lanes], lanes=lanes)
         for name, value in hashes_of_cells(cells):
-            tell(value, f"{name}, {regime}, lanes={lanes}, {content:g} %")
+            tell(value, f"{name}, {law}, lanes={lanes}, {content:g} %")
 
 
 if __name__ == "__main__":

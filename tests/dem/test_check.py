@@ -1,0 +1,270 @@
+"""The check of a content: which law and step it takes, what it states as errors, and what they do to a velocity."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from waves import DISTANCE, FREQUENCY, guided, section, silence
+
+from calcidem.dem.engine import leapfrog
+from calcidem.dem.kernels.features import Features
+from calcidem.dem.sample.cement import CementRule
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave import check, measurement
+from calcidem.dem.wave.check import Check, check_content, kernels_of, with_check
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement, interpret, measure
+from calcidem.dem.wave.propagation import prepare_recorder, send_waves
+from calcidem.dem.wave.reading import PickRule, Verdict
+from calcidem.dem.wave.rule import Law, WaveRule
+from calcidem.dem.wave.section import Section
+from calcidem.ends import CellStatus
+
+CONTENT, HELD = 2.55, 2.07
+QUIET = 1e-4
+"""Amplitude (m/s) at which the contacts of 280 disks under 5 kPa keep their stiffness."""
+LOUD = 0.3
+"""And one at which they slip and open."""
+
+
+@pytest.fixture(scope="module")
+def quiet(small_packing: Packing) -> Experiment:
+    """A small box with a quiet pulse, one wavelength of which is a third of the path."""
+    wave = WaveRule(
+        amplitude=QUIET,
+        transmitter_half_width=0.01,
+        receiver_half_width=0.012,
+        boundary_thickness=0.012,
+        listening_depth=0.006,
+        most_broken_bonds=1.0,
+    )
+    return Experiment(
+        small_packing,
+        cement_rule=CementRule(p_share=0.77),
+        wave=wave,
+        pick=PickRule(largest_error=1.0),
+        stiffness_factor=13.0,
+        frequencies=((0.0, CONTENT), (12e3, 24e3)),
+    )
+
+
+# --- Law and step, from velocities that are written down
+
+Speed = Callable[[WaveRule, float], float]
+"""Travel time, periods, of a sample computed with a rule and a sense of the pulse."""
+
+
+def checked(experiment: Experiment, monkeypatch: pytest.MonkeyPatch, travel: Speed) -> tuple[Check, list[WaveRule]]:
+    """Check of a content whose samples have such travel times, and the rules of all batches."""
+    rules: list[WaveRule] = []
+
+    def sent(
+        given: Experiment, bonded: Sequence[object], *_: object, signs: Sequence[float], **__: object
+    ) -> list[Section]:
+        rules.append(given.wave)
+        assert len(bonded) == len(signs)
+        return [section(guided(travel(given.wave, sign), HELD), duration=9.0) for sign in signs]
+
+    monkeypatch.setattr(check, "send_waves", sent)
+    monkeypatch.setattr(Experiment, "clamp", HELD / DISTANCE)
+    return check_content(experiment, CONTENT, 8), rules
+
+
+@pytest.mark.parametrize(
+    ("law", "apart", "found"),
+    [("auto", 0.009, "linear"), ("auto", 0.011, "finite"), ("linear", 0.1, "linear"), ("finite", 0.0, "finite")],
+)
+def test_the_linear_law_is_taken_where_it_agrees_to_a_percent(
+    quiet: Experiment, monkeypatch: pytest.MonkeyPatch, law: Law, apart: float, found: Law
+) -> None:
+    """With `auto`; a law that the user forces stays, is compared in the same way, and its error is stated."""
+
+    def travel(rule: WaveRule, _: float) -> float:
+        return 2.0 * (1.0 + apart * (rule.law == "linear"))
+
+    result, rules = checked(quiet.with_wave(law=law), monkeypatch, travel)
+    assert result.law == found
+    finer = replace(quiet.wave, law="finite", precision="float64", step_fraction=0.4, samples_per_period=80)
+    assert rules[0] == finer
+    assert rules[1] == replace(quiet.wave, law="linear" if law == "auto" else law)
+    assert result.effective_numerical_error is not None
+    assert result.effective_numerical_error == pytest.approx(2.2 * apart * (found == "linear"), rel=0.1, abs=5e-4)
+    assert (result.step_fraction == 0.8) == (found == "finite" or apart < 0.01)
+
+
+@pytest.mark.parametrize(("slope", "halvings"), [(0.02, 0), (0.03, 1), (0.1, 2), (0.3, 3)])
+def test_the_step_is_halved_as_long_as_it_matters_by_more_than_a_percent(
+    quiet: Experiment, monkeypatch: pytest.MonkeyPatch, slope: float, halvings: int
+) -> None:
+    """Three times at most; half a step is the difference, and what is left is stated with Student's 2.2."""
+
+    def travel(rule: WaveRule, _: float) -> float:
+        return 2.0 * (1.0 + slope * rule.step_fraction)
+
+    result, rules = checked(quiet.with_wave(law="finite"), monkeypatch, travel)
+    assert result.step_fraction == 0.8 / 2**halvings
+    assert [rule.step_fraction for rule in rules] == [
+        part * 0.8 / 2**n for n in range(halvings + 1) for part in (0.5, 1.0)
+    ]
+    step = result.step_fraction
+    expected = 2.2 * slope * 0.5 * step / (1.0 + 0.75 * slope * step)
+    assert result.effective_numerical_error == pytest.approx(expected, rel=0.05)
+
+
+def test_the_difference_of_both_senses_is_the_effect_of_the_pulse(
+    quiet: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each sense is off by half of it, as the standard deviation of two is the difference over sqrt 2."""
+    result, _ = checked(quiet.with_wave(law="finite"), monkeypatch, lambda _, sign: 2.0 * (1.0 + 0.02 * sign))
+    assert result.effective_pulse_effect == pytest.approx(2.2 / np.sqrt(2.0) * 0.04, rel=0.01)
+    assert result.pulse_effect == pytest.approx(result.effective_pulse_effect, rel=0.1)
+    assert result.effective_numerical_error == pytest.approx(0.0, abs=1e-9)
+
+
+def test_samples_without_a_wave_have_no_errors(quiet: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What no check sample tells is unknown, not zero; the cheapest law is not confirmed then."""
+    silent = section(silence, duration=6.0)
+    monkeypatch.setattr(check, "send_waves", lambda _given, bonded, *_, **__: [silent] * len(bonded))
+    found = check_content(quiet, CONTENT, 8)
+    assert found == Check("finite", 0.8)
+
+
+# --- Real samples
+
+
+def test_a_quiet_content_is_confirmed_linear(quiet: Experiment) -> None:
+    """Law, step, precision and pulse matter less than 1 %, and the errors are stated with the velocities."""
+    for content in (0.0, CONTENT):
+        found = quiet.once(check_content, content, 8)
+        assert (found.law, found.step_fraction) == ("linear", 0.8)
+        for error in (found.numerical_error, found.effective_numerical_error):
+            assert error is not None
+            assert 0.0 < error < 0.022
+        assert found.pulse_effect is not None
+        assert found.effective_pulse_effect is not None
+        assert found.pulse_effect < 0.01  # of one peak, which is flat on so short a path
+        assert found.effective_pulse_effect < 5e-3
+
+
+def test_a_check_depends_neither_on_lanes_nor_on_the_seeds_that_are_asked_for(quiet: Experiment) -> None:
+    """Its samples are its own, and a sample has the same bits in any batch."""
+    expected = quiet.once(check_content, CONTENT, 8)
+    assert check_content(quiet, CONTENT, 16) == expected
+    for seeds in ((5,), (7, 6)):
+        for found in measure(replace(quiet), CONTENT, seeds):
+            assert found.check == expected
+            assert found.section.time_step == expected.step_fraction * found.section.stability_limit
+
+
+def test_a_loud_content_takes_the_finite_law_and_says_what_its_pulse_does(quiet: Experiment) -> None:
+    """Contacts slip and open: the sense of the pulse matters by percents; a forced linear law states its error."""
+    loud = quiet.with_wave(amplitude=LOUD)
+    found = check_content(loud, CONTENT, 8)
+    assert found.law == "finite"
+    assert found.effective_pulse_effect is not None
+    assert found.effective_pulse_effect > 0.02
+    forced = check_content(loud.with_wave(law="linear"), CONTENT, 8)
+    assert forced.law == "linear"
+    assert forced.effective_numerical_error is not None
+    assert forced.effective_numerical_error > 0.01
+    assert forced.effective_pulse_effect == pytest.approx(found.effective_pulse_effect, rel=0.5)
+
+
+@pytest.mark.parametrize("amplitude", [QUIET, LOUD])
+def test_every_kernel_of_a_content_is_named(
+    quiet: Experiment, monkeypatch: pytest.MonkeyPatch, amplitude: float
+) -> None:
+    """Those of the samples and of their check, and where the check refuses the linear law one more."""
+    experiment, kept = quiet.with_wave(amplitude=amplitude), leapfrog.run_kernel
+    used: set[tuple[Features, str]] = set()
+
+    def watched(state: leapfrog.State, *arguments: object) -> int:
+        used.add((state.features, state.motion.velocity.dtype.name))
+        return kept(state, *arguments)  # type: ignore[arg-type]
+
+    named = set()
+    for _, settings, lanes in kernels_of(experiment, 8):
+        bonded = experiment.ordering(0).at(CONTENT).bonded
+        state = prepare_recorder(settings, [bonded], 24e3, lanes, lambda: None).state
+        named.add((state.features, state.motion.velocity.dtype.name))
+    monkeypatch.setattr(leapfrog, "run_kernel", watched)
+    for content in (0.0, CONTENT):
+        measure(experiment, content, [1])
+    assert len(named) == 2
+    assert named <= used
+    assert len(used) == (2 if amplitude == QUIET else 3)
+    assert len(kernels_of(replace(experiment, is_checked=False), 8)) == 1
+
+
+def test_a_reversed_pulse_is_the_exact_negative_under_the_linear_law(quiet: Experiment) -> None:
+    """Sections are positive as the pulse, so they have the same bits; under the finite law a loud one has not."""
+    bonded = [quiet.ordering(1).at(CONTENT).bonded] * 2
+
+    def pair(law: Law, amplitude: float) -> list[Section]:
+        return send_waves(
+            quiet.with_wave(law=law, amplitude=amplitude),
+            bonded,
+            24e3,
+            stop_when=lambda one: one.duration > 2e-4,
+            signs=(1.0, -1.0),
+        )
+
+    forth, back = pair("linear", QUIET)
+    assert np.abs(forth.across).max() > 1e3
+    np.testing.assert_array_equal(forth.across, back.across)
+    np.testing.assert_array_equal(forth.along, back.along)
+    forth, back = pair("finite", LOUD)
+    assert np.any(forth.across != back.across)
+
+
+# --- What a measurement makes of it
+
+
+def test_a_measurement_takes_law_and_step_of_its_check(quiet: Experiment) -> None:
+    """And nothing else of the experiment changes."""
+    given = with_check(quiet, Check("finite", 0.2))
+    assert given.wave == replace(quiet.wave, law="finite", step_fraction=0.2)
+    for field in fields(Experiment):
+        assert field.name in {"wave", "_kept"} or getattr(given, field.name) is getattr(quiet, field.name)
+
+
+def test_errors_of_the_check_are_part_of_the_effective_error_and_may_refuse_vs(
+    quiet: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Root of the sum of squares; above 5 % there is no Vs, and the reason has its numbers."""
+    monkeypatch.setattr(Experiment, "clamp", HELD / DISTANCE)
+    given = section(guided(2.5, HELD))
+    cement = quiet.ordering(1).at(CONTENT)
+
+    def with_error(**errors: float) -> Measurement:
+        return interpret(quiet, Measurement(1, CONTENT, cement, given, Check("linear", 0.8, **errors)))
+
+    plain = with_error()
+    assert plain.status is CellStatus.DONE
+    assert plain.reading is not None
+    assert plain.effective_vs == plain.reading.wave.velocity == pytest.approx(DISTANCE * FREQUENCY / 2.5, rel=1e-3)
+    assert plain.effective_error == plain.reading.wave.error
+    part = plain.reading.wave.error
+    both = with_error(effective_numerical_error=2.0 * part, effective_pulse_effect=2.0 * part)
+    assert both.effective_error == pytest.approx(3.0 * part)
+    assert with_error(numerical_error=0.049).vs == plain.vs
+    refused = with_error(numerical_error=0.051)
+    assert (refused.status, refused.vs) == (CellStatus.NO_ARRIVAL, None)
+    assert refused.effective_vs == plain.effective_vs
+    assert Verdict.of(refused.reason) is Verdict.INACCURATE
+    assert "5.1%" in refused.reason
+
+
+def test_seeds_are_measured_in_batches_of_the_kernels_width(monkeypatch: pytest.MonkeyPatch, quiet: Experiment) -> None:
+    """All of them, in order."""
+    batches: list[list[int]] = []
+
+    def measured(_experiment: Experiment, _content: float, seeds: list[int], **_options: object) -> list[int]:
+        batches.append(seeds)
+        return seeds
+
+    monkeypatch.setattr(measurement, "measure", measured)
+    found: list[object] = list(measurement.measure_all(quiet, 0.0, [5, 3, 1, 2, 4], lanes=2))
+    assert found == [5, 3, 1, 2, 4]
+    assert batches == [[5, 3], [1, 2], [4]]
