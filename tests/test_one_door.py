@@ -56,6 +56,7 @@ ALLOWED = {
     ("analysis/published.py", "read_text"): "of the package",
     ("dem/kernels/compiling.py", "read_bytes"): "of the package",
     ("app/campaign/task.py", "open"): "writes",
+    ("app/campaign/task.py", "read_text"): "of the cache, which this program writes",
     ("app/report/page.py", "open"): "writes",
     ("app/cli/init.py", "open"): "writes",
     ("dem/sample/packing_file.py", "open"): "writes",

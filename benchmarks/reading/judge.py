@@ -109,17 +109,23 @@ def recorded(known: Section, samples_per_period: int = _SAMPLES_PER_PERIOD) -> s
 
 
 def read_section(known: Section) -> tuple[float | None, float]:
-    """Velocity, m/s, and standard error by the reading of calcidem.dem.wave."""
-    found = reading.read_section(recorded(known), _RULE)
+    """Velocity to the receiver, m/s, and standard error by the reading of calcidem.dem.wave."""
+    found = reading.read_section(recorded(known), known.clamp, _RULE)
     return (None, np.nan) if isinstance(found, reading.Verdict) else (found.peak, found.error)
 
 
-def read_crest(known: Section) -> tuple[float | None, float]:
-    """The same of the path from station to station."""
-    found = reading.read_section(recorded(known), _RULE)
-    if isinstance(found, reading.Verdict) or found.path_error is None:
+def read_without_bias(known: Section) -> tuple[float | None, float]:
+    """The same divided by the bias that it states."""
+    found = reading.read_section(recorded(known), known.clamp, _RULE)
+    if isinstance(found, reading.Verdict) or found.peak is None:
         return None, np.nan
-    return found.path, found.path_error
+    return found.peak / (1.0 + found.bias), found.error
+
+
+def read_effective(known: Section) -> tuple[float | None, float]:
+    """Effective velocity of the sample and its standard error."""
+    found = reading.read_section(recorded(known), known.clamp, _RULE)
+    return (None, np.nan) if isinstance(found, reading.Verdict) else (found.wave.velocity, found.wave.error)
 
 
 def counts_of(judgement: Judgement, some: Flags) -> tuple[str, ...]:
@@ -192,6 +198,9 @@ def print_errors(judgement: Judgement) -> None:
     print_table(("refused above %", "wrong %", "refused %", "read of all %"), rows)
 
 
+_READINGS = (("receiver", read_section), ("without bias", read_without_bias), ("effective", read_effective))
+
+
 def main() -> None:
     """Judge the reading as it is."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -206,7 +215,7 @@ def main() -> None:
         sets["lattices"] = [one for seed in range(first, last + 1) for one in sections_of_seed(seed)]
     for name, sections in sets.items():
         print(f"\n{name}: {len(sections)} sections")
-        for title, read in (("receiver", read_section), ("path", read_crest)):
+        for title, read in _READINGS:
             judgement = judge(sections, read)
             print(f"\n{title}")
             print_counts(judgement, tuple(dict.fromkeys(one.kind for one in sections)))

@@ -34,6 +34,7 @@ from calcidem.dem.engine.scene import Bonds, Scene, Wall
 from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.layout import Flags, Floats, Integers, Recording
 from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.wave.strip_wave import clamp_of_strip
 
 KINDS = ("hexagonal", "square", "tilted", "jittered", "mixed", "patches")
 LANES = 8
@@ -45,6 +46,7 @@ _PATHS = 0.4, 4.5  # wavelengths
 KNOWN_TO = 0.02  # of the delay
 _RIVAL = 0.75  # height of a second peak of the plane wave over its first that leaves the delay unknown
 _SOON = 1.7  # delays until when it counts
+_LAYER = 4.0 * SPACING  # damped at floor and lid
 _NOISY = 0.5  # of the sections have noise
 
 
@@ -159,6 +161,7 @@ def sections_of_seed(seed: int) -> list[Section]:
                 delay=delay,
                 delay_error=error,
                 aperture=trial.half_aperture / wavelength,
+                clamp=clamp_of_strip(trial.copies * lattice.height - 2.0 * _LAYER),
                 readable=False,
             )
             sections.append(
@@ -409,8 +412,8 @@ def simulate(cell: Lattice, trial: Trial) -> tuple[Floats, Floats, Floats, Float
     lattice = _stacked(cell, trial.copies)
     cosine, sine = np.cos(trial.slant), np.sin(trial.slant)
     driven = lattice.driven & (np.abs(lattice.y - 0.5 * lattice.height) <= trial.half_aperture) & (not trial.rubbed)
-    middle, layer = 0.5 * lattice.height, 4.0 * SPACING
-    near_rim = np.abs(lattice.y - middle) > middle - layer
+    middle = 0.5 * lattice.height
+    near_rim = np.abs(lattice.y - middle) > middle - _LAYER
     bits = (lattice.cemented << np.arange(LANES, dtype=np.uint32)).sum(axis=1).astype(np.uint32)
     scene = Scene(
         x=cosine * lattice.x - sine * lattice.y,

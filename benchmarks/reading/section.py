@@ -34,6 +34,8 @@ class Section:
         Relative uncertainty of ``delay``.
     aperture
         Half-height of the transmitter over the wavelength; infinite for a plane wave.
+    clamp
+        K of the strip between damped layers, 1/m (`calcidem.dem.wave.strip_wave`); 0 without layers.
     readable
         Whether the largest value up to 1.5 delays is a peak within 5 % of the known delay, without the noise, and the
         noise is less than a tenth of it.
@@ -51,6 +53,7 @@ class Section:
     delay: float
     delay_error: float
     aperture: float
+    clamp: float
     readable: bool
 
     @property

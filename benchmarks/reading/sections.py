@@ -52,6 +52,7 @@ def draw_section(seed: int, index: int) -> Section:
         delay=drawn.delay,
         delay_error=0.0,
         aperture=float("inf"),
+        clamp=0.0,
         readable=readable,
     )
 

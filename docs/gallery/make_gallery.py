@@ -26,7 +26,10 @@ PAPER = FOLDER.parents[1] / "calcidem" / "app" / "config" / "presets" / "paper.n
 QUICK = FOLDER / "quick.db"
 """Campaign of the preset `quick`, with sections: that of the paper is shipped without."""
 
-_OF_SECTIONS = ("measurement", "signals", "dispersion")  # drawn from QUICK
+_OF_QUICK = (
+    *("measurement", "signals", "dispersion"),  # need sections
+    *("samples", "paths", "correlations", "weight_scan", "laws"),  # need cement, drawn by the present physics
+)
 _LINE = 120  # longest line of a page
 
 SCREENS = {
@@ -58,7 +61,7 @@ def drawn_figures(names: tuple[str, ...] = ()) -> dict[str, bytes]:
         with open_campaign(paper) as whole, open_campaign(QUICK) as quick:
             analyses = whole.analyse(), quick.analyse()
             for entry in (entry for entry in CAMPAIGN_FIGURES if entry.name in names or not names):
-                figure = entry.draw(analyses[entry.name in _OF_SECTIONS])
+                figure = entry.draw(analyses[entry.name in _OF_QUICK])
                 found[entry.name] = render(figure, "png", colours=256 if entry.pictorial else None)
     return found
 
@@ -97,7 +100,7 @@ def gallery_page(*, captions: bool = False) -> str:
         "# Gallery",
         "",
         *textwrap.wrap(
-            "Figures of the paper's campaign; those that need signals are of the preset `quick`. "
+            "Figures of the campaign `paper-as-printed`; those that need signals or cement are of the preset `quick`. "
             "`python docs/gallery/make_gallery.py` draws them.",
             _LINE,
         ),

@@ -55,7 +55,7 @@ def slow_pulse(small_configuration: Configuration) -> Configuration:
         small_configuration,
         campaign=CampaignPlan(name="slow pulse", seeds=SEEDS, contents=(CONTENT,)),
         excitation=Excitation(FrequencyTable((CONTENT,), (8.4e3,))),
-        pick=replace(small_configuration.pick, largest_error=0.15),
+        pick=replace(small_configuration.pick, largest_error=0.001),
     )
 
 
@@ -87,7 +87,7 @@ def test_a_cell_without_velocity_has_a_reason_a_remedy_and_a_picture(
         table = campaign.to_dataframe(["status", "reason", "content"])
     verdict = Verdict.of(reason)
     assert verdict is Verdict.UNCERTAIN
-    assert "15.0% is allowed" in reason
+    assert "0.1% is allowed" in reason
     words = " ".join(invoke("show", unread, "--seed", 1, "--content", CONTENT, "--out", tmp_path).split())
     assert reason in words
     assert verdict.remedy in words
@@ -110,7 +110,7 @@ def test_a_stored_section_gives_the_reading_again(small_database: Path) -> None:
             assert cell.section is not None
             best = fitness(section_of(cell.section), found.wave.clamp, np.array([0.9, 1.0, 1.1]) * cell.effective_vs)
             assert best.argmax() == 1
-            assert best[1] == pytest.approx(cell.coherence, abs=1e-4)  # c is found by a parabola
+            assert best[1] == pytest.approx(cell.coherence, abs=1e-3)  # c and the minimum are found among 200 velocities
 
 
 def test_other_reasons_are_no_verdict() -> None:

@@ -27,7 +27,7 @@ QUESTIONS = {
     "status": (["status", "DB"], 640),
     "show": (["show", "DB", "--seed", "1", "--content", "0.66"], 640),
     "export": (["export", "DB", "out.nc"], 600),
-    "import": (["import", "out.nc", "--db", "copy.db"], 620),
+    "import": (["import", "out.nc", "--db", "copy.db"], 840),
     "predict": (["predict", "DB"], 1900),
 }
 """Commands, and the modules that each may import; 380 are those of Python, NumPy and SQLAlchemy alone."""

@@ -48,9 +48,10 @@ def lattice_experiment(columns: float) -> Experiment:
         step_fraction=0.5,
         listening_depth=(columns + 0.5) * SPACING,
         slowest=0.3 * shear_speed(),
+        law="linear",
     )
     frequencies = ((0.0, 9.0), (frequency, frequency))
-    return Experiment(packing, sand=SOFT, wave=wave, frequencies=frequencies)
+    return Experiment(packing, sand=SOFT, wave=wave, frequencies=frequencies, is_checked=False)
 
 
 @pytest.mark.full

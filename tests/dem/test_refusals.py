@@ -10,13 +10,12 @@ from test_distance import lattice_experiment
 
 from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import contact_forces, energies
-from calcidem.dem.engine.scene import Bonds, Installation, Preload, Regime, Scene, Wall
+from calcidem.dem.engine.scene import Bonds, Installation, Preload, Scene, Wall
 from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave import propagation
 from calcidem.dem.wave.propagation import _refuse_short_pulse
-from calcidem.dem.wave.rule import WaveRule, refuse_long_stroke
 
 ONE = np.zeros(1)
 TWO = np.array([[0, 1]])
@@ -124,15 +123,6 @@ def test_a_pulse_may_be_as_short_as_its_refusal_says() -> None:
         _refuse_short_pulse(step, 0.0501 / step)
 
 
-@pytest.mark.parametrize(("regime", "amplitude"), [("linear", 1280.0), ("small", 1024.0)])
-def test_a_pulse_may_move_the_transmitter_as_far_as_its_refusal_says(regime: Regime, amplitude: float) -> None:
-    """Five mean overlaps of 0.25 m, or a twentieth of a radius of 20 m, are allowed, and half of it with half of f."""
-    for part in (1.0, 0.5):
-        refuse_long_stroke(WaveRule(amplitude=part * amplitude, regime=regime), part * 1024.0, 0.25, 20.0)
-        with pytest.raises(ValueError, match=rf"amplitude = .* at most {part * amplitude:.3g} m/s".replace("+", r"\+")):
-            refuse_long_stroke(WaveRule(amplitude=1.01 * part * amplitude, regime=regime), part * 1024.0, 0.25, 20.0)
-
-
 def test_samples_are_prepared_only_where_their_steps_or_forces_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     """A pulse that is long for sand needs no sample; bonds that change the forces need the packing without them."""
     prepared: list[tuple[list[int], float]] = []
@@ -142,7 +132,7 @@ def test_samples_are_prepared_only_where_their_steps_or_forces_matter(monkeypatc
         lambda _experiment, bonded, frequency, *_: prepared.append(([int(flags.sum()) for flags in bonded], frequency)),
     )
     experiment = lattice_experiment(3)
-    experiment = replace(experiment, wave=replace(experiment.wave, regime="small"))
+    experiment = replace(experiment, wave=replace(experiment.wave, law="finite"))
     limit = 0.05 / (experiment.wave.step_fraction * propagation._limit_of_all_patterns(experiment, cemented=False))
     orderings = [experiment.ordering(1)]
     count = int(orderings[0].at(9.0).bonded.sum())

@@ -11,7 +11,7 @@ from waves import AMPLITUDE, FREQUENCY, section, total, wave
 
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.pulse import Pulse
-from calcidem.dem.wave.reading import read_section
+from calcidem.dem.wave.reading import Reading, read_section
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.scene import listening_disks, station_disks
 from calcidem.dem.wave.section import RESOLUTION, quantise
@@ -39,10 +39,12 @@ def test_a_stored_section_gives_the_bits_of_a_live_one() -> None:
     live = section(total(wave(8.0), wave(4.0, 0.3)), wave(4.0, 0.9))
     stored = replace(live, across=np.asfortranarray(live.across), along=np.frombuffer(live.along.tobytes(), np.int32))
     stored = replace(stored, along=stored.along.reshape(live.along.shape))
-    one, other = (read_section(given) for given in (live, stored))
+    one, other = (read_section(given, 22.0) for given in (live, stored))
+    assert isinstance(one, Reading)
+    assert isinstance(other, Reading)
     assert one.peak is not None
-    assert [one.peak, one.first_arrival, one.cross_correlation, one.error, one.path, one.path_error] == [
-        *(other.peak, other.first_arrival, other.cross_correlation, other.error, other.path, other.path_error)
+    assert [one.wave, one.peak, one.first_arrival, one.cross_correlation, one.error, one.bias] == [
+        *(other.wave, other.peak, other.first_arrival, other.cross_correlation, other.error, other.bias)
     ]
 
 

@@ -10,9 +10,10 @@ from scenes import LINEAR, RADIUS, SOFT, SOFT_CEMENT, SPACING, contact_stiffness
 from test_distance import lattice_experiment, shear_speed
 
 from calcidem.dem.engine.leapfrog import State
+from calcidem.dem.engine.material import Cement
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import start
-from calcidem.dem.engine.statics import sheared_motion, sheared_parts
+from calcidem.dem.engine.statics import ShearedPart, sheared_motion, sheared_triangles
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave import static_speed as static
@@ -27,13 +28,17 @@ def rim_of(x: Floats, y: Floats, *, ends: bool = True) -> Flags:
     return np.asarray(rim | (ends & ((y < 1e-9) | (y > y.max() - 1e-9))))
 
 
+def part_of(state: State, rim: Flags, disks: Flags) -> ShearedPart:
+    """Part of a sheared sample whose triangles have all corners among some disks."""
+    triangles = sheared_triangles(state, sheared_motion(state, rim))
+    return triangles.weighted(disks[triangles.corners].all(axis=1).astype(float))
+
+
 def lattice_errors(x: Floats, y: Floats, modulus: float, cell: float) -> Floats:
     """Relative errors of the modulus of a lattice's middle, held all around and at two sides, and of its density."""
     state = start(Scene(x, y, np.full(len(x), RADIUS), SOFT), regime="linear")
     middle = np.maximum(np.abs(x - x.mean()) / np.ptp(x), np.abs(y - y.mean()) / np.ptp(y)) < 0.3
-    found = [
-        sheared_parts(state, sheared_motion(state, rim_of(x, y, ends=ends)), [middle])[0] for ends in (True, False)
-    ]
+    found = [part_of(state, rim_of(x, y, ends=ends), middle) for ends in (True, False)]
     return np.array(
         [*(part.modulus / modulus - 1.0 for part in found), found[0].solid * cell / (np.pi * RADIUS**2) - 1.0]
     )
@@ -108,12 +113,12 @@ def test_a_dense_twin_moves_in_the_same_way(bonded: bool) -> None:
 def test_the_mirror_image_and_the_turned_sample_are_as_stiff() -> None:
     """Mirrored at a vertical line, or turned by 180 degrees, a heap has the same modulus."""
     state, rim = jumbled(4, bonded=True)
-    scene, everything = state.scene, [np.ones(25, dtype=bool)]
-    found = sheared_parts(state, sheared_motion(state, rim), everything)[0]
+    scene, everything = state.scene, np.ones(25, dtype=bool)
+    found = part_of(state, rim, everything)
     mirrored = start(replace(scene, x=-np.asarray(scene.x)), features=state.features)
     turned = start(replace(scene, x=-np.asarray(scene.x), y=-np.asarray(scene.y)), features=state.features)
     for other in (mirrored, turned):
-        assert sheared_parts(other, sheared_motion(other, rim), everything)[0] == pytest.approx(found, rel=1e-9)
+        assert part_of(other, rim, everything) == pytest.approx(found, rel=1e-9)
 
 
 def test_static_speeds_grow_with_cement(small_packing: Packing) -> None:
@@ -131,11 +136,14 @@ def test_the_error_of_a_static_speed_has_its_closed_form(
     """Half the difference of both shears and half the range over three sizes add as squares."""
     experiment, both = Experiment(small_packing), iter([(300.0, 330.0, 340.0), (280.0, 270.0, 290.0)])
     density = experiment.stiffen()[1].density
-    monkeypatch.setattr(static, "state_at_rest", lambda *_: None)
+
+    def triangles(*_: object) -> SimpleNamespace:
+        parts = (SimpleNamespace(modulus=density * v * v, solid=1.0) for v in next(both))
+        return SimpleNamespace(middle=np.zeros((1, 2)), weighted=lambda _: next(parts))
+
+    monkeypatch.setattr(static, "_state_at_rest", lambda *_: None)
     monkeypatch.setattr(static, "sheared_motion", lambda *_: None)
-    monkeypatch.setattr(
-        static, "sheared_parts", lambda *_: [SimpleNamespace(modulus=density * v * v, solid=1.0) for v in next(both)]
-    )
+    monkeypatch.setattr(static, "sheared_triangles", triangles)
     found = static_speed(experiment, np.zeros(len(small_packing.pairs), dtype=bool))
     assert found.speed == pytest.approx(np.sqrt(330.0 * 270.0))
     assert found.error * found.speed == pytest.approx(np.hypot(30.0, 0.5 * (315.0 - 290.0)))
@@ -145,13 +153,44 @@ def test_a_stiff_patch_at_the_wall_does_not_change_the_static_speed() -> None:
     """Cement that joins two walls at a corner makes a small box stiffer, not its inner part, nor the error."""
     experiment = lattice_experiment(3)
     packing = experiment.packing
+    experiment = experiment.with_wave(boundary_thickness=0.2 * packing.height)
     none = np.zeros(len(packing.preload.pairs), dtype=bool)
     ends = packing.preload.pairs
     corner = np.maximum(packing.x / packing.width, packing.y / packing.height) < 0.15
     bare, patched = (static_speed(experiment, flags) for flags in (none, corner[ends].all(axis=1)))
-    assert bare.speed == pytest.approx(shear_speed(), rel=1e-9)
-    assert bare.error < 1e-9
+    # Free disks at floor and lid turn in another way.
+    assert bare.speed == pytest.approx(shear_speed(), rel=1e-3)
+    assert bare.error < 1e-3
     assert abs(patched.speed / bare.speed - 1.0) < min(0.03, 2.0 * patched.error)
+
+
+def test_rows_count_with_the_energy_of_the_wave_in_them() -> None:
+    """Contacts of one row that are a fifth stiffer raise the modulus in proportion to cos^2(pi y / h) of that row.
+
+    All rows together raise it by a fifth; those in the damped layers, which the wave cannot enter, by nothing.
+    """
+    given, one = lattice_experiment(3), np.array([RADIUS])
+    packing = given.packing
+    normal = 1.5 * float(SOFT.hertz_coefficient(one, one)[0]) * np.sqrt(packing.report.mean_overlap)
+    cement = Cement(bond_modulus=1e9, linear_modulus=0.0, bond_stiffness_ratio=1.0 / SOFT.shear_ratio)
+    cement = replace(cement, bond_modulus=1.2e9 * normal / float(cement.bond_stiffness(one, one)[0][0]))
+    spacing = 2.0 * RADIUS - packing.report.mean_overlap
+    layer = float(packing.y.min()) + 3.5 * spacing  # of 21 rows the outer four at either side
+    experiment = replace(given, cement=cement).with_wave(boundary_thickness=layer)
+    row = np.rint((packing.y - packing.y.min()) / spacing).astype(int)
+    bare = static_speed(experiment, np.zeros(len(packing.pairs), dtype=bool)).speed
+
+    def rise(*rows: int) -> float:
+        """Relative rise of the modulus with cement among these rows."""
+        return (static_speed(experiment, np.isin(row, rows)[packing.pairs].all(axis=1)).speed / bare) ** 2 - 1.0
+
+    assert rise(*range(21)) == pytest.approx(0.2, rel=1e-4)
+    middle = rise(10)
+    for number in (5, 6, 7, 8, 9, 13):
+        energy = np.cos(np.pi * (number - 10) * spacing / (packing.height - 2.0 * layer)) ** 2
+        assert rise(number) / middle == pytest.approx(energy, abs=0.03)  # a row turns the disks of its neighbours, too
+    for number in (0, 1, 3, 20):
+        assert abs(rise(number)) < 1e-3 * middle
 
 
 def test_what_has_no_stiffness_is_refused() -> None:
@@ -163,8 +202,8 @@ def test_what_has_no_stiffness_is_refused() -> None:
     state, rim = jumbled(3, bonded=True)
     with pytest.raises(ValueError, match="give disks that follow the shear"):
         sheared_motion(state, np.zeros(25, dtype=bool))
-    with pytest.raises(ValueError, match="three neighbouring disks"):
-        sheared_parts(state, np.zeros((25, 3)), [np.arange(25) < 2])
+    with pytest.raises(ValueError, match="at least one triangle"):
+        part_of(state, rim, np.arange(25) < 2)
     state.assembly.pairs.intact[np.flatnonzero(state.assembly.pairs.cemented)[0]] = 0
     with pytest.raises(ValueError, match="broken bonds"):
         sheared_motion(state, rim)

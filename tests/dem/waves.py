@@ -1,6 +1,7 @@
 """Sections of waves that are written down, for the tests of their reading; velocities are over v0, times in periods."""
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,14 +24,28 @@ def wave(travel: float, height: float = 1.0, faster: float = 1.0) -> Wave:
     return lambda part, time: height * ONE.velocity(faster * (time - 0.5 - part * travel) + 0.5)
 
 
+def guided(travel: float, clamp: float) -> Wave:
+    """Wave in a strip that delays long waves by nothing and short ones by so many periods; K times the distance."""
+    return lambda part, time: np.interp(time, _FINE, _guided_at(part, travel, clamp), left=0.0)
+
+
+_FINE = np.arange(64 * 500) / 500.0
+"""Times of guided waves, which repeat after 64 periods."""
+
+
+@lru_cache(maxsize=1000)
+def _guided_at(part: float, travel: float, clamp: float) -> Floats:
+    """Inverse Laplace transform by FFT; damped by e^-16 over its length, so that nothing comes round."""
+    slow = 0.25
+    rate = slow + 2.0j * np.pi * np.fft.rfftfreq(len(_FINE), _FINE[1])
+    sent = np.fft.rfft(np.exp(-slow * _FINE) * ONE.velocity(_FINE))
+    path = np.sqrt((rate * travel) ** 2 + clamp**2) * part
+    return np.asarray(np.exp(slow * _FINE) * np.fft.irfft(sent * np.exp(-path), len(_FINE)))
+
+
 def at_receiver(motion: Wave) -> Wave:
     """The same at the receiver, and nothing at the stations."""
     return lambda part, time: motion(part, time) * (part == 1.0)
-
-
-def at_stations(motion: Wave, count: int = 9) -> Wave:
-    """The same at the stations, the first so many of them, and nothing elsewhere."""
-    return lambda part, time: motion(part, time) * (part < 1.0 and PARTS.index(part) < count)
 
 
 def total(*motions: Wave) -> Wave:

@@ -120,7 +120,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     found = CampaignStatus.of(store, columns, ())
     velocities = ("mean m/s", "sd m/s", "reading m/s", "effective m/s", "its sd m/s")
     table = make_table(
-        "Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda", "seconds")
+        "Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda")
     )
     table.add_column("other cells")
     marks, is_near = [], False
@@ -140,7 +140,6 @@ def _vs_table(store: Store, selection: Selection) -> Table:
             *map(format_number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
             format_number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, "{:.4g}"),
             format_number(median, "{:.2f}") + (" *" if near else ""),
-            f"{np.nansum(columns['seconds'][here].astype(float)):.1f}",
             ", ".join(f"{one.counts[status]} {status.words}" for status in CellStatus if status in others),
         )
     remarks = [f"standard error of Vs: {found.budget}; reading m/s: sd that errors of the readings alone would give"]

@@ -55,7 +55,7 @@ _MEANINGS: Mapping[str, str] = {
     "coverage": "Share of samples that lie in the 95 % interval predicted for them.",
     "step / limit": "Time step over the largest one at which the computation is stable.",
     "standard error of the mean": "Uncertainty of the mean of Vs, which falls with the number of samples.",
-    "mean effective_vs (m/s)": "Velocity of the damped wave that fits a section, mean over the samples.",
+    "mean effective_vs": "Velocity of the damped wave that fits a section, mean over the samples.",
     "coordination number": "Mean number of contacts of a grain.",
     "unbalanced-force ratio": "Mean net force on a grain over the mean contact force; near 0 at rest.",
     "porosity": "Area of the voids over area of the box.",

@@ -105,7 +105,8 @@ def is_settled(section: Section, clamp: float, remaining_speed: float) -> bool:
         is_sent = section.times[-1] > 1.0 / section.frequency  # until then the pulse adds motion
         return bool(is_sent) and remaining_speed < SILENCE * section.amplitude
     wave = fit_wave(section, clamp)
-    return wave is not None and _is_decided(section, wave)
+    # Before the S wave comes, its forerunners fit any fast wave, none of them well: their errors mostly 0.3 and more.
+    return wave is not None and wave.error < 0.15 and _is_decided(section, wave)
 
 
 def _largest(section: Section) -> float:
@@ -145,9 +146,9 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     bias = section.distance / (travel * wave.velocity) - 1.0
     travel += late[-1] * section.sampling_interval
     apart = np.array([one for one in late if np.isfinite(one)]) * section.sampling_interval
+    if not travel > 0.0:  # also NaN
+        return Reading(wave, np.nan, 0, signal, bias, 1.0, Verdict.NO_PEAK)
     error = float(np.sqrt((apart * apart).sum() / (len(apart) - 1.0))) / travel if len(apart) > 2 else 1.0
-    if not np.isfinite(travel):
-        return Reading(wave, travel, 0, signal, bias, 1.0, Verdict.NO_PEAK)
     index = round(expected[-1] + late[-1])
     found = Reading(wave, travel, index, signal, bias, min(1.0, error))
     if error > rule.largest_error:

@@ -41,7 +41,7 @@ class StripWave(NamedTuple):
     """Effective velocity c, m/s."""
     error: float
     """Its relative standard error: root of the sum of squares of the jackknife over the stations, and of the change by
-    15 % of K. 1 with fewer than three stations.
+    15 % of K. 1 with fewer than three stations, or at an end of the velocities tried.
     """
     coherence: float
     """Mean over the stations of the squared correlation of section and wave; 1 is a perfect fit."""
@@ -83,7 +83,7 @@ def fit_wave(section: Section, clamp: float) -> StripWave | None:
     velocity, misfit = speeds[0], misfits[0]
     total, count = misfit.sum(axis=1), len(far)
     coherence = 1.0 - float(total.min()) / count
-    if count < 3:
+    if count < 3 or not 0 < total.argmin() < len(total) - 1:
         return StripWave(velocity, 1.0, coherence, clamp)
     left_out = np.array([_least(velocities, total - misfit[:, one]) for one in range(count)]) / velocity - 1.0
     apart = left_out - left_out.mean()
@@ -186,6 +186,5 @@ def _least(velocities: Floats, misfit: Floats) -> float:
     left, middle, right = (float(value) for value in misfit[place - 1 : place + 2])
     bend = left - 2.0 * middle + right
     shift = 0.5 * (left - right) / bend if bend > 0.0 else 0.0
-    slower, faster = float(velocities[place - 1]), float(velocities[place + 1])
-    middle_velocity = float(velocities[place])
-    return middle_velocity + shift * (faster - middle_velocity if shift > 0.0 else middle_velocity - slower)
+    faster, here, slower = (float(velocity) for velocity in velocities[place - 1 : place + 2])
+    return here + shift * (slower - here if shift > 0.0 else here - faster)
