@@ -119,9 +119,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     columns = store.table((*STATUS_QUANTITIES, "effective_vs", "wavelengths_on_path", "broken_bonds"), selection)
     found = CampaignStatus.of(store, columns, ())
     velocities = ("mean m/s", "sd m/s", "reading m/s", "effective m/s", "its sd m/s")
-    table = make_table(
-        "Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda")
-    )
+    table = make_table("Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda"))
     table.add_column("other cells")
     marks, is_near = [], False
     for one in found.contents:
