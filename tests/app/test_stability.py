@@ -208,17 +208,6 @@ def test_bonds_that_break_are_reported_after_one_retry() -> None:
     assert found.section.time_step == pytest.approx(0.5 * scene.step_fraction * found.section.stability_limit)
 
 
-def test_a_step_that_matters_is_halved() -> None:
-    """Where contacts chatter the check takes a smaller step, or states what is left as error."""
-    scene = Extreme(damping=0.66, content=0.3, contrast=100.0)
-    strong, content = scene.experiment()
-    found = measure(strong, content, [1], lanes=1)[0]
-    check = found.check
-    assert found.section.time_step == pytest.approx(check.step_fraction * found.section.stability_limit)
-    assert check.step_fraction < scene.step_fraction
-    assert scene.judge().verdict != SceneVerdict.WRONG
-
-
 @pytest.mark.full
 def test_a_scene_at_rest_stays_at_rest() -> None:
     """Undisturbed, the balanced lattice moves by rounding alone over 20 000 steps."""
