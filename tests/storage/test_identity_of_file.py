@@ -333,6 +333,14 @@ def test_a_merge_into_its_own_result_goes_on(source: Path, target: Path, records
     assert [path.name for path in target.parent.iterdir()] == [target.name]
 
 
+def test_a_database_without_a_campaign_is_merged_into(source: Path, target: Path) -> None:
+    """A run that was killed at its start leaves one; a run and an import go on with it, too."""
+    Store(target).close()
+    assert merge_databases([str(source)], target).sources == (str(source),)
+    with Store(target) as store:
+        assert [campaign.name for campaign in store.campaigns()] == ["quick"]
+
+
 def test_a_damaged_target_is_not_merged(source: Path, target: Path) -> None:
     """The target's own cells are read first; if they cannot be, it stays as it is."""
     merge_of(source, target)

@@ -4,6 +4,7 @@ import os
 import random
 import signal
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -97,6 +98,8 @@ class Trial:
             try:
                 self.commands[name][1](tell)
                 code = 0
+            except BaseException:  # noqa: BLE001 - a fork must not go on with the tests
+                traceback.print_exc()
             finally:
                 os._exit(code)
         os.close(writing)

@@ -99,7 +99,8 @@ def merge_databases(
     with ExitStack() as stack:
         temporary = stack.enter_context(replace_database(target))
         if target.exists() and target.stat().st_size and target not in [Address.parse(name).path for name in names]:
-            names.append(str(out))
+            with Store(target, read_only=True) as former:
+                names += [str(out)] if former.campaigns() else []  # a run that was killed at its start leaves none
         campaigns = [stack.enter_context(read_campaign(name, campaign_name)) for name in names]
         for campaign in campaigns:
             if campaign.address.path == target:

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -53,12 +54,12 @@ def troubled(complete: Path, tmp_path: Path) -> Path:
         store.extend((9, 10), record.contents)
         _, run = store.runs()[0]
         store.record_running([CellKey(9, 2.55)])
-        store.begin_run(run)  # which counts it as lost
+        store.begin_run(replace(run, started=run.started + timedelta(days=1)))  # which counts it as lost
         store.record_results(
             CellResult(key, status, f"what went wrong is {status}", attempt=2 if key == CellKey(9, 2.55) else 1)
             for key, status in TROUBLES.items()
         )
-        store.end_run("complete", run.started)
+        store.end_run("complete", run.started + timedelta(days=1))
     return path
 
 
