@@ -124,7 +124,7 @@ WRONG = {
         ('cement.installation = "presrve"', 'give "preserve", "zero" or "pfc_absolute"'),
     ),
     "installation that the law cannot do": (
-        '[cement]\ninstallation = "zero"\n',
+        '[cement]\ninstallation = "zero"\n[wave]\nlaw = "linear"\n',
         ('cement.installation = "zero"', 'choose wave.law = "auto" or "finite"'),
     ),
     "jump without a spring": (

@@ -4,12 +4,13 @@ Two cement patterns are computed as the cells of a campaign will be, and again w
 half the time step, twice the samples in a period, and the pulse in both senses. The differences are the numerical error
 of the content, and the effect of the pulse. They also choose the cheapest contact law and the time step.
 
-The patterns are those of the seeds 0 and 1, so the choice depends on no seed of a campaign, and is the same for its
+The patterns are those of the first seeds from 0 on that hold so much. So the choice depends on no seed of a campaign, and is the same for its
 parts, for more seeds, and after an interruption.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -32,7 +33,7 @@ _STUDENT = 2.2
 class Check:
     """Law and time step of a content, and the errors measured with them.
 
-    Relative standard errors, None if no pattern of the check has such a velocity.
+    Relative standard errors, None if no pattern of the check has a velocity.
     """
 
     law: Law
@@ -72,8 +73,11 @@ def check_content(
         Called every fraction of a second; may raise to end the run.
     """
     rule, frequency = experiment.wave, experiment.frequency(content)
-    seeds = range(PATTERNS if content > 0.0 else 1)  # without cement all samples are the same
-    bonded = [experiment.ordering(seed).at(content).bonded for seed in seeds]
+    count = PATTERNS if content > 0.0 else 1  # without cement all samples are the same
+    orderings = (experiment.ordering(seed) for seed in range(32))
+    holding = islice((one for one in orderings if one.maximum_content >= content), count)
+    # If none holds so much, the first says what it holds.
+    bonded = [one.at(content).bonded for one in (list(holding) or [experiment.ordering(0)])]
 
     def velocities(settings: Experiment, width: int, *senses: float) -> Floats:
         """(senses, patterns, 2) Vs and effective velocity, m/s; NaN without one."""
@@ -105,7 +109,9 @@ def check_content(
             break
         step *= 0.5
     errors = [_STUDENT * numerical, _STUDENT / np.sqrt(2.0) * _apart(forth, back)]
-    known = [[float(value) if np.isfinite(value) else None for value in row] for row in errors]
+    # Where the check samples give no Vs, the effective velocity stands for it.
+    filled = [(row[0] if np.isfinite(row[0]) else row[1], row[1]) for row in errors]
+    known = [[float(value) if np.isfinite(value) else None for value in row] for row in filled]
     return Check(law, step, *known[0], *known[1])
 
 

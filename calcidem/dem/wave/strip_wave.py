@@ -25,9 +25,14 @@ P_OVER_S = 1.4
 stiffness. The clamp K is known as well as this ratio, to 15 %.
 """
 
+_DAMPING = 0.5
+"""Real part of the transforms' frequencies over that of the pulse. More favours the P wave, which comes early; less
+lets reflections and the end of the record in.
+"""
+
 _SPACING = 8
 """Frequencies of the transforms are those of the pulse over 8 apart, so the wave repeats after 8 periods, damped by
-exp(-8).
+exp(-4).
 """
 
 _TERMS = 24
@@ -109,14 +114,14 @@ def waveform(wave: StripWave, frequency: float, place: float, times: Floats) -> 
     real, imaginary = _wave(frequency, np.array([wave.velocity]), (place,), wave.clamp, _TERMS)[:, 0, :, 0]
     turns = frequency * np.outer(times, (np.arange(_TERMS) + 0.5) / _SPACING)
     cosine, sine = cosine_and_sine(turns)
-    growth = exponential(frequency * times)
+    growth = exponential(_DAMPING * frequency * times)
     return np.asarray(2.0 * frequency / _SPACING * growth * (real * cosine - imaginary * sine).sum(axis=1))
 
 
 def _transform(section: Section, count: int) -> Floats:
     """(2, S, X) real and imaginary parts of the Laplace transforms of the motion of the last stations over v0, s."""
     times = section.times
-    decay = exponential(-section.frequency * times) * section.sampling_interval
+    decay = exponential(-_DAMPING * section.frequency * times) * section.sampling_interval
     cosine, sine = cosine_and_sine(section.frequency * np.outer((np.arange(_SPACING) + 0.5) / _SPACING, times))
     kernel = np.stack([cosine, -sine]) * decay
     motion = np.ascontiguousarray((section.across[:, -count:] * RESOLUTION).T)
@@ -142,7 +147,7 @@ def _normalised_waves(frequency: float, velocities: Floats, places: tuple[float,
 
 def _wave(frequency: float, velocities: Floats, places: tuple[float, ...], clamp: float, terms: int) -> Floats:
     """(2, V, S, X) transforms of waves of velocities (V,) at places (X,), over v0, s."""
-    real, imaginary = frequency, 2.0 * np.pi * frequency * (np.arange(terms) + 0.5) / _SPACING
+    real, imaginary = _DAMPING * frequency, 2.0 * np.pi * frequency * (np.arange(terms) + 0.5) / _SPACING
     # The square root of (s / c)^2 + K^2, whose real part decays along the path.
     over = 1.0 / (velocities * velocities)[:, None]
     a = over * (real * real - imaginary * imaginary) + clamp * clamp

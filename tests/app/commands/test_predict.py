@@ -19,7 +19,7 @@ def test_seed_and_pattern_of_a_sample_predict_the_same(campaign: Campaign) -> No
     stored = campaign.cell(seed=2, content=5.0)
     found = campaign.predict(content=5.0, pattern=stored.cement)
     assert found.uses_features
-    assert campaign.predict(content=5.0, seed=2).vs == pytest.approx(found.vs, rel=0.2)
+    assert campaign.predict(content=5.0, seed=2).vs == pytest.approx(found.vs, rel=0.3)  # of seven other samples
     new = campaign.predict(content=5.0, seed=501)
     assert new.interval.low < new.vs < new.interval.high
     vs = campaign.vs().sel(content=5.0).dropna("seed")
