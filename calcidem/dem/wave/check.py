@@ -4,8 +4,8 @@ Two cement patterns are computed as the cells of a campaign will be, and again w
 half the time step, twice the samples in a period, and the pulse in both senses. The differences are the numerical error
 of the content, and the effect of the pulse. They also choose the cheapest contact law and the time step.
 
-The patterns are those of the first seeds from 0 on that hold so much. So the choice depends on no seed of a campaign, and is the same for its
-parts, for more seeds, and after an interruption.
+The patterns are those of the first seeds from 0 on that hold so much. So the choice depends on no seed of a campaign,
+and is the same for its parts, for more seeds, and after an interruption.
 """
 
 from collections.abc import Callable
