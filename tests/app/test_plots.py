@@ -15,7 +15,7 @@ from PIL import Image
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.app.campaign.plots import CampaignPlots, _with_step_of
+from calcidem.app.campaign.plots import CampaignPlots, _with_settings_of
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.dem.wave.propagation import film_wave
 from calcidem.dem.wave.scene import domain_of, listening_disks
@@ -76,7 +76,8 @@ def test_a_film_is_the_stored_wave(campaign: Campaign) -> None:
     section = cell.section
     assert section is not None
     count = len(section.across)
-    film = film_wave(experiment.with_wave(law=cell.law), bonded, cell.frequency, frames=7, samples=count)
+    experiment = experiment.with_wave(law=cell.law)
+    film = film_wave(experiment, bonded, cell.frequency, frames=7, samples=count)
     np.testing.assert_array_equal(film.section.across, section.across)
     np.testing.assert_array_equal(film.section.along, section.along)
     whole, _ = experiment.stiffen()
@@ -92,7 +93,7 @@ def test_a_movie_has_the_step_of_its_cell(campaign: Campaign) -> None:
     cell, (experiment, _) = campaign.store.cell(**CELL), campaign.cemented(**CELL)
     assert cell.time_step is not None
     steps = [cell.time_step, 0.5 * cell.time_step, 0.25 * cell.time_step]
-    found = [_with_step_of(experiment, replace(cell, time_step=step)).wave.step_fraction for step in steps]
+    found = [_with_settings_of(experiment, replace(cell, time_step=step)).wave.step_fraction for step in steps]
     assert found == [part * experiment.wave.step_fraction for part in (1.0, 0.5, 0.25)]
 
 

@@ -111,7 +111,7 @@ def test_a_stored_section_gives_the_reading_again(small_database: Path) -> None:
             best = fitness(section_of(cell.section), found.wave.clamp, np.array([0.9, 1.0, 1.1]) * cell.effective_vs)
             assert best.argmax() == 1
             assert best[1] == pytest.approx(
-                cell.coherence, abs=1e-3
+                cell.coherence, abs=3e-3
             )  # c and the minimum are found among 200 velocities
 
 

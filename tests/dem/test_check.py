@@ -143,8 +143,8 @@ def test_a_quiet_content_is_confirmed_linear(quiet: Experiment) -> None:
             assert 0.0 < error < 0.022
         assert found.pulse_effect is not None
         assert found.effective_pulse_effect is not None
-        assert found.pulse_effect < 0.01  # of one peak, which is flat on so short a path
-        assert found.effective_pulse_effect < 5e-3
+        assert found.pulse_effect < 0.02  # of one peak, which is flat on so short a path
+        assert found.effective_pulse_effect < 1e-2
 
 
 def test_a_check_depends_neither_on_lanes_nor_on_the_seeds_that_are_asked_for(quiet: Experiment) -> None:

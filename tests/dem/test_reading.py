@@ -153,15 +153,15 @@ def test_a_p_wave_across_moves_the_fit_by_less_than_its_share(
         assert abs(off(read(section(total(guided(travel, HELD), early))), travel)) < within
 
 
-@pytest.mark.parametrize(("height", "found"), [(0.2, 1.0), (0.5, 0.5)])
-def test_a_p_wave_that_is_apart_is_not_taken_for_the_wave_up_to_a_fifth(height: float, found: float) -> None:
-    """On four wavelengths the transform weighs what comes two periods earlier seven times as much."""
+@pytest.mark.parametrize("height", [0.2, 0.5])
+def test_a_p_wave_that_is_apart_is_not_taken_for_the_wave_up_to_a_half(height: float) -> None:
+    """On four wavelengths the transform weighs what comes two periods earlier e times as much."""
 
     def early(part: float, time: Floats) -> Floats:
         return height * guided(2.0, HELD)(part, time)
 
     velocity = read(section(total(guided(4.0, HELD), early))).wave.velocity
-    assert periods(velocity) == pytest.approx(4.0 * found, rel=0.01)
+    assert periods(velocity) == pytest.approx(4.0, rel=0.01)
 
 
 # --- The peak at the receiver
@@ -233,12 +233,12 @@ def drawn(seed: int) -> tuple[float, Section]:
 
 @pytest.mark.parametrize("seeds", [range(40), pytest.param(range(40, 400), marks=pytest.mark.full)])
 def test_errors_cover_and_a_record_that_ends_when_settled_has_the_same_velocities(seeds: range) -> None:
-    """At least 90 % lie within 1.96 stated errors; the end changes the fit by 0.5 % below a wavelength, then .03 %."""
+    """At least 90 % lie within 1.96 stated errors; the end changes the fit by 1 % below a wavelength, then .1 %."""
     effective, peaks = [], []
     for seed in seeds:
         travel, given = drawn(seed)
         whole, ended = read(given), read(given.until(first_settled(given, SAMPLES_PER_CHUNK)))
-        tolerance = 5e-3 if travel < 1.0 else 3e-4
+        tolerance = 1e-2 if travel < 1.0 else 1e-3
         assert ended.wave.velocity == pytest.approx(whole.wave.velocity, rel=tolerance), seed
         effective.append(off(whole, travel) / whole.wave.error)
         if whole.peak is not None:
@@ -290,7 +290,7 @@ def test_a_record_is_long_enough_at_its_horizon(travel: float) -> None:
     lasts = record_duration(DISTANCE, found.wave.velocity, FREQUENCY)
     assert lasts * FREQUENCY == pytest.approx(1.4 * periods(found.wave.velocity) + 1.25)
     assert given.times[needed - 1] >= lasts > given.times[needed - 2] * 0.99
-    assert found.wave.velocity == pytest.approx(read(given).wave.velocity, rel=3e-3 if travel < 1.0 else 1e-4)
+    assert found.wave.velocity == pytest.approx(read(given).wave.velocity, rel=1e-2 if travel < 1.0 else 1e-3)
     assert found.peak == pytest.approx(read(given).peak, rel=1e-9)
 
 
@@ -341,7 +341,7 @@ def test_a_section_of_the_wrong_sense_has_no_wave() -> None:
         given = section(guided(travel, HELD))
         mirrored = fit_wave(replace(given, across=-given.across), CLAMP)
         assert mirrored is not None
-        assert mirrored.coherence < 0.2
+        assert mirrored.coherence < 0.3
 
 
 @pytest.mark.parametrize("name", ["smoothing", "largest_error"])
