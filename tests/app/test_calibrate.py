@@ -283,7 +283,7 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
     refuse(STIFFNESS, MODULUS, match="parameters = 2: give at most 1")
     refuse(STIFFNESS, STIFFNESS, match="named twice")
     refuse(match="name at least one")
-    refuse(STIFFNESS, content=60.0, match="known from 0.1 to 9 % only")
+    refuse(STIFFNESS, content=60.0, match="known from 0.66 to 9 % only")
     refuse(STIFFNESS, content=120.0, match="give a list of percentages of 0 to 100")
     refuse(STIFFNESS, tolerance=float("nan"), match="tolerance = nan")
 
