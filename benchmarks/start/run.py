@@ -60,7 +60,7 @@ PHASES = {
     "scenes: neighbours, forces, step": ("calcidem.dem.wave.propagation.prepare_recorder",),
     "lists of neighbours": ("calcidem.dem.engine.leapfrog.renew_assembly",),
     "drawing cement": ("calcidem.dem.wave.experiment.draw_cement",),
-    "looks at the records": ("calcidem.dem.wave.measurement.is_settled",),
+    "looks at the records": ("calcidem.dem.wave.propagation.is_settled",),
     "guards": ("calcidem.dem.wave.recorder.problems_of",),
     "readings and their errors": ("calcidem.dem.wave.measurement.interpret",),
     "other work of the checks": ("calcidem.app.campaign.task.check_content",),

@@ -26,7 +26,6 @@ from calcidem.dem.wave.check import check_content, with_check
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, interpret
 from calcidem.dem.wave.propagation import send_waves
-from calcidem.dem.wave.reading import is_settled
 from calcidem.dem.wave.static_speed import static_speed
 
 LANES = 16
@@ -92,7 +91,6 @@ class Samples:
                 settings,
                 [cement.bonded for cement in placed],
                 experiment.frequency(content),
-                stop_when=lambda one: is_settled(one, experiment.clamp, one.remaining_speed),
                 lanes=LANES,
                 signs=[sign] * len(placed),
             )

@@ -17,7 +17,7 @@ import numpy as np
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves
-from calcidem.dem.wave.reading import Reading, is_settled, read_section
+from calcidem.dem.wave.reading import Reading, read_section
 from calcidem.dem.wave.rule import Law
 from calcidem.dem.wave.section import Section
 
@@ -89,7 +89,6 @@ def check_content(
                 settings,
                 [flags for flags, _ in batch],
                 frequency,
-                stop_when=lambda section: is_settled(section, experiment.clamp, section.remaining_speed),
                 lanes=width,
                 check=check,
                 signs=[sense for _, sense in batch],

@@ -9,7 +9,7 @@ from calcidem.dem.sample.cement import CementOrdering, PlacedCement
 from calcidem.dem.wave.check import Check, check_content, with_check
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves
-from calcidem.dem.wave.reading import Reading, describe_refusal, is_settled, read_section
+from calcidem.dem.wave.reading import Reading, describe_refusal, read_section
 from calcidem.dem.wave.section import Section
 from calcidem.ends import CellStatus, Verdict
 
@@ -103,7 +103,6 @@ def measure(
         settings,
         [cement.bonded for cement in placed],
         experiment.frequency(content),
-        stop_when=lambda section: is_settled(section, experiment.clamp, section.remaining_speed),
         lanes=lanes,
         check=check,
     )

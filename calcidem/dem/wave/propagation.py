@@ -21,7 +21,7 @@ from calcidem.dem.sample.settling import settle
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.guards import unbalanced_speed
 from calcidem.dem.wave.pulse import Pulse
-from calcidem.dem.wave.reading import record_duration
+from calcidem.dem.wave.reading import is_settled, record_duration
 from calcidem.dem.wave.recorder import Recorder
 from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN
 from calcidem.dem.wave.scene import driven_disks, lane_bonds, listening_disks, station_disks, wave_scene
@@ -33,7 +33,7 @@ def send_waves(
     bonded: Sequence[Flags],
     frequency: float,
     *,
-    stop_when: Callable[[Section], bool],
+    stop_when: Callable[[Section], bool] | None = None,
     lanes: int = 8,
     check: Callable[[], None] = lambda: None,
     signs: Sequence[float] = (),
@@ -49,7 +49,7 @@ def send_waves(
     frequency
         Frequency of the pulse, Hz.
     stop_when
-        Called with each sample's section at fixed times; True ends it.
+        Called with each sample's section at fixed times; True ends it. By default it ends when it is settled.
     lanes
         Width of the kernel: 1, 2, 4, 8, 16 or 32. A sample's bits do not depend on how many of the lanes are in use.
     check
@@ -62,7 +62,8 @@ def send_waves(
     One section for each sample. If a guard finds a problem, the sample is recomputed with half the step, and its
     section notes this. If that fails, too, the problem stays in the section.
     """
-    sections = prepare_recorder(experiment, bonded, frequency, lanes, check, signs).run(stop_when, check)
+    is_over = stop_when or (lambda section: is_settled(section, experiment.clamp, section.remaining_speed))
+    sections = prepare_recorder(experiment, bonded, frequency, lanes, check, signs).run(is_over, check)
     failed = [sample for sample, section in enumerate(sections) if section.problem]
     if failed:
         again = prepare_recorder(
@@ -73,7 +74,7 @@ def send_waves(
             check,
             [signs[sample] for sample in failed] if signs else (),
         )
-        for sample, section in zip(failed, again.run(stop_when, check), strict=True):
+        for sample, section in zip(failed, again.run(is_over, check), strict=True):
             sections[sample] = replace(section, retry=sections[sample].problem)
     return sections
 
@@ -94,7 +95,7 @@ def prepare_recorder(
     bonds = lane_bonds(packing, experiment.cement, [flags[domain.pairs] for flags in bonded], lanes, installation)
     # Gap of listed pairs, in mean radii. If a disk moves further than ten strokes, pairs are listed again.
     skin = min(SKIN, 2.0 * 10.0 * pulse.stroke / float(packing.radius.mean())) if rule.regime == "finite" else 0.0
-    features = _wave_features(replace(bare, bonds=bonds), experiment, lanes)
+    features = _wave_features(bare, experiment, lanes)
     single, scene = experiment.once(_bare_sample, features, skin)
     scene = replace(scene, bonds=bonds)
     state = _start_at_rest(experiment, scene, _wave_features(scene, experiment, lanes), skin, single)

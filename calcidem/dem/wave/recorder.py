@@ -8,7 +8,7 @@ import numpy as np
 from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.kernels.layout import LISTENED, XY, Floats, Integers, Recording, X, Y
-from calcidem.dem.wave.guards import broken_bonds, cemented_bonds, problems_of
+from calcidem.dem.wave.guards import broken_bonds, problems_of
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
 from calcidem.dem.wave.section import Counts, Section, quantise
@@ -45,14 +45,13 @@ class Recorder:
     """See `guards.problems_of`."""
     counts: Counts = field(init=False)
     """(L, 2, X, S) motion across and along so far, see `Section`."""
-    bonds: Integers = field(init=False)
     broken: Integers = field(init=False)
-    """See `Section`, for each lane; ``broken`` counts broken bonds."""
+    """(L,) number of broken bonds."""
 
     def __post_init__(self) -> None:
         """Initialize the results."""
         self.counts = np.zeros((self.state.features.lanes, 2, len(self.listeners), 0), dtype=np.int32)
-        self.bonds, self.broken = cemented_bonds(self.state), broken_bonds(self.state)
+        self.broken = broken_bonds(self.state)
 
     def run(self, stop_when: Callable[[Section], bool], check: Callable[[], None]) -> list[Section]:
         """Sections of all samples, in their order; see `propagation.send_waves`."""
@@ -131,7 +130,6 @@ class Recorder:
             steps=self.state.steps,
             unbalanced_speed=float(self.unbalanced_speed[lane]),
             broken_bonds=int(self.broken[lane]),
-            bonds=int(self.bonds[lane]),
             remaining_speed=remaining_speed,
             problem=problem,
         )

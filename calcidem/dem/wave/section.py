@@ -53,8 +53,7 @@ class Section:
     unbalanced_speed: float = 0.0
     """See `guards.unbalanced_speed`."""
     broken_bonds: int = 0
-    bonds: int = 0
-    """Broken and initial bonds."""
+    """Number of bonds that broke."""
     remaining_speed: float = math.inf
     """Bound of all later velocities of the section, m/s: those of a station if it held all energy of the sample."""
     problem: str = ""

@@ -76,14 +76,12 @@ def fit_wave(section: Section, clamp: float) -> StripWave | None:
     """
     far = far_stations(section.places)
     motion = _transform(section, len(far))
-    power = (motion * motion).sum(axis=(0, 1))
-    if not power.all():
+    if motion is None:
         return None
     speeds, misfits = [], []
     for held in (clamp, 1.15 * clamp):
         velocities, wave = _waves_of_velocities(section.frequency, section.places[-1], far, held)
-        product = np.maximum(_sum_of_terms(wave * motion[:, None]), 0.0)
-        misfits.append(1.0 - product * product / power)
+        misfits.append(1.0 - _squared_correlation(motion, wave))
         speeds.append(_least(velocities, misfits[-1].sum(axis=1)))
     velocity, misfit = speeds[0], misfits[0]
     total, count = misfit.sum(axis=1), len(far)
@@ -101,12 +99,10 @@ def fitness(section: Section, clamp: float, velocities: Floats) -> Floats:
     """Coherence of section and waves of these velocities (V,), m/s; NaN if a station has not moved."""
     far = far_stations(section.places)
     motion = _transform(section, len(far))
-    power = (motion * motion).sum(axis=(0, 1))
-    if not power.all():
+    if motion is None:
         return np.full(len(velocities), np.nan)
-    wave = _normalised_waves(section.frequency, velocities, far, clamp)
-    product = np.maximum(_sum_of_terms(wave * motion[:, None]), 0.0)
-    return np.asarray((product * product / power).mean(axis=1))
+    found = _squared_correlation(motion, _normalised_waves(section.frequency, velocities, far, clamp))
+    return np.asarray(found.mean(axis=1))
 
 
 def waveform(wave: StripWave, frequency: float, place: float, times: Floats) -> Floats:
@@ -118,14 +114,25 @@ def waveform(wave: StripWave, frequency: float, place: float, times: Floats) -> 
     return np.asarray(2.0 * frequency / _SPACING * growth * (real * cosine - imaginary * sine).sum(axis=1))
 
 
-def _transform(section: Section, count: int) -> Floats:
-    """(2, S, X) real and imaginary parts of the Laplace transforms of the motion of the last stations over v0, s."""
+def _transform(section: Section, count: int) -> Floats | None:
+    """(2, S, X) real and imaginary parts of the Laplace transforms of the motion of the last stations over v0, s.
+
+    None if one of them has not moved.
+    """
+    motion = np.ascontiguousarray((section.across[:, -count:] * RESOLUTION).T)
+    if not motion.any(axis=1).all():
+        return None
     times = section.times
     decay = exponential(-_DAMPING * section.frequency * times) * section.sampling_interval
     cosine, sine = cosine_and_sine(section.frequency * np.outer((np.arange(_SPACING) + 0.5) / _SPACING, times))
     kernel = np.stack([cosine, -sine]) * decay
-    motion = np.ascontiguousarray((section.across[:, -count:] * RESOLUTION).T)
     return np.asarray((kernel[:, :, None, :] * motion).sum(axis=3))
+
+
+def _squared_correlation(motion: Floats, wave: Floats) -> Floats:
+    """(V, X) squared correlation of a section (2, S, X) and normalised waves (2, V, S, X); 0 for the other sense."""
+    product = np.maximum(_sum_of_terms(wave * motion[:, None]), 0.0)
+    return np.asarray(product * product / (motion * motion).sum(axis=(0, 1)))
 
 
 @lru_cache(maxsize=64)
