@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.patterns import section_of, stored_reading
+from calcidem.app.campaign.patterns import section_of, section_reader
 from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.campaign.task import cell_result
 from calcidem.app.config.presets import PRESETS, preset_text
@@ -103,7 +103,7 @@ def test_a_stored_section_gives_the_reading_again(small_database: Path) -> None:
     """Figures and pages draw what was read, to the last bit, with the strip and the rule of the campaign."""
     with open_campaign(small_database) as campaign:
         for cell in campaign.select(content=CONTENT, status="done", with_arrays=True):
-            found = stored_reading(campaign.store, cell)
+            found = section_reader(campaign.store)(cell)
             assert isinstance(found, Reading)
             assert (found.peak, found.error, found.bias) == (cell.vs_peak, cell.reading_error, cell.vs_bias)
             assert (found.wave.velocity, found.wave.coherence) == (cell.effective_vs, cell.coherence)

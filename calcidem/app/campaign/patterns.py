@@ -1,6 +1,6 @@
 """Conversion of cement and sections between store and simulation; cement that is not stored is drawn again."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields, replace
 from functools import lru_cache
 
@@ -84,13 +84,19 @@ def section_of(stored: RecordedSection) -> Section:
     )
 
 
-def stored_reading(store: Store, cell: CellResult) -> Reading | Verdict:
-    """Read the stored section of a cell again, with the configuration of its campaign; `ValueError` without one."""
-    if cell.section is None:
-        raise ValueError(f"cell = {cell.key}: no section is stored")
+def section_reader(store: Store) -> Callable[[CellResult], Reading | Verdict]:
+    """Return a function that reads the stored section of a cell again, with the configuration of its campaign.
+
+    It raises a `ValueError` without a section, and takes each packing from the store once.
+    """
     wave, pick = (store.record.parameters.get(name, {}) for name in ("wave", "pick"))
-    strip = store.packing(cell.packing_index).height - 2.0 * wave.get(
-        "boundary_thickness", WaveRule().boundary_thickness
-    )
-    known = {field.name: pick[field.name] for field in fields(PickRule) if field.name in pick}
-    return read_section(section_of(cell.section), clamp_of_strip(strip), PickRule(**known))
+    rule = PickRule(**{field.name: pick[field.name] for field in fields(PickRule) if field.name in pick})
+    layers = 2.0 * wave.get("boundary_thickness", WaveRule().boundary_thickness)
+    clamp = lru_cache(lambda index: clamp_of_strip(store.packing(index).height - layers))
+
+    def read(cell: CellResult) -> Reading | Verdict:
+        if cell.section is None:
+            raise ValueError(f"cell = {cell.key}: no section is stored")
+        return read_section(section_of(cell.section), clamp(cell.packing_index), rule)
+
+    return read

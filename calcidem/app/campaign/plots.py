@@ -20,7 +20,7 @@ from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
 from calcidem.analysis.figures.signals import draw_signals, load_arrival, read_arrival
 from calcidem.analysis.figures.style import MM, MS, drawn_in
-from calcidem.app.campaign.patterns import section_of, stored_reading, stored_section
+from calcidem.app.campaign.patterns import section_of, section_reader, stored_section
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import film_wave
 from calcidem.dem.wave.reading import Reading
@@ -168,7 +168,7 @@ class CampaignPlots:
             raise UnavailableError(f"no section is stored for seed {seed} at {content:g} %")
         said = f"{cell.key}: {cell.reason or f'Vs = {cell.vs:.0f} m/s'}"
         with drawn_in(ax):
-            return _draw_section(section_of(cell.section), stored_reading(self.analysis.store, cell), said)
+            return _draw_section(section_of(cell.section), section_reader(self.analysis.store)(cell), said)
 
     def cement(self, *, seed: int, content: float, ax: Axes | None = None) -> Figure:
         """Draw one sample with its cement."""

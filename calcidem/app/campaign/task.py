@@ -102,7 +102,7 @@ class CellComputation:
 
     def _checked(self, content: float, check: Callable[[], None]) -> Check:
         """Check of a content, kept in a file for the other processes of the machine and for later runs."""
-        name = f"check-{self.configuration.hash[:32]}-{self._experiment.packing.content_hash[:32]}-{content:g}.json"
+        name = f"check-{self.configuration.hash[:32]}-{self._experiment.packing.content_hash[:32]}-{content!r}.json"
         path = cache_folder() / name
         with contextlib.suppress(OSError, ValueError, TypeError):  # without a readable file it is computed
             return Check(**json.loads(path.read_text(encoding="utf-8")))

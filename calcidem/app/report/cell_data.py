@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
 from calcidem.analysis.figures.signals import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.app.campaign.patterns import section_of, stored_reading
+from calcidem.app.campaign.patterns import section_of, section_reader
 from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
 from calcidem.dem.wave.reading import Reading
+from calcidem.ends import Verdict
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult, RecordedSection
 from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT, NORMAL_95
 from calcidem.storage.store import ALL_CELLS, Selection
@@ -171,8 +172,9 @@ def describe_cells(
 
 def describe_sections(analysis: CampaignAnalysis, cells: Iterable[CellResult]) -> list[dict[str, Any]]:
     """Return the sections of the cells of one seed."""
+    read = section_reader(analysis.store)
     return [
-        {"content": cell.key.content} | _describe_section(analysis, cell, cell.section)
+        {"content": cell.key.content} | _describe_section(cell, cell.section, read(cell))
         for cell in cells
         if cell.section is not None
     ]
@@ -216,14 +218,13 @@ def pack(content: bytes) -> str:
     return b64encode(zlib.compress(content, 9)).decode()
 
 
-def _describe_section(analysis: CampaignAnalysis, cell: CellResult, stored: RecordedSection) -> dict[str, Any]:
+def _describe_section(cell: CellResult, stored: RecordedSection, found: Reading | Verdict) -> dict[str, Any]:
     """Return the motion across the path at each place, as differences of levels, and the peaks at the receiver.
 
     Times are in milliseconds, places in millimetres. A peak has its travel time, and whether it is that which is read;
     the other is that of the fitted wave.
     """
     section = section_of(stored)
-    found = stored_reading(analysis.store, cell)
     motion = np.asarray(section.across, dtype=float)
     peaks: list[tuple[float, int]] = []
     if isinstance(found, Reading):
