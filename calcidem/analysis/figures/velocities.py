@@ -101,6 +101,7 @@ def _draw_range(
         axes.fill_between(content, low, high, color=colour, alpha=alpha, linewidth=0, label=label)
     abreast = 0.006 * (content[-1] - content[0])  # so that bars of samples are visible
     apart: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+    label = "one sample and its\n95 % interval" if bool(cells["vs_error"].notnull().any()) else "one sample"
     for row in rows:
         of_content = cells.sel(content=row.content)
         values, error = (of_content[name].to_numpy() for name in ("vs", "vs_error"))
@@ -114,7 +115,7 @@ def _draw_range(
             markersize=2.4,
             markeredgewidth=0,
             elinewidth=0.4,
-            label="one sample and its\n95 % interval" if row is rows[0] else None,
+            label=label if row is rows[0] else None,
             rasterized=values.size > 30,  # which keeps vector files small
         )
         loud = depends_on_pulse(of_content["pulse_effect"].to_numpy())
