@@ -14,6 +14,15 @@ class MarkedProcesses:
     GRACE = 3.0
     folder: Path
 
+    def environment(self) -> dict[str, str]:
+        """Mark of the processes, and a folder of their own for temporary files.
+
+        A killed mpirun leaves /tmp/ompi.PID, and Open MPI 5.0 refuses to start where it finds one of its own number.
+        """
+        temporary = self.folder.with_name(f"{self.folder.name}.tmp")
+        temporary.mkdir(exist_ok=True)
+        return {self.MARK: str(self.folder), "TMPDIR": str(temporary)}
+
     def processes(self, *variables: str) -> list[int]:
         """Processes that still run, or those of them that have variables set like this, ``NAME=value``."""
         marks = {variable.encode() for variable in (f"{self.MARK}={self.folder}", *variables)}

@@ -101,8 +101,8 @@ class Workshop(MarkedProcesses):
                 "PYTHONPATH": str(CHECKOUT),
                 "CALCIDEM_CACHE": str(self.cache),
                 "OMPI_MCA_btl": "^ofi",  # without the search for fabrics mpirun starts in 0.2 s instead of 1.2 s
-                "WORKSHOP": str(self.folder),  # marks all its processes, see `processes`
             }
+            | self.environment()
             | self.variables,
         )
 

@@ -120,8 +120,8 @@ class Campaign(MarkedProcesses):
             text=True,
             errors="replace",
             env=os.environ
+            | self.environment()
             | {
-                "CAMPAIGN_MARK": str(self.folder),  # marks all processes of this campaign, see `processes`
                 # First what the caller has put there: a copy of the package with an error (benchmarks/mutation).
                 "PYTHONPATH": os.pathsep.join(filter(None, [os.environ.get("PYTHONPATH"), str(CHECKOUT)])),
             },

@@ -177,7 +177,7 @@ class Trial(MarkedProcesses):
             "CALCIDEM_CACHE": str(self._cache),
             "OMPI_MCA_btl": "^ofi",  # without the search for fabrics mpirun starts in 0.2 s instead of 1.2 s
             "MPIRUN": str(self.folder / "launcher"),
-            "FAULT_FOLDER": str(self.folder),  # marks all its processes as well
+            **self.environment(),
         }
         command = [sys.executable, "-m", "calcidem", "run", "c.toml", "--ranks", str(ranks), *options]
         command += ["--restarts", str(restarts)] if ranks > 1 else []
