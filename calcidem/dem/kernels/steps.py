@@ -139,4 +139,4 @@ def _record_sample(features: Features, sample: int, system: System) -> None:
         total = received * 0.0
         for place in range(begin, end):
             total = total + of_disk(features, system.motion.velocity, scalar(recording.listeners, (place,)), axis)
-        store(recording.samples, (sample, LISTENED + group), total * (1.0 / max(1, end - begin)))
+        store(recording.samples, (sample, LISTENED + group), total * (1.0 / float(max(1, end - begin))))

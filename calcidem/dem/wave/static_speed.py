@@ -16,8 +16,10 @@ from calcidem.dem.wave.scene import wave_scene
 LARGEST_STATIC_ERROR = 0.1
 """Relative uncertainty above which no static speed is stored."""
 
-_MARGINS = (0.15, 0.2, 0.25)
-"""Distances from the side walls, over the smaller side of the box, that are excluded; held disks stiffen about 0.1."""
+_MARGINS = (2.0, 3.0, 4.0)
+"""Distances from the side walls, over the mean diameter, that are excluded: the disks held there stiffen their
+neighbours.
+"""
 
 
 class StaticSpeed(NamedTuple):
@@ -44,8 +46,8 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
 
     Notes
     -----
-    G is mean stress over mean strain where the wave is: between the damped layers at floor and lid, which it cannot
-    enter, weighted across the path by ``cos^2(pi y / h)``, the energy of a wave in a strip of height h (`strip_wave`).
+    G is mean stress over mean strain where the wave is: along the whole path, and between the damped layers at floor
+    and lid, which it cannot enter, weighted across the path by ``cos^2(pi y / h)``, the energy of a wave in a strip of height h (`strip_wave`).
     The sample is sheared twice. First all disks at the walls follow the shear, then only those at the side walls, with
     floor and lid free. The speed is the geometric mean of both. Displacements prescribed all around give an upper bound
     for the whole box (Huet 1990, doi:10.1016/0022-5096(90)90041-2), far too high where stiff patches reach its walls.
@@ -67,7 +69,7 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
         across = (triangles.middle[:, 1] - 0.5 * packing.height) / strip
         energy = np.where(np.abs(across) < 0.5, np.cos(np.pi * across) ** 2, 0.0)
         for column, margin in enumerate(_MARGINS):
-            inner = from_sides_here > margin * min(packing.width, packing.height)
+            inner = from_sides_here > margin * 2.0 * radius.mean()
             part = triangles.weighted(np.where(inner, energy, 0.0))
             speeds[row, column] = np.sqrt(max(0.0, part.modulus) / (sand.density * part.solid))
     clamped, free = speeds[:, len(_MARGINS) // 2]
