@@ -57,8 +57,12 @@ def with_passwords(url: str) -> str:
 
 
 def _kept_back() -> dict[str, str]:
-    kept: dict[str, str] = json.loads(os.environ.get(PASSWORDS_VARIABLE, "{}"))
-    return kept
+    try:
+        return {str(bare): str(url) for bare, url in json.loads(os.environ.get(PASSWORDS_VARIABLE, "{}")).items()}
+    except (ValueError, AttributeError):
+        raise StoreUnavailableError(
+            f"{PASSWORDS_VARIABLE} in the environment is not what calcidem writes there.", "Unset it."
+        ) from None
 
 
 def _is_secret(key: str) -> bool:

@@ -24,10 +24,10 @@ CANDIDATES: dict[str, tuple[str, ...]] = {
     "column share, cemented share": (COLUMN, CEMENTED),
 }
 MEASURED: dict[str, tuple[str, ...]] = {
-    "column share, path_vs (measured)": (COLUMN, "path_vs"),
+    "column share, effective_vs (measured)": (COLUMN, "effective_vs"),
     "column share, error of the reading (measured)": (COLUMN, "reading_error"),
     "column share, coherence (measured)": (COLUMN, "coherence"),
-    "column share, path_vs, error, coherence (measured)": (COLUMN, "path_vs", "reading_error", "coherence"),
+    "column share, effective_vs, error, coherence (measured)": (COLUMN, "effective_vs", "reading_error", "coherence"),
 }
 """Of the wave itself, so no predictors of a sample that was not simulated."""
 

@@ -14,7 +14,7 @@ import xarray as xr
 from sqlalchemy import create_engine, text
 
 from calcidem.storage.errors import StoreError
-from calcidem.storage.passwords import PASSWORDS_VARIABLE, hide_passwords, keep_passwords_back
+from calcidem.storage.passwords import PASSWORDS_VARIABLE, hide_passwords, keep_passwords_back, with_passwords
 from calcidem.storage.records import RunRecord
 from calcidem.storage.sql.engine import Address
 
@@ -78,6 +78,15 @@ def test_a_password_with_a_bare_at_sign_is_refused_unseen(address: str) -> None:
     """Half of such a password would be taken for the host and be shown."""
     with pytest.raises(StoreError, match="%40") as refused:
         keep_passwords_back([address])
+    assert MARK not in str(refused.value)
+
+
+@pytest.mark.parametrize("value", ["{Quarz7", '["Quarz7"]', "7"])
+def test_a_foreign_value_of_the_variable_is_refused_unseen(value: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What calcidem has not written there names the variable, not its value."""
+    monkeypatch.setenv(PASSWORDS_VARIABLE, value)
+    with pytest.raises(StoreError, match=PASSWORDS_VARIABLE) as refused:
+        with_passwords("postgresql+psycopg://user@host/sand")
     assert MARK not in str(refused.value)
 
 
