@@ -16,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calcidem.app.campaign import packing as packing_source
-from calcidem.app.campaign.opened import PAPER_CAMPAIGN
 from calcidem.app.campaign.packing import _cached_name, provide_packing
 from calcidem.app.campaign.stored_packing import (
     DamagedPackingError,
@@ -133,7 +132,7 @@ def test_the_packing_of_a_preset_comes_with_calcidem(
 
 def test_the_shipped_campaign_is_on_the_packing_of_its_preset(tmp_path: Path) -> None:
     """Whoever computes the preset gets the shipped numbers: its packing is the one that they were computed on."""
-    with Store(tmp_path / "paper.db") as store, as_file(files(presets) / PAPER_CAMPAIGN) as path:
+    with Store(tmp_path / "paper.db") as store, as_file(files(presets) / "paper.nc") as path:
         import_netcdf(path, store, stored_packing)
         record = store.packing()
     (tmp_path / "c.toml").write_text(preset_text("paper-as-printed"), encoding="utf-8")

@@ -12,7 +12,7 @@ from functools import cached_property
 from html import escape
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import networkx as nx
 import numpy as np
@@ -64,8 +64,6 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".vtu", ".csv")
 """Formats of the file of a sample."""
-
-PAPER_CAMPAIGN = "paper.nc"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -553,12 +551,17 @@ def _write_vtu(sample: Sample, file: Path) -> None:
     mesh.write(file, file_format="vtu")
 
 
-def load_paper_campaign() -> xr.Dataset:
+def load_paper_campaign(preset: Literal["paper", "paper-as-printed"] = "paper") -> xr.Dataset:
     """Return the quantities of the 1,972 samples of the paper's campaign, as computed by calcidem.
 
     Along (seed, content): Vs by three methods (m/s), errors, path features, time step and others, each with unit and
-    meaning. The 31 samples without a velocity have NaN. Sections and cement patterns are left out. The attribute
+    meaning. Samples without a velocity have NaN. Sections and cement patterns are left out. The attribute
     ``calcidem_config`` has the configuration, ``calcidem_runs`` versions and machine.
+
+    Parameters
+    ----------
+    preset
+        ``"paper"`` has a quiet pulse; under the printed one of ``"paper-as-printed"`` Vs depends on the pulse.
 
     Examples
     --------
@@ -570,7 +573,7 @@ def load_paper_campaign() -> xr.Dataset:
     370.0
     """
     with (
-        as_file(files("calcidem.app.config.presets").joinpath(PAPER_CAMPAIGN)) as path,
+        as_file(files("calcidem.app.config.presets").joinpath(f"{preset}.nc")) as path,
         xr.open_dataset(path) as dataset,
     ):
         return dataset.load()

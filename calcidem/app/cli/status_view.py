@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
-from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, URGENCY, CampaignStatus, ContentStatus, Trouble
-from calcidem.app.cli.tables import format_number, marks_of, remarks_on
+from calcidem.app.cli.tables import WholeTable, format_number, marks_of, remarks_on
 from calcidem.app.cli.terminal import printable
 from calcidem.ends import Verdict
 from calcidem.storage.records import CellStatus
@@ -82,11 +81,11 @@ def _head_lines(status: CampaignStatus) -> Iterator[str]:
         yield f"Time left: {duration(status.seconds_left)} on {workers}"
 
 
-def _matrix_table(status: CampaignStatus, columns: int) -> Table:
+def _matrix_table(status: CampaignStatus, columns: int) -> WholeTable:
     """Seeds x contents as characters, with Vs so far and the time left of each content."""
     per_character = _seeds_per_character(status, columns)
     seeds = f"seeds {status.seeds[0]} to {status.seeds[-1]}" if status.seeds else "seeds"
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table = WholeTable(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("content %", justify="right", no_wrap=True)
     table.add_column(seeds, no_wrap=len(seeds) <= columns)
     for name in ("done", "mean Vs m/s", "95 % of mean", "sd m/s", "s/cell", "left"):

@@ -5,8 +5,10 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.table import Column, Table
+from rich.text import Text
 
 from calcidem.analysis.intervals import is_in_doubt
 from calcidem.storage.records import CellStatus
@@ -25,9 +27,48 @@ def make_console() -> Console:
     return Console(highlight=False, force_terminal=False, width=PLAIN_WIDTH)
 
 
-def make_table(title: str | None, *names: str, numbers: Sequence[str] = ()) -> Table:
+class WholeTable(Table):
+    """Table that folds into several below each other, each with the first column, rather than cut a number."""
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Render it, or the tables that it folds into."""
+        if self.__rich_measure__(console, options.update(max_width=1000)).maximum <= options.max_width:
+            yield from super().__rich_console__(console, options)
+            return
+        first, *others = self.columns
+        groups: list[list[Column]] = [[]]
+        for column in others:
+            if groups[-1] and 1 + sum(map(_least_width, [first, *groups[-1], column])) > options.max_width:
+                groups.append([])
+            groups[-1].append(column)
+        for number, group in enumerate(groups):
+            part = Table(box=self.box, title=None if number else self.title, title_justify="left")
+            for column in (first, *group):
+                is_text = column.justify == "left" and not column.no_wrap
+                width = None if is_text else _least_width(column) - _BORDER
+                part.add_column(column.header, justify=column.justify, width=width)
+            for row in zip(*(column.cells for column in (first, *group)), strict=True):
+                part.add_row(*row)
+            yield part
+        if self.caption is not None:
+            yield self.caption
+
+
+_BORDER = 3
+"""Characters of a column's border and padding."""
+
+
+def _least_width(column: Column) -> int:
+    """Characters that a column needs, with its border: whole numbers, the words of a heading or a text each alone."""
+    cells = [cell.plain if isinstance(cell, Text) else str(cell) for cell in column.cells]
+    is_text = column.justify == "left" and not column.no_wrap
+    words = [word for text in (str(column.header), *(cells if is_text else ())) for word in text.split()]
+    return max(map(cell_len, words if is_text else words + cells), default=0) + _BORDER
+
+
+def make_table(title: str | None, *names: str, numbers: Sequence[str] = ()) -> WholeTable:
     """Table for people with columns of texts, followed by columns of numbers."""
-    table = Table(*names, title=title, title_justify="left", caption_justify="left", box=SIMPLE_HEAD)
+    table = WholeTable(*names, title=title, title_justify="left", caption_justify="left", box=SIMPLE_HEAD)
     for name in numbers:
         table.add_column(name, justify="right")
     return table
