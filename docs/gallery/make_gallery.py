@@ -26,10 +26,7 @@ PAPER = FOLDER.parents[1] / "calcidem" / "app" / "config" / "presets" / "paper.n
 QUICK = FOLDER / "quick.db"
 """Campaign of the preset `quick`, with sections: that of the paper is shipped without."""
 
-_OF_QUICK = (
-    *("measurement", "signals", "dispersion"),  # need sections
-    *("samples", "paths", "correlations", "weight_scan", "laws"),  # need cement, drawn by the present physics
-)
+_OF_QUICK = ("measurement", "signals", "dispersion")  # need sections
 _LINE = 120  # longest line of a page
 
 SCREENS = {
@@ -100,7 +97,7 @@ def gallery_page(*, captions: bool = False) -> str:
         "# Gallery",
         "",
         *textwrap.wrap(
-            "Figures of the campaign `paper-as-printed`; those that need signals or cement are of the preset `quick`. "
+            "Figures of the campaign `paper`; those that need signals are of the preset `quick`. "
             "`python docs/gallery/make_gallery.py` draws them.",
             _LINE,
         ),

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 # Physics version and file, and the hashes of its campaign and of its packing.
 IDENTITIES = {
     (5, "examples/quick.toml"): (
-        "73b2bfa09fca01bb7bff776c206316478ab65c7c4f23c22b614c33ecb0434b83",
+        "b7bba99e6ee6d08082a48c956b03520f5b264f3911b0bf7c139595da98ba2a94",
         "4d59f8fd13535240870eec6cd01014ae1bf5f5536f64aab274543907a297c4c4",
     ),
     (5, "examples/paper.toml"): (
-        "73b2bfa09fca01bb7bff776c206316478ab65c7c4f23c22b614c33ecb0434b83",
+        "b7bba99e6ee6d08082a48c956b03520f5b264f3911b0bf7c139595da98ba2a94",
         "4d59f8fd13535240870eec6cd01014ae1bf5f5536f64aab274543907a297c4c4",
     ),
     (5, "examples/paper-as-printed.toml"): (
@@ -43,7 +43,7 @@ IDENTITIES = {
         "7464ace7b448cae813be393945282e617787c8343bc08ae9c0a6f2975b9fdff2",
     ),
     (5, "docs/tutorial/quick.toml"): (
-        "73b2bfa09fca01bb7bff776c206316478ab65c7c4f23c22b614c33ecb0434b83",
+        "b7bba99e6ee6d08082a48c956b03520f5b264f3911b0bf7c139595da98ba2a94",
         "4d59f8fd13535240870eec6cd01014ae1bf5f5536f64aab274543907a297c4c4",
     ),
 }

@@ -135,7 +135,7 @@ def test_the_shipped_campaign_is_on_the_packing_of_its_preset(tmp_path: Path) ->
     with Store(tmp_path / "paper.db") as store, as_file(files(presets) / "paper.nc") as path:
         import_netcdf(path, store, stored_packing)
         record = store.packing()
-    (tmp_path / "c.toml").write_text(preset_text("paper-as-printed"), encoding="utf-8")
+    (tmp_path / "c.toml").write_text(preset_text("paper"), encoding="utf-8")
     key = load_configuration(tmp_path / "c.toml").packing_hash
     assert packing_from_bytes(preset_packings()[key[:32]].read_bytes(), key).content_hash == record.content_hash
 
