@@ -233,6 +233,38 @@ def baselines(
     yield [np.exp(interpolate.PchipInterpolator(log[known], np.log(y[known]))(log)) for y in columns]
 
 
+def test_scatter_of_both_shipped_campaigns(cells: xr.Dataset, published: dict[float, dict[str, float]]) -> None:
+    """Scatter of velocities and stiffness, the parts of its variance, and the effect of the printed pulse."""
+    loud = calcidem.load_paper_campaign("paper-as-printed")
+    header, rows = table_with("reading error", page=SCATTER)
+    assert {float(row[0]) for row in rows} == set(published)
+    for row in rows:
+        content = float(row[0])
+        quiet = {
+            name: cells[name].sel(content=content).to_numpy()
+            for name in ("vs", "effective_vs", "static_speed", "reading_error")
+        }
+        known = np.isfinite(quiet["vs"])
+        log, stiffness = np.log(quiet["vs"][known]), np.log(quiet["static_speed"][known])
+        square = np.mean(quiet["reading_error"][known] ** 2)
+        printed = published[content]
+        check(
+            header,
+            row,
+            {
+                "printed sd / mean": [printed["standard_deviation"] / printed["mean"]],
+                "quiet pulse": [deviate(quiet["vs"][known]) / quiet["vs"][known].mean()],
+                "5 m/s": [deviate(values_at(loud, content)) / values_at(loud, content).mean()],
+                "`effective_vs`": [deviate(quiet["effective_vs"]) / quiet["effective_vs"].mean()],
+                "`static_speed`": [deviate(quiet["static_speed"]) / quiet["static_speed"].mean()],
+                "reading error": [float(np.sqrt(square))],
+                "reading, part of variance": [float(square / log.var(ddof=1))],
+                "stiffness, part of variance": [float(np.corrcoef(log, stiffness)[0, 1] ** 2)],
+                "pulse of 5 m/s": [float(loud["pulse_effect"].sel(content=content).max())],
+            },
+        )
+
+
 def deviate(values: Array) -> float:
     """Standard deviation of a sample."""
     return float(values.std(ddof=1))
