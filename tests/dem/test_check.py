@@ -232,7 +232,7 @@ def test_a_measurement_takes_law_and_step_of_its_check(quiet: Experiment) -> Non
 def test_errors_of_the_check_are_part_of_the_effective_error_and_may_refuse_vs(
     quiet: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Root of the sum of squares; above 5 % there is no Vs, and the reason has its numbers."""
+    """Root of the sum of squares; above 5 % of the effective velocity there is no Vs, and the reason has its numbers."""
     monkeypatch.setattr(Experiment, "clamp", HELD / DISTANCE)
     given = section(guided(2.5, HELD))
     cement = quiet.ordering(1).at(CONTENT)
@@ -248,8 +248,8 @@ def test_errors_of_the_check_are_part_of_the_effective_error_and_may_refuse_vs(
     part = plain.reading.wave.error
     both = with_error(effective_numerical_error=2.0 * part, effective_pulse_effect=2.0 * part)
     assert both.effective_error == pytest.approx(3.0 * part)
-    assert with_error(numerical_error=0.049).vs == plain.vs
-    refused = with_error(numerical_error=0.051)
+    assert with_error(numerical_error=0.6, effective_numerical_error=0.049).vs == plain.vs
+    refused = with_error(effective_numerical_error=0.051)
     assert (refused.status, refused.vs) == (CellStatus.NO_ARRIVAL, None)
     assert refused.effective_vs == plain.effective_vs
     assert Verdict.of(refused.reason) is Verdict.INACCURATE

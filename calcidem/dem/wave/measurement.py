@@ -145,7 +145,9 @@ def interpret(experiment: Experiment, measurement: Measurement) -> Measurement:
     if vs is None:
         reason = f'the {experiment.pick.method.replace("_", " ")} cannot be read; pick.method = "peak" can'
         return replace(new, reason=reason)
-    if (found.numerical_error or 0.0) > LARGEST_NUMERICAL_ERROR:
-        error = f"{Verdict.INACCURATE}: the standard error is {found.numerical_error:.1%}, 5 % are allowed"
+    # That of the effective velocity: in a patchy sample the receiver's highest peak may be another one after the least
+    # change, which is an error of the reading of this sample, and no reason to refuse all others.
+    if (found.effective_numerical_error or 0.0) > LARGEST_NUMERICAL_ERROR:
+        error = f"{Verdict.INACCURATE}: the standard error is {found.effective_numerical_error:.1%}, 5 % are allowed"
         return replace(new, reason=error)
     return replace(new, status=CellStatus.DONE, vs=vs)
