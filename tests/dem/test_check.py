@@ -232,7 +232,7 @@ def test_a_measurement_takes_law_and_step_of_its_check(quiet: Experiment) -> Non
 def test_errors_of_the_check_are_part_of_the_effective_error_and_may_refuse_vs(
     quiet: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Root of the sum of squares; above 5 % of the effective velocity there is no Vs, and the reason has its numbers."""
+    """Root of the sum of squares; above 5 % of the effective velocity there is no Vs, and the reason has it."""
     monkeypatch.setattr(Experiment, "clamp", HELD / DISTANCE)
     given = section(guided(2.5, HELD))
     cement = quiet.ordering(1).at(CONTENT)
