@@ -21,6 +21,7 @@ from calcidem.app.cli.exit_codes import _exit_code_of, tell_error
 from calcidem.app.cli.formats import Format, tell_rows
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.schema import Configuration, RunOptions
+from calcidem.dem.engine.fields import FieldError, Problem
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import spreadsheet_value
@@ -114,6 +115,13 @@ def test_a_lack_of_memory_is_called_that(error: Exception, capsys: pytest.Captur
     told = capsys.readouterr().err
     assert "memory" in told
     assert "report" not in told
+
+
+def test_values_that_only_the_packing_refuses_are_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+    """What the engine says of a field is told as such, and is no fault to be reported."""
+    refused = FieldError(Problem("amplitude = 0.001: the packing alone moves more: choose a stronger pulse"))
+    assert tell_error(refused) == 2
+    assert capsys.readouterr().err.startswith("Error: amplitude = 0.001: the packing")
 
 
 def test_an_error_that_no_memory_is_left_to_log_is_a_lack_of_memory(
