@@ -11,7 +11,6 @@ import os
 import tempfile
 from pathlib import Path
 
-from calcidem.app.campaign.opened import PAPER_CAMPAIGN
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, packing_from_bytes, packing_to_bytes, stored_packing
 from calcidem.app.cli.init import Preset
@@ -34,7 +33,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         os.environ[CACHE_VARIABLE] = folder  # nothing that other code made
         with Store(Path(folder) / "paper.db") as store:
-            import_netcdf(PRESETS / PAPER_CAMPAIGN, store)
+            import_netcdf(PRESETS / "paper.nc", store)
             shipped = store.packing()
         for file, configuration in files.items():
             if file.exists():
