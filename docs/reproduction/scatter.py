@@ -8,7 +8,7 @@ import argparse
 import numpy as np
 import xarray as xr
 
-from calcidem.analysis.published import published_study
+from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.app.campaign.opened import open_campaign
 
 HEADER = (
@@ -30,7 +30,7 @@ def main() -> None:
         print(f"| {content:g} | {' | '.join(row(quiet.sel(content=content), loud.sel(content=content), printed))} |")
 
 
-def row(quiet: xr.Dataset, loud: xr.Dataset, printed: object) -> list[str]:
+def row(quiet: xr.Dataset, loud: xr.Dataset, printed: PublishedVelocity) -> list[str]:
     """Columns of a content."""
     log = np.log(quiet["vs"].to_numpy())
     known = np.isfinite(log)
@@ -40,7 +40,7 @@ def row(quiet: xr.Dataset, loud: xr.Dataset, printed: object) -> list[str]:
     both = known & np.isfinite(stiffness)
     r = float(np.corrcoef(log[both], stiffness[both])[0, 1])
     return [
-        f"{printed.standard_deviation / printed.mean:.3f}",  # type: ignore[attr-defined]
+        f"{printed.standard_deviation / printed.mean:.3f}",
         *(f"{relative_deviation(values):.3f}" for values in (quiet["vs"], loud["vs"])),
         *(f"{relative_deviation(quiet[name]):.3f}" for name in ("effective_vs", "static_speed")),
         f"{np.sqrt(np.mean(reading**2)):.3f}",

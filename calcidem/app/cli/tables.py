@@ -44,8 +44,7 @@ class WholeTable(Table):
         for number, group in enumerate(groups):
             part = Table(box=self.box, title=None if number else self.title, title_justify="left")
             for column in (first, *group):
-                is_text = column.justify == "left" and not column.no_wrap
-                width = None if is_text else _least_width(column) - _BORDER
+                width = None if _is_text(column) else _least_width(column) - _BORDER
                 part.add_column(column.header, justify=column.justify, width=width)
             for row in zip(*(column.cells for column in (first, *group)), strict=True):
                 part.add_row(*row)
@@ -61,9 +60,14 @@ _BORDER = 3
 def _least_width(column: Column) -> int:
     """Characters that a column needs, with its border: whole numbers, the words of a heading or a text each alone."""
     cells = [cell.plain if isinstance(cell, Text) else str(cell) for cell in column.cells]
-    is_text = column.justify == "left" and not column.no_wrap
-    words = [word for text in (str(column.header), *(cells if is_text else ())) for word in text.split()]
-    return max(map(cell_len, words if is_text else words + cells), default=0) + _BORDER
+    texts = [str(column.header), *(cells if _is_text(column) else ())]
+    words = [word for text in texts for word in text.split()]
+    return max(map(cell_len, words if _is_text(column) else words + cells), default=0) + _BORDER
+
+
+def _is_text(column: Column) -> bool:
+    """Whether lines of a column may break between words."""
+    return column.justify == "left" and not column.no_wrap
 
 
 def make_table(title: str | None, *names: str, numbers: Sequence[str] = ()) -> WholeTable:
