@@ -27,3 +27,14 @@ def test_no_number_is_cut_at_any_width(width: int) -> None:
         assert set(row) <= set(found)
     assert sum("one sentence" in line for line in lines) == sum("Shear-wave" in line for line in lines) == 1
     assert "…" not in "".join(lines)
+
+
+def test_a_number_that_does_not_fit_goes_on_below() -> None:
+    """Where even one number is wider than the terminal, its digits fold and none is lost."""
+    table = make_table(None, numbers=("content %", "mean m/s"))
+    table.add_row("5", "1234567.8")
+    console = Console(file=StringIO(), width=15, force_terminal=False)
+    console.print(table)
+    shown = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "…" not in shown
+    assert set("1234678") <= set(shown)

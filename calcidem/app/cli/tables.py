@@ -45,7 +45,7 @@ class WholeTable(Table):
             part = Table(box=self.box, title=None if number else self.title, title_justify="left")
             for column in (first, *group):
                 width = None if _is_text(column) else _least_width(column) - _BORDER
-                part.add_column(column.header, justify=column.justify, width=width)
+                part.add_column(column.header, justify=column.justify, width=width, overflow="fold")
             for row in zip(*(column.cells for column in (first, *group)), strict=True):
                 part.add_row(*row)
             yield part
