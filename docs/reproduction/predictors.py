@@ -10,7 +10,7 @@ import xarray as xr
 
 from calcidem.analysis.predictor import VelocityPredictor
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.prediction import CEMENT_FEATURES, cement_shares
+from calcidem.app.campaign.prediction import CEMENT_FEATURES, cement_features
 
 C_DN = "path_normalized_connectivity"
 COLUMN, CEMENTED = CEMENT_FEATURES
