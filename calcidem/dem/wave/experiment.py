@@ -81,8 +81,8 @@ class Experiment:
         return clamp_of_strip(self.packing.height - 2.0 * self.wave.boundary_thickness)
 
     def with_wave(self, **changes: Any) -> Self:  # noqa: ANN401 - fields of several types
-        """The experiment with changed fields of its `WaveRule`."""
-        return replace(self, wave=replace(self.wave, **changes))
+        """The experiment with changed fields of its `WaveRule`; the same one for the same fields."""
+        return self.once(_with_rule, replace(self.wave, **changes))
 
     def once(
         self,
@@ -142,6 +142,10 @@ class Experiment:
         report = replace(self.packing.report, wall_stress=stress)
         sand = replace(self.sand, shear_modulus=self.sand.shear_modulus * factor)
         return replace(self.packing, preload=preload, report=report), sand
+
+
+def _with_rule(experiment: Experiment, wave: WaveRule) -> Experiment:
+    return replace(experiment, wave=wave)
 
 
 def suitable_frequency(experiment: Experiment, content: float) -> float:
