@@ -117,7 +117,7 @@ def fitness(section: Section, clamp: float, velocities: Floats) -> Floats:
 
 
 def waveform(wave: StripWave, frequency: float, places: tuple[float, ...], times: Floats) -> Floats:
-    """Motion (X, T) of a wave at places, m, over v0, at times (X, T), s, after the pulse began: the inverse transform."""
+    """Motion (X, T) of a wave at places, m, over v0, at times (X, T), s, after the pulse: the inverse transform."""
     real, imaginary = _wave(frequency, np.array([wave.velocity]), places, wave.clamp, _TERMS)[:, 0].swapaxes(1, 2)
     turns = frequency * (times[:, :, None] * ((np.arange(_TERMS) + 0.5) / _SPACING))
     cosine, sine = cosine_and_sine(turns)
