@@ -162,7 +162,7 @@ def refuse_unfit_pulse(experiment: Experiment, frequency: float, *, cemented: bo
 
 
 def refuse_unfit_samples(
-    experiment: Experiment, content: float, orderings: Sequence[CementOrdering], lanes: int
+    experiment: Experiment, content: float, orderings: Callable[[], Sequence[CementOrdering]], lanes: int
 ) -> None:
     """Raise a `ValueError` if the pulse does not suit one of several samples, as `send_waves` would.
 
@@ -177,7 +177,7 @@ def refuse_unfit_samples(
     content
         Percent of the sand's mass.
     orderings
-        Cement of each sample, at most ``lanes``.
+        Returns the cement of each sample, at most ``lanes``; called if it matters, since drawing it takes long.
     lanes
         Width of the kernel.
     """
@@ -187,7 +187,7 @@ def refuse_unfit_samples(
         bare = np.zeros(len(experiment.packing.pairs), dtype=bool)
         prepare_recorder(experiment, [bare], min(frequency, 0.5 / (longest * FEWEST_SAMPLES)), lanes, lambda: None)
     elif longest * frequency * FEWEST_SAMPLES > 1.0:
-        bonded = [cement.at(content).bonded for cement in orderings]
+        bonded = [cement.at(content).bonded for cement in orderings()]
         prepare_recorder(experiment, bonded, frequency, lanes, lambda: None)
 
 
