@@ -234,7 +234,7 @@ def _contact_matrices(springs: Sequence[_Springs], disks: Integers, features: Fe
     number[disks] = np.arange(len(disks))
     chosen = [np.flatnonzero(number[side.disk] >= 0) for side in springs]
     parts = [
-        side if len(rows) == len(side.disk) else _Springs(*(values[rows] for values in side))
+        side if len(rows) == len(side.disk) else _Springs._make(values[rows] for values in side)
         for side, rows in zip(springs, chosen, strict=True)
     ]
     over_disks = _sums(number[np.concatenate([part.disk for part in parts])], len(disks))
@@ -254,7 +254,7 @@ def _largest_eigenvalue(matrices: dict[_Entry, Floats]) -> Floats:
     """
     scale = matrices[X, X] + matrices[Y, Y] + matrices[ROTATION, ROTATION]
     size = np.where(scale > 0.0, scale, 1.0)
-    entry = {place: values / size for place, values in matrices.items()}
+    entry: dict[_Entry, Floats] = {place: values / size for place, values in matrices.items()}
     for _ in range(6):  # sweeps converge quadratically
         for p, q, r in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
             _rotate(entry, (p, q), (min(p, r), max(p, r)), (min(q, r), max(q, r)))

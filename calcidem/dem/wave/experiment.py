@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self, TypeVar, TypeVarTuple
+from typing import Any, TypeVar, TypeVarTuple
 
 import numpy as np
 
@@ -80,7 +80,7 @@ class Experiment:
         """K of the strip between the damped layers, 1/m, see `strip_wave`."""
         return clamp_of_strip(self.packing.height - 2.0 * self.wave.boundary_thickness)
 
-    def with_wave(self, **changes: Any) -> Self:  # noqa: ANN401 - fields of several types
+    def with_wave(self, **changes: Any) -> "Experiment":  # noqa: ANN401 - fields of several types
         """The experiment with changed fields of its `WaveRule`; the same one for the same fields."""
         return self.once(_with_rule, replace(self.wave, **changes))
 

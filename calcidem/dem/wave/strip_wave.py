@@ -74,10 +74,10 @@ def fit_wave(section: Section, clamp: float) -> StripWave | None:
     clamp
         K of the strip, 1/m; 0 for a plane wave.
     """
-    fits = [_fit(section, held) for held in (clamp, 1.15 * clamp)]
-    if fits[0] is None or fits[1] is None:
+    fit, stiffer = _fit(section, clamp), fit_velocity(section, 1.15 * clamp)
+    if fit is None or stiffer is None:
         return None
-    (velocity, velocities, misfit), (stiffer, _, _) = fits
+    velocity, velocities, misfit = fit
     total, count = misfit.sum(axis=1), misfit.shape[1]
     coherence = 1.0 - float(total.min()) / count
     if count < 3 or not 0 < total.argmin() < len(total) - 1:
