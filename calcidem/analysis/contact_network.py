@@ -94,7 +94,7 @@ class ContactNetwork:
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
-        potential[free] = factors.solve(-(driven @ np.ones(driven.shape[1])))
+        potential[free] = factors.solve(-np.asarray(driven @ np.ones(driven.shape[1])))
         first, second = pairs.T
         return float(np.sum(conductance * (potential[second] - potential[first]) ** 2))
 
