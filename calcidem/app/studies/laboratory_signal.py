@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.signal import correlate
 
 from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signal_pair
@@ -102,7 +102,10 @@ def read_signal(time: ArrayLike, transmitted: ArrayLike, received: ArrayLike, di
     high = np.flatnonzero(sent < 0.5 * sent.max())
     top = int(sent.argmax())
     require(
-        sent[0] < 0.05 * sent[top], "time", f"{when[0]:g} is within the pulse", "give a record that begins before it"
+        abs(sent[0]) < 0.3 * sent[top],
+        "time",
+        f"{when[0]:g} is within the pulse",
+        "give a record that begins before it",
     )
     width = int(high[high > top].min(initial=last) - high[high < top].max(initial=0))
     enough = 4 < width < last // 4
@@ -113,7 +116,7 @@ def read_signal(time: ArrayLike, transmitted: ArrayLike, received: ArrayLike, di
         "give a pulse of 5 samples or more, and a longer record",
     )
     correlation = correlate(got, sent)[last:]  # from lag 0
-    turn = math.copysign(1.0, correlation[width + np.abs(correlation[width:]).argmax()])
+    turn = np.sign(correlation[width + np.abs(correlation[width:]).argmax()])
     got, correlation = turn * got, turn * correlation
     lag = width + int(correlation[width:].argmax())
     kernel = smooth(np.eye(1, 4 * width, 2 * width)[0], 0.6 * width)
@@ -142,12 +145,12 @@ def read_signal(time: ArrayLike, transmitted: ArrayLike, received: ArrayLike, di
     plausible = 5.0 < speed < 10_000.0  # m/s, from mud to rock
     require(plausible, "distance", f"{distance:g} gives {speed:.3g} m/s", "give distance in m and time in s", "time")
     arrival = Arrival(0, math.nan, when, sent, got, float(distance), velocities)
-    return SignalReading(velocities, errors, turn < 0.0, arrival)
+    return SignalReading(velocities, errors, bool(turn < 0.0), arrival)
 
 
 def _checked(
     time: ArrayLike, transmitted: ArrayLike, received: ArrayLike, distance: float
-) -> tuple[Floats, Floats, Floats]:
+) -> tuple[NDArray[np.float64], ...]:
     """Time, and both signals without offset; `FieldError` if they are none."""
     signals = {}
     for name, values in (("time", time), ("transmitted", transmitted), ("received", received)):
