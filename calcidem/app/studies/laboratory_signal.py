@@ -116,7 +116,7 @@ def read_signal(time: ArrayLike, transmitted: ArrayLike, received: ArrayLike, di
         "give a pulse of 5 samples or more, and a longer record",
     )
     correlation = correlate(got, sent)[last:]  # from lag 0
-    turn = np.sign(correlation[width + np.abs(correlation[width:]).argmax()])
+    turn = -1.0 if correlation[width + np.abs(correlation[width:]).argmax()] < 0.0 else 1.0
     got, correlation = turn * got, turn * correlation
     lag = width + int(correlation[width:].argmax())
     kernel = smooth(np.eye(1, 4 * width, 2 * width)[0], 0.6 * width)
@@ -145,7 +145,7 @@ def read_signal(time: ArrayLike, transmitted: ArrayLike, received: ArrayLike, di
     plausible = 5.0 < speed < 10_000.0  # m/s, from mud to rock
     require(plausible, "distance", f"{distance:g} gives {speed:.3g} m/s", "give distance in m and time in s", "time")
     arrival = Arrival(0, math.nan, when, sent, got, float(distance), velocities)
-    return SignalReading(velocities, errors, bool(turn < 0.0), arrival)
+    return SignalReading(velocities, errors, turn < 0.0, arrival)
 
 
 def _checked(
