@@ -1,7 +1,7 @@
 """Products of the analysis of a stored campaign, each computed at first use."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
 from calcidem.analysis.contact_graph import PreferentialPath
+from calcidem.analysis.contact_network import NETWORK_FEATURES
 from calcidem.analysis.correlation import Correlations, correlate, correlate_by_content, seed_permutation_test
 from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
@@ -28,6 +29,7 @@ from calcidem.storage.records import (
     CellResult,
     CellStatus,
     CementPattern,
+    NetworkFeatures,
     PackingRecord,
     PathFeatures,
 )
@@ -53,18 +55,19 @@ class MeasuredSample:
     """0 (sand), 1 (P) or 2 (C) for each contact of that packing's graph, shape (m,)."""
     path: PreferentialPath
     features: PathFeatures
-    """Its preferential path, and the features of this path."""
+    network: NetworkFeatures
+    """Its preferential path, the features of this path, and those of its cement as a network."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawFit:
-    """The law Vs = a C_d,n^b + c for one choice of weights."""
+    """The law Vs = a C^b + c for one measure C of the cement."""
 
     name: str
-    """Choice of the weights, named as in the published tables."""
-    weights: ContactWeights
+    """Choice of the weights, named as in the published tables, or the measure."""
+    weights: ContactWeights | None
     connectivity: NDArray[np.float64]
-    """C_d,n of each sample of `CampaignAnalysis.samples`, shape (n,)."""
+    """C of each sample of `CampaignAnalysis.samples`, shape (n,): C_d,n for the weights, or the conductance G."""
     fit: PowerLawFit
     check: LeaveOneSeedOut
     """The fit, and its errors for seeds left out."""
@@ -137,7 +140,7 @@ class CampaignAnalysis:
     def graphs(self) -> tuple[PackingGraph, ...]:
         """Contact graph of each packing of the campaign, by its index."""
         wave = self.config.get("wave", {})
-        names = ("transmitter_half_width", "receiver_half_width")
+        names = ("transmitter_half_width", "receiver_half_width", "boundary_thickness")
         missing = [name for name in names if name not in wave]
         if missing:
             raise UnavailableError(f"the configuration of the campaign lacks wave.{missing[0]}")
@@ -163,16 +166,24 @@ class CampaignAnalysis:
     @cached_property
     def table(self) -> xr.Dataset:
         """The eight features and Vs along (seed, content), NaN where missing."""
-        table = xr.Dataset(coords={"seed": self.vs["seed"], "content": self.vs["content"]})
-        rows = np.searchsorted(table["seed"], [sample.seed for sample in self.samples])
-        columns = np.searchsorted(table["content"], [sample.content for sample in self.samples])
-        for name, (_, definition) in FEATURES.items():
-            values = np.full(self.vs.shape, math.nan)
-            values[rows, columns] = [getattr(sample.features, name) for sample in self.samples]
-            table[name] = ("seed", "content"), values
-            table[name].attrs = {"units": "1", "long_name": definition}
-        table["vs"] = self.vs
-        return table
+        return self._feature_table(FEATURES, [sample.features for sample in self.samples])
+
+    @cached_property
+    def network_table(self) -> xr.Dataset:
+        """Features of the cement as a network, and Vs along (seed, content), NaN where missing."""
+        return self._feature_table(NETWORK_FEATURES, [sample.network for sample in self.samples])
+
+    @cached_property
+    def network_correlations(self) -> Correlations:
+        """Correlation of the features of networks and Vs."""
+        with _translate_refusals():
+            return correlate(self.network_table)
+
+    @cached_property
+    def network_tests(self) -> xr.Dataset:
+        """As `feature_tests`, for the features of networks."""
+        with _translate_refusals():
+            return seed_permutation_test(self.network_table, "vs")
 
     @cached_property
     def correlations(self) -> Correlations:
@@ -216,6 +227,12 @@ class CampaignAnalysis:
     def scanned_law(self) -> LawFit:
         """The law with the weight ratio of the best correlation with Vs."""
         return self.law_of_ratio(self.ratio_scan.best_ratio, "Monte-Carlo")
+
+    @cached_property
+    def conductance_law(self) -> LawFit:
+        """The law with the conductance of the network instead of C_d,n."""
+        found = [sample.network.network_conductance for sample in self.samples]
+        return self._law("conductance", None, np.array(found, dtype=np.float64))
 
     def law_of_ratio(self, ratio: float, name: str) -> LawFit:
         """Return the law for a weight ratio, with the shortest paths at this ratio."""
@@ -279,7 +296,22 @@ class CampaignAnalysis:
         found = [s for s in self.samples if math.isclose(s.content, content) and math.isfinite(s.vs)]
         return sorted(found, key=lambda sample: sample.vs)
 
-    def _law(self, name: str, weights: ContactWeights, connectivity: NDArray[np.float64]) -> LawFit:
+    def _feature_table(
+        self, definitions: Mapping[str, tuple[str, str]], features: Sequence[PathFeatures | NetworkFeatures]
+    ) -> xr.Dataset:
+        """Features of each of `samples`, and Vs, along (seed, content); NaN where missing."""
+        table = xr.Dataset(coords={"seed": self.vs["seed"], "content": self.vs["content"]})
+        rows = np.searchsorted(table["seed"], [sample.seed for sample in self.samples])
+        columns = np.searchsorted(table["content"], [sample.content for sample in self.samples])
+        for name, (_, definition) in definitions.items():
+            values = np.full(self.vs.shape, math.nan)
+            values[rows, columns] = [getattr(one, name) for one in features]
+            table[name] = ("seed", "content"), values
+            table[name].attrs = {"units": "1", "long_name": definition}
+        table["vs"] = self.vs
+        return table
+
+    def _law(self, name: str, weights: ContactWeights | None, connectivity: NDArray[np.float64]) -> LawFit:
         with _translate_refusals():
             return LawFit(
                 name=name,
@@ -313,17 +345,18 @@ class CampaignAnalysis:
             kinds=kinds,
             path=path,
             features=cell.features or graph.features(graph.shortest_paths(kinds > 0)),
+            network=cell.network or graph.network.features(kinds > 0),
         )
 
 
 def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
-    """Correlate the eight features with Vs within one content, over the selected cells only.
+    """Correlate the features of path and network with Vs within one content, over the selected cells only.
 
     Returns along feature ``pearson``, its 95 % interval ``pearson_low`` and ``pearson_high``, ``p`` and
     ``p_corrected``, see `calcidem.analysis.correlation.seed_permutation_test`. `UnavailableError` if the campaign has
     no cement, or no selected cell has a velocity.
     """
-    table = analysis.table
+    table = analysis.table.merge(analysis.network_table)
     chosen = np.zeros(analysis.vs.shape, dtype=bool)
     columns = analysis.store.table(("seed", "content"), selection)
     chosen[

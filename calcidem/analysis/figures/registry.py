@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.analysis.figures.relations import draw_correlations, draw_laws, draw_ratio_scan
+from calcidem.analysis.figures.relations import draw_conductance, draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
 from calcidem.analysis.figures.signals import Arrival, draw_dispersion, draw_signals, load_arrival
 from calcidem.analysis.figures.style import pick_evenly
@@ -163,6 +163,13 @@ CAMPAIGN_FIGURES = (
         lambda analysis: draw_correlations(analysis.correlations),
     ),
     CampaignFigure(
+        "network_correlations",
+        "Correlation of features of the whole sample and Vs",
+        "As before, for features of the cement as a network between the walls. Its conductance G follows the scatter "
+        "of Vs within one content best.",
+        lambda analysis: draw_correlations(analysis.network_correlations),
+    ),
+    CampaignFigure(
         "weight_scan",
         "Weight of a cemented contact",
         "Correlation of C_d,n with Vs over the ratio of the two contact weights; the shortest path of every "
@@ -177,6 +184,13 @@ CAMPAIGN_FIGURES = (
         "Fits of Vs = a C^b + c for weights from the coordination number (left) and from the scan (right), "
         "and at the mean connectivity of each content the interval in which 95 % of new samples fall.",
         draw_laws,
+    ),
+    CampaignFigure(
+        "conductance",
+        "Vs against the conductance of the cement",
+        "Cement as a network of conductors between the side walls: one law for all contents, and fast samples of a "
+        "content conduct more.",
+        draw_conductance,
     ),
     CampaignFigure(
         "narrowing",

@@ -2,13 +2,15 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.contact_network import NETWORK_FEATURES
+from calcidem.analysis.correlation import Correlations
 from calcidem.analysis.error_budget import median_known
 from calcidem.analysis.packing_graph import FEATURES
 from calcidem.analysis.published import published_study
@@ -185,8 +187,21 @@ def _growth_table(analysis: CampaignAnalysis) -> Table | None:
 
 
 def _feature_table(analysis: CampaignAnalysis) -> Table:
-    """The eight features, their definitions, and their correlation with Vs."""
-    matrices, tests = analysis.correlations, analysis.feature_tests
+    """The eight features of the path, their definitions, and their correlation with Vs."""
+    return _correlation_table("the preferential path", FEATURES, analysis.correlations, analysis.feature_tests)
+
+
+def _network_table(analysis: CampaignAnalysis) -> Table:
+    """The features of the cement as a network, likewise."""
+    return _correlation_table(
+        "the cement as a network", NETWORK_FEATURES, analysis.network_correlations, analysis.network_tests
+    )
+
+
+def _correlation_table(
+    subject: str, features: Mapping[str, tuple[str, str]], matrices: Correlations, tests: xr.Dataset
+) -> Table:
+    """Features with symbol and definition, and their correlation with Vs."""
 
     def coefficient(matrix: xr.Dataset, name: str) -> str:
         cell = matrix.sel(variable=name, other="vs")
@@ -204,10 +219,10 @@ def _feature_table(analysis: CampaignAnalysis) -> Table:
             coefficient(matrices.within, name),
             probability(float(tests["p_corrected"].sel(variable=name))),
         )
-        for name, (symbol, definition) in FEATURES.items()
+        for name, (symbol, definition) in features.items()
     )
     return Table(
-        "Features of the preferential path and Pearson's correlation with Vs, with 95 % intervals. Over all "
+        f"Features of {subject} and Pearson's correlation with Vs, with 95 % intervals. Over all "
         "contents a common growth with content inflates it. Within one content, less the mean and over the standard "
         "deviation of each content, it measures how much of the scatter a feature explains. Its p-value is corrected "
         "for the number of features: seeds are exchanged at random, and the largest coefficient counts.",
@@ -221,12 +236,12 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
     published = {law.name: law for law in published_study().laws}
     compared = published_study().has_sand_of(analysis.config)
     rows = []
-    for law in (analysis.physical_law, analysis.scanned_law):
-        fit, check, other = law.fit, law.check, published[law.name]
+    for law in (analysis.physical_law, analysis.scanned_law, analysis.conductance_law):
+        fit, check, other = law.fit, law.check, published.get(law.name)
         rows.append(
             (
                 law.name,
-                f"{law.weights.hertz:.3f} / {law.weights.bond:.3f}",
+                f"{law.weights.hertz:.3f} / {law.weights.bond:.3f}" if law.weights else ABSENT,
                 with_bounds(fit.a, fit.a_interval),
                 with_bounds(fit.b, fit.b_interval, 2),
                 with_bounds(fit.c, fit.c_interval),
@@ -235,7 +250,7 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
                 f"{100 * check.coverage:.0f} %",
             )
         )
-        if compared:
+        if compared and other:
             rows.append(
                 (
                     f"{law.name}, published",
@@ -247,9 +262,9 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
                 )
             )
     return Table(
-        "Laws Vs = a C_d,n^b + c with 95 % intervals. The error for unseen seeds is the root mean square over "
-        "samples of a seed that the law was not fitted to, the coverage how many of these fall into their 95 % "
-        "prediction interval.",
+        "Laws Vs = a C^b + c with 95 % intervals; C is C_d,n with these weights, or the conductance G. The error for "
+        "unseen seeds is the root mean square over samples of a seed that the law was not fitted to, the coverage how "
+        "many of these fall into their 95 % prediction interval.",
         (
             "weights by",
             "sand / cement",
@@ -358,6 +373,7 @@ RESULT_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "outcomes": _outcome_table,
     "growth": _growth_table,
     "features": _feature_table,
+    "network_features": _network_table,
     "laws": _law_table,
     "errors_and_cost": _cost_table,
     "two_velocities": _two_velocities_table,

@@ -1,0 +1,145 @@
+"""Which features explain the scatter of Vs within a content: `python docs/reproduction/features.py CAMPAIGN.db ...`.
+
+First the rank correlation of each feature with Vs and with the effective velocity. Then laws of the first campaign,
+judged on seeds left out and on the other campaigns. Then predictions of each of its samples from other seeds, with the
+same features at every content. A negative difference to the content alone is a gain.
+"""
+
+import argparse
+
+import numpy as np
+import xarray as xr
+from scipy import stats
+
+from calcidem.analysis.contact_network import NETWORK_FEATURES
+from calcidem.analysis.fits import fit_power_law, leave_one_seed_out
+from calcidem.analysis.packing_graph import FEATURES
+from calcidem.analysis.predictor import VelocityPredictor
+from calcidem.app.campaign.opened import open_campaign
+
+SYMBOLS = {name: symbol for name, (symbol, _) in (NETWORK_FEATURES | FEATURES).items()}
+C_DN, CONDUCTANCE, SHARE = "path_normalized_connectivity", "network_conductance", "network_cemented_share"
+LOGARITHM = "logarithm of the conductance"
+CANDIDATES: dict[str, tuple[str, ...]] = {
+    "content alone": (),
+    "C_d,n": (C_DN,),
+    "S": (SHARE,),
+    "log G": (LOGARITHM,),
+    "log G, S": (LOGARITHM, SHARE),
+    "log G, C_d,n": (LOGARITHM, C_DN),
+    "static_speed (statics)": ("static_speed",),
+    "log G, effective_vs (measured)": (LOGARITHM, "effective_vs"),
+    "log G, effective_vs, error, coherence (measured)": (LOGARITHM, "effective_vs", "reading_error", "coherence"),
+}
+"""Those measured are of the wave itself, so no predictors of a sample that was not simulated."""
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("databases", nargs="+")
+    campaigns = [scattered_cells(database) for database in parser.parse_args().databases]
+    print_correlations(campaigns)
+    print_laws(campaigns)
+    cells = campaigns[0]
+    print("\n| features | score, m/s | less that of content alone (standard error) | in interval, % |")
+    print("|---|---|---|---|")
+    reference, _ = judge(cells, ())
+    for name, columns in CANDIDATES.items():
+        if all(bool(cells[column].notnull().any()) for column in columns):
+            show(name, *judge(cells, columns), reference)
+
+
+def scattered_cells(database: str) -> xr.Dataset:
+    """Cells of the contents at which Vs scatters."""
+    with open_campaign(database) as campaign:
+        cells = campaign.to_xarray()
+    cells[LOGARITHM] = np.log(cells[CONDUCTANCE])
+    return cells.sel(content=cells["vs"].std("seed") > 1e-9)  # round-off
+
+
+def print_correlations(campaigns: list[xr.Dataset]) -> None:
+    """Print the mean over contents of Spearman's coefficient; up to and above the contents of Stage I, of Vs."""
+    names = [*SYMBOLS, "static_speed"]
+    rows = {name: [value for cells in campaigns for value in correlations(cells, name)] for name in names}
+    print("| feature |" + " with Vs | up to 0.66 % | above | with effective_vs |" * len(campaigns))
+    print("|---|" + "---|---|---|---|" * len(campaigns))
+    for name in sorted(names, key=lambda name: -np.nan_to_num(abs(rows[name][0]))):
+        values = " | ".join("" if np.isnan(value) else f"{value:+.2f}" for value in rows[name])
+        print(f"| {SYMBOLS.get(name, name)} | {values} |")
+
+
+def print_laws(campaigns: list[xr.Dataset]) -> None:
+    """Print Vs = a x^b + c, and the rms errors on seeds left out and on the samples of the other campaigns."""
+    first, *others = campaigns
+    print("\n| Vs from | law | rms error on unseen seeds, m/s |" + " on another packing |" * len(others))
+    print("|---|---|---|" + "---|" * len(others))
+    for name in (CONDUCTANCE, C_DN):
+        x, vs, seeds = samples_of(first, name)
+        fit, check = fit_power_law(x, vs), leave_one_seed_out(x, vs, seeds)
+        errors = [vs - fit.predict(x) for x, vs, _ in (samples_of(cells, name) for cells in others)]
+        row = "".join(f" {np.sqrt(np.mean(error**2)):.0f} |" for error in errors)
+        law = f"{fit.a:.0f} {SYMBOLS[name]}^{fit.b:.2f} {fit.c:+.0f}"
+        print(f"| {SYMBOLS[name]} | {law} | {check.root_mean_square_error:.0f} |{row}")
+    count = first["vs"].notnull().sum("seed")
+    apart = (first["vs"] - first["vs"].mean("seed")) * count / (count - 1.0)  # from the mean of the others
+    errors = [apart, *(cells["vs"] - first["vs"].mean("seed") for cells in others)]
+    row = " | ".join(f"{float(np.sqrt((error**2).mean())):.0f}" for error in errors)
+    print(f"| content alone | mean of the content | {row} |")
+
+
+def samples_of(cells: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Feature, Vs and seed of all samples that have them."""
+    x, vs = (cells[one].to_numpy().astype(float) for one in (name, "vs"))
+    known = np.isfinite(x) & np.isfinite(vs)
+    return x[known], vs[known], np.broadcast_to(cells["seed"].to_numpy()[:, None], vs.shape)[known]
+
+
+def correlations(cells: xr.Dataset, name: str) -> list[float]:
+    """Mean rank correlation within a content: with Vs at all, low and high contents, with the effective velocity."""
+    contents = cells["content"].to_numpy()
+    found = {
+        target: np.array(
+            [_spearman(cells[name][:, column], cells[target][:, column]) for column in range(len(contents))]
+        )
+        for target in ("vs", "effective_vs")
+    }
+    low = contents <= 0.66
+    groups = found["vs"], found["vs"][low], found["vs"][~low], found["effective_vs"]
+    return [float(np.nanmean(group)) if np.isfinite(group).any() else np.nan for group in groups]
+
+
+def _spearman(one: xr.DataArray, other: xr.DataArray) -> float:
+    """Rank correlation; NaN without three samples, or for a constant."""
+    x, y = (values.to_numpy().astype(float) for values in (one, other))
+    known = np.isfinite(x) & np.isfinite(y)
+    if known.sum() < 3 or np.ptp(x[known]) == 0.0 or np.ptp(y[known]) == 0.0:
+        return np.nan
+    return float(stats.spearmanr(x[known], y[known]).statistic)
+
+
+def judge(cells: xr.Dataset, columns: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Interval score (m/s) and hit of each sample, predicted from the other seeds, (seed, content), NaN without one."""
+    scores, hits = (np.full(cells["vs"].shape, np.nan) for _ in range(2))
+    for content, vs in enumerate(cells["vs"].to_numpy().T):
+        table = np.array([cells[name].to_numpy()[:, content] for name in columns], dtype=float)
+        table = table.reshape(len(columns), len(vs)).T
+        known = np.isfinite(vs) & np.isfinite(table).all(axis=1)
+        for out in np.flatnonzero(known).tolist():
+            others = known & (np.arange(vs.size) != out)
+            interval = VelocityPredictor.fit(table[others], vs[others]).predict(table[out]).interval
+            scores[out, content], hits[out, content] = interval.score(vs[out], 0.95), interval.contains(vs[out])
+    return scores, hits
+
+
+def show(name: str, scores: np.ndarray, hits: np.ndarray, reference: np.ndarray) -> None:
+    """Print a row; samples of a seed share their cement, so that the standard error is that of the mean over seeds."""
+    gains = np.nanmean(scores - reference, axis=1)
+    print(
+        f"| {name} | {np.nanmean(scores):.1f} | {gains.mean():+.1f} ({gains.std(ddof=1) / gains.size**0.5:.1f}) "
+        f"| {100.0 * np.nanmean(hits):.1f} |"
+    )
+
+
+if __name__ == "__main__":
+    main()
