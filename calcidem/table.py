@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-from calcidem.input_file import MOST_BYTES, InputFileError, as_text, read_input
+from calcidem.input_file import InputFileError, as_text
 
 UNITS = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
@@ -37,18 +37,15 @@ class Table:
     """Line and entries of each row; decimal commas are points."""
 
     @staticmethod
-    def read(
-        path: Path, known: Mapping[str, str], least: Sequence[str], numbers: int = 2, content: bytes | None = None
-    ) -> "Table":
-        """Read a table from a file in UTF-8, UTF-16 or the Western European encoding of Windows.
+    def read(content: bytes, path: Path, known: Mapping[str, str], least: Sequence[str], numbers: int = 2) -> "Table":
+        """Read a table from the content of a file, in UTF-8, UTF-16 or the Western European encoding of Windows.
 
         ``known`` is the pattern of names of each quantity, see `meaning_of`. A line with those of ``least`` names the
         columns; otherwise the line above the first row does. The first row is the first line with so many ``numbers``.
-        Lines that begin with # or % are comments, and those with ; unless it separates columns. ``content`` is that of
-        the file, if it was read before. `InputFileError` if it is not text, or names and rows do not match.
+        Lines that begin with # or % are comments, and those with ; unless it separates columns. `InputFileError`
+        if this is not text, or names and rows do not match.
         """
-        text = as_text(read_input(path, MOST_BYTES) if content is None else content, path, fallback="cp1252")
-        lines = text.splitlines()
+        lines = as_text(content, path, fallback="cp1252").splitlines()
         plain = (n for n, line in enumerate(lines) if not line.lstrip().startswith(("#", "%")))
         first = next((n for n in plain if _numbers(split(lines[n])) >= numbers), len(lines))
         row = lines[first] if first < len(lines) else ""

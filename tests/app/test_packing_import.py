@@ -177,7 +177,7 @@ def test_what_is_no_disk_of_the_packing_is_left_out_and_said(tmp_path: Path) -> 
     """Other types, points, disks beside the plane and lines without numbers are counted; the rest stays."""
     disks = [(x, y, 0.5, r, 1) for x, y, r in LATTICE.tolist()]
     others = [(0.1, 0.1, 0.5, 0.001, "wall"), (0.0, 0.0, 0.5, 0.0, 1), (0.01, 0.01, 0.6, 0.001, 1)]
-    text = "x y z r type\n" + lines_of([*disks, *others]) + "the end\n"
+    text = "x y z r type\n" + lines_of([*disks, *others]) + "mean of all disks in this list\n"
     found = bring(tmp_path, text, types=["1"])
     report = str(found)
     assert len(found.x) == 108

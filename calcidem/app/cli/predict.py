@@ -8,6 +8,7 @@ import typer
 
 from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, Level, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
+from calcidem.input_file import read_input
 from calcidem.storage.records import P_CONTACT, CementPattern
 from calcidem.table import Table
 
@@ -84,7 +85,8 @@ def predict_command(
 def _read_pattern(path: Path) -> CementPattern:
     """Cemented contacts in a file; P and C contacts have the same effect on a path."""
     known = {"first": "first|i|a", "second": "second|j|b"}
-    table = Table.read(path, known, tuple(known))
+    content = read_input(path, 1_000_000_000)  # bytes; the contacts of 10 million disks have fewer
+    table = Table.read(content, path, known, tuple(known))
     if not table.rows and not table.head:
         raise typer.BadParameter(f"{path} has no line of two grain numbers; give one for each cemented contact")
     places = table.places(known)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from calcidem.analysis.measured import Target
 from calcidem.app.config.errors import ConfigurationError, Problem
+from calcidem.input_file import read_input
 from calcidem.table import Table, meaning_of, parse_number, unit_in_name, value_of
 
 KNOWN_COLUMNS = {
@@ -37,7 +38,7 @@ def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> tu
     specimens. G0 and density give the velocity if the table has none. `ConfigurationError` with all problems: missing
     columns, invalid numbers, fractions or km/s without a unit; `InputFileError` if it cannot be read as text.
     """
-    table = Table.read(file, KNOWN_COLUMNS, ("content",))
+    table = Table.read(read_input(file, 1_000_000), file, KNOWN_COLUMNS, ("content",))  # bytes; no laboratory has more
     columns, meanings = table.places(KNOWN_COLUMNS), [meaning_of(name, KNOWN_COLUMNS) for name in table.names]
     needed = ("content", "vs") if "vs" in columns else ("content", "g0", "density")
     given = f"there are {', '.join(table.names)}" if table.names else "no line names the columns"

@@ -27,6 +27,7 @@ from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.sample.packing_file import checked_disks
 from calcidem.dem.wave.experiment import WAVELENGTHS
 from calcidem.dem.wave.pulse import cutoff_frequency
+from calcidem.input_file import read_input
 from calcidem.table import UNITS, Table, parse_number, unit_in_name, value_of
 
 MINERALS = {
@@ -283,7 +284,7 @@ def read_grading(file: Path) -> tuple[float, float, float]:
         "size": "(grain|particle|sieve|mesh)?(size|diameter|opening|aperture)|d|sieve",
         "finer": "(cumulative)?(percent)?(cumulative)?(finer|passing|undersize)(bymass|byweight)?|p",
     }
-    table = Table.read(file, known, tuple(known))
+    table = Table.read(read_input(file, 1_000_000), file, known, tuple(known))  # bytes; far more than a grading has
     columns, rows, problems = table.places(known), [], list[Problem]()
     unit = unit_in_name(table.names[columns["size"]], "length")[1] if "size" in columns else ""
     if missing := [name for name in known if name not in columns]:

@@ -221,11 +221,12 @@ def _read_xyz(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
 
 def _read_table(file: Path, content: bytes) -> _Rows:
     """Table with named columns: CSV with any delimiter, or a list printed by PFC."""
-    table = Table.read(file, _KNOWN, ("x", "y"), 3, content)
+    table = Table.read(content, file, _KNOWN, ("x", "y"), 3)
     if not table.rows:
         raise PackingFileError(f"{file} has no line of numbers; give a table with the columns x, y and radius")
-    wide = max(len(words) for _, words in table.rows)
-    is_row = [len(words) == wide or sum(map(bool, map(parse_number, words))) >= 3 for _, words in table.rows]
+    full = [sum(map(bool, map(parse_number, words))) >= 3 for _, words in table.rows]
+    wide = len(table.rows[full.index(True)][1]) if any(full) else 0
+    is_row = [has_numbers or len(words) == wide for has_numbers, (_, words) in zip(full, table.rows, strict=True)]
     is_pfc = re.search(rb"\bball\b", b"\n".join(content.split(b"\n", table.head)[: table.head]), re.IGNORECASE)
     return _Rows(
         "PFC ball list" if is_pfc else "table",

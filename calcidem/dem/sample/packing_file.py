@@ -91,7 +91,7 @@ def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Float
 def _read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int], str]:
     """Return x, y, radius (N,) and line of each disk in the file, and the file's SHA-256; as `checked_disks`."""
     content = read_input(file, MOST_BYTES)
-    table = Table.read(file, _KNOWN, _CSV_COLUMNS, content=content)
+    table = Table.read(content, file, _KNOWN, _CSV_COLUMNS)
     rows = list(_numbered_disks(file, table))
     if len(rows) < FEWEST_DISKS:
         raise PackingFileError(f"{file} has {len(rows)} disks; give at least {FEWEST_DISKS}")
