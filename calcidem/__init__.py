@@ -7,8 +7,9 @@ Compute a campaign in this process and summarise it:
 ...     print(campaign.summary())
 
 `run` computes a campaign, `open_campaign` reads a stored one, and `load_paper_campaign` returns the numbers of the
-paper's campaign, which the package contains. `load_configuration` reads and checks a TOML
-file, `preset_text` returns one of the examples in `PRESETS`, and `import_packing` imports disks of another program.
+paper's campaign, which the package contains. `load_configuration` reads and checks a TOML file, and `preset_text`
+returns one of the examples in `PRESETS`. `import_packing` imports disks of another program, and `read_signal` reads
+velocities from a signal of a laboratory.
 `calcidem.dem` simulates scenes of your own. `ConfigurationError`, `PackingError`, `StoreError`, `LaunchError` and
 `WorkersLostError` name the problem and a remedy.
 """
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.config.schema import Configuration
     from calcidem.app.disks.packing_import import import_packing
+    from calcidem.app.studies.laboratory_signal import read_signal
     from calcidem.dem.sample.packing import PackingError
     from calcidem.storage.errors import StoreError
     from calcidem.sweep.sweep_end import LaunchError, WorkersLostError
@@ -49,6 +51,7 @@ __all__ = [
     "load_paper_campaign",
     "open_campaign",
     "preset_text",
+    "read_signal",
     "run",
 ]
 
@@ -68,6 +71,7 @@ _HOMES = {
     "load_paper_campaign": "calcidem.app.campaign.opened",
     "open_campaign": "calcidem.app.campaign.opened",
     "preset_text": "calcidem.app.config.presets",
+    "read_signal": "calcidem.app.studies.laboratory_signal",
     "run": "calcidem.app.campaign.run",
 }
 

@@ -61,19 +61,24 @@ def read_input(path: Path, limit: int) -> bytes:
     return content
 
 
-def read_text(path: Path, limit: int) -> str:
-    """Text of a file as `read_input`, in UTF-8 or, with a byte order mark, UTF-16; lines end with one character."""
-    return as_text(read_input(path, limit), path)
+def read_text(path: Path, limit: int, fallback: str = "") -> str:
+    """Text of a file as `read_input`, in UTF-8 or, with a byte order mark, UTF-16; lines end with one character.
+
+    Other text is taken to be in the encoding ``fallback``, if there is one.
+    """
+    return as_text(read_input(path, limit), path, fallback)
 
 
-def as_text(content: bytes, path: Path) -> str:
+def as_text(content: bytes, path: Path, fallback: str = "") -> str:
     """Decode the content of a file as `read_text` does."""
     encoding = "utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
     try:
         text = content.decode(encoding)
     except UnicodeDecodeError as error:
-        cause = f"byte {error.start + 1} is not {error.encoding.upper()}, perhaps Latin-1"
-        raise InputFileError(f"{path} is not text ({cause}); save the file as UTF-8") from error
+        if not fallback:
+            cause = f"byte {error.start + 1} is not {error.encoding.upper()}, perhaps Latin-1"
+            raise InputFileError(f"{path} is not text ({cause}); save the file as UTF-8") from error
+        text = content.decode(fallback, "replace")
     if "\0" in text:
         raise InputFileError(f"{path} is not text (it has zero bytes); check the name, or save the file as UTF-8")
     return text.replace("\r\n", "\n")

@@ -9,7 +9,7 @@ import xarray as xr
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import velocities
-from calcidem.analysis.measured import Target, misfits, root_mean_square_misfit
+from calcidem.analysis.measured import Target, group_specimens, misfits, root_mean_square_misfit
 from calcidem.app.report.sections import _measured_table
 
 VS = xr.DataArray(
@@ -32,6 +32,45 @@ def test_misfits_are_those_counted_by_hand() -> None:
     assert second.deviation_ratio == pytest.approx(0.5)
     assert root_mean_square_misfit((first, second)) == pytest.approx(np.sqrt(((10 / 210) ** 2 + 0.25**2) / 2))
     assert misfits(describe_contents(VS * np.nan), measured) == ()
+
+
+def test_specimens_of_nearly_one_content_are_joined() -> None:
+    """Mean and standard deviation are those of all samples; other stresses and means of several stay apart."""
+    rows = [Target(c, v, samples=1) for c, v in ((2.0, 100.0), (2.1, 110.0), (2.3, 120.0), (2.4, 200.0))]
+    (joined, members), (alone, _) = group_specimens([rows[3], *rows[:3]])
+    assert (joined, members) == (Target(2.133, 110.0, 10.0, 3), tuple(rows[:3]))
+    assert (alone.vs, alone.sd, alone.samples) == (200.0, None, 1)
+    assert len(group_specimens([replace(rows[0], stress=5e4), replace(rows[0], stress=1e5)])) == 2
+    several = [Target(2.0, 100.0, 10.0, 5), Target(2.1, 110.0, 10.0, 5)]
+    assert [joined for joined, _ in group_specimens(several)] == several
+    values = np.array([90.0, 100.0, 110.0]), np.array([100.0, 120.0])
+    ((pooled, _),) = group_specimens([Target(2.0, v.mean(), float(v.std(ddof=1)), len(v)) for v in values])
+    assert (pooled.vs, pooled.sd) == pytest.approx((np.concatenate(values).mean(), np.concatenate(values).std(ddof=1)))
+
+
+def test_specimens_are_compared_with_the_interval_of_new_samples() -> None:
+    """Each at its own content; the error of one specimen is the campaign's scatter."""
+    low, high = (row.vs.prediction_interval for row in describe_contents(VS))
+    edge = 0.5 * (low.high + high.high)  # at 2 %, between the contents
+    rows = [Target(2.0, edge - 0.1, samples=1), Target(2.0, edge + 0.1, samples=1), Target(3.0, 300.0, samples=1)]
+    first, second = misfits(describe_contents(VS), rows)
+    assert (first.outside, first.compared, first.measured.samples) == (1, 2, 2)
+    assert (second.outside, second.compared) == (0, 1)
+    (one,) = misfits(describe_contents(VS), [Target(3.0, 310.0, samples=1)])
+    assert one.standard_errors == pytest.approx(-10.0 / np.hypot(10.0 / np.sqrt(3.0), 10.0))
+
+
+def test_every_measured_point_lies_within_the_axes(analysis: CampaignAnalysis) -> None:
+    """Also one far above the samples, and every specimen of a group beside its mean."""
+    measured = (Target(2.0, 480.0, samples=1), Target(2.0, 520.0, samples=1), Target(20.0, 2900.0, 100.0, 5))
+    for figure in (
+        velocities.draw_range(analysis.cells, analysis.distributions, measured=measured),
+        velocities.draw_methods(analysis.cells, measured),
+    ):
+        axes = figure.axes[0]
+        assert axes.get_ylim()[1] > 3000.0
+        assert axes.get_xlim()[1] > 20.0
+        assert "measured specimen" in axes.get_legend_handles_labels()[1]
 
 
 def test_measured_velocities_lie_over_every_figure_of_vs_against_content(analysis: CampaignAnalysis) -> None:
@@ -60,5 +99,10 @@ def test_a_report_has_the_misfit_only_where_something_was_measured(analysis: Cam
     table = _measured_table(replace(analysis, measured=(Target(0.66, 380.0, 30.0, 5), Target(99.0, 2000.0))))
     assert table is not None
     assert [row[0] for row in table.rows] == ["0.66"]
-    assert "outside the campaign's range: 1" in table.caption
+    assert "beyond the campaign's contents, and not compared: 99 % (2000 m/s)" in table.caption
+    assert "of 1 measured values are outside the interval of 95 % of new samples" in table.caption
+    stress = analysis.config["packing"]["stress"]
+    foreign = _measured_table(replace(analysis, measured=(Target(0.66, 380.0, samples=1, stress=2 * stress),)))
+    assert foreign is not None
+    assert f"Measured under {2 * stress / 1e3:g} kPa, computed under {stress / 1e3:g} kPa" in foreign.caption
     assert len(set(table.header)) == len(table.header)

@@ -291,17 +291,22 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("content,vs2\n1,3\n", 'column vs: is missing.*column "vs2": is unknown'),
-        ("", "column content: is missing"),
-        ("content,vs\n", "give a line for each content"),
+        ("content,vs2\n1,3\n", "column vs: is missing; there are content, vs2"),
+        ("", "column content: is missing; no line names the columns"),
+        ("content,vs\n", "give a line for each specimen"),
         ("content,vs\n1,-3\n", r"row 2, vs = '-3': give a positive number of m/s"),
         ("content,vs\n1\n", "row 2 = 1: has 1 entries and not 2"),
         ("# of the lab\n\ncontent,vs\n1,300\n# dry\n2,-3\n", "row 6, vs = '-3'"),  # as an editor counts
         ("content,vs\n0,5,300\n", "point in numbers"),
         ("content,vs,sd\n1,,3\n", "row 2, vs = ''"),
-        ("content,vs,samples\n1,3,1.5\n", "samples = '1.5': give a whole number of 2 or more"),
-        ("content,vs\n1,3\n1,4\n", "content = 1: occurs twice"),
+        ("content,vs,samples\n1,300,1.5\n", "samples = '1.5': give a whole number of 1 or more"),
         ("content,vs\n1,inf\n", "vs = 'inf'"),
+        ("content,vs,Vs (m/s)\n1,300,300\n", "column vs: occurs twice"),
+        ("content,Vs (ft/s)\n1,300\n", r"column vs: is missing; there are content, Vs \(ft/s\)"),
+        ("content,G0 (MPa)\n1,300\n", "column density: is missing"),
+        ("content,vs\n0.02,480\n0.04,900\n", "content = 0.04 at most: percent or parts"),
+        ("content,vs\n2,0.48\n4,0.9\n", r"vs = 0.48 to 0.9 m/s: is it in other units.*'Vs \(km/s\)'"),
+        ("content,G0,density\n2,600,1.9\n", r"vs = 17770.5 to .*'density \(kg/m3\)'"),
     ],
 )
 def test_mistakes_in_a_file_of_targets_are_named(text: str, named: str, tmp_path: Path) -> None:
@@ -317,9 +322,9 @@ def test_targets_are_read_with_what_they_have(tmp_path: Path) -> None:
     """Scatter and number of samples may be missing, as columns or in a row; byte-order marks and comments are none."""
     path = tmp_path / "targets.csv"
     path.write_text("# of the lab, 2026\ncontent,vs\n0.66,380.34\n", encoding="utf-8-sig")
-    assert read_targets(path) == (Target(0.66, 380.34),)
+    assert read_targets(path) == (Target(0.66, 380.34, samples=1),)
     path.write_text("content, vs, sd, samples\n0.66, 380.34, 35.49, 116\n\n5, 1211, ,\n", encoding="utf-8")
-    assert read_targets(path) == (Target(0.66, 380.34, 35.49, 116), Target(5.0, 1211.0))
+    assert read_targets(path) == (Target(0.66, 380.34, 35.49, 116), Target(5.0, 1211.0, samples=1))
 
 
 def test_a_cluster_without_area_starts_from_its_contacts(configuration: Configuration, small_packing: Packing) -> None:

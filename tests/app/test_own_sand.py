@@ -1,6 +1,7 @@
 """A sand of one's own: `calcidem init --grain-size` writes a configuration whose cells have velocities."""
 
 import tomllib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,14 @@ import pytest
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.own_sand import OwnDisks, OwnSand, parse_quantity
+from calcidem.app.config.own_sand import (
+    OwnDisks,
+    OwnSand,
+    parse_quantity,
+    read_grading,
+    read_mineral,
+    uniform_limits,
+)
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, Excitation
 from calcidem.dem.sample.packing import Packing
@@ -31,10 +39,12 @@ def part_with_velocity(own: OwnSand, seeds: int) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("own", [(1e-4, 1e6, "carbonate"), (5e-3, 20e3, "quartz")])
-def test_a_written_configuration_needs_no_edit(own: tuple[float, float, str]) -> None:
-    """Sands unlike the paper's have the velocity that the file expects."""
-    assert part_with_velocity(OwnSand(*own, (0.0,)), seeds=2) == 1.0
+@pytest.mark.parametrize(
+    "own", [("0.1mm", "1MPa", "carbonate"), ("5mm", "20kPa", "quartz"), ("0.1mm,0.3mm,0.9mm", "1bar", "glass")]
+)
+def test_a_written_configuration_needs_no_edit(own: tuple[str, str, str]) -> None:
+    """Sands unlike the paper's have the velocity that the file expects, also those of many sizes."""
+    assert part_with_velocity(OwnSand.of_words(*own, "0", Path()), seeds=2) == 1.0
 
 
 def test_a_written_configuration_is_that_of_the_grain() -> None:
@@ -71,14 +81,87 @@ def test_own_disks_are_written_with_lengths_of_their_box(tmp_path: Path) -> None
 
 def test_grain_sizes_and_stresses_have_units() -> None:
     """With or without a blank; what has no unit, another one, or is impossible is refused with an example."""
-    assert parse_quantity("grain size", "0.3mm") == parse_quantity("grain size", " 300 um") == 0.3e-3
-    assert parse_quantity("stress", "1e5 Pa") == parse_quantity("stress", "0.1MPa") == 1e5
+    sizes = ("0.3mm", " 300 um", "300 \u00b5m", "300\u03bcm", "0.3 MM")
+    assert [parse_quantity("grain size", text) for text in sizes] == [0.3e-3] * 5
+    assert [parse_quantity("stress", text) for text in ("1e5 Pa", "0.1MPa", "1bar", "100 kpa")] == [1e5] * 4
     for quantity, text in (
         *(("grain size", text) for text in ("3", "0mm", "-1mm", "nanmm", "1e99m", "1..mm", "3 kPa", "")),
         *(("stress", text) for text in ("100", "0kPa", "1psi")),
     ):
         with pytest.raises(ValueError, match="such as"):
             parse_quantity(quantity, text)
+
+
+def test_a_mineral_is_a_name_or_three_numbers() -> None:
+    """All that depends on the mineral follows: modulus, bonds and overlap."""
+    assert read_mineral("44GPa, 0.08, 2.65 g/cm3") == read_mineral("quartz") == read_mineral("4.4e10Pa,0.08,2650")
+    own, quartz = (OwnSand(1e-3, 1e5, text, (0.0,)) for text in ("44GPa,0.08,2650kg/m3", "quartz"))
+    assert (own.bond_modulus, own.overlap) == (quartz.bond_modulus, quartz.overlap)
+    written = read_configuration(tomllib.loads(own.text()))
+    assert written.physics == read_configuration(tomllib.loads(quartz.text())).physics
+    assert written.campaign.name == "own-mineral-1mm-100kPa"
+    assert OwnSand(1e-3, 1e5, "glass", (0.0,)).sand.density == 2500.0
+    for text in ("gold", "44,0.08,2650", "44GPa,0.08", "44GPa,0.7,2650", "44GPa,0.08,2.65", "44GPa,0.08kg,2650"):
+        with pytest.raises(ValueError, match=r"such as 30GPa,0\.2,2500kg/m3"):
+            read_mineral(text)
+
+
+@pytest.mark.parametrize(("smallest", "largest"), [(1.0, 1.0001), (1.0, 1.5), (0.2, 0.49)])
+def test_uniform_diameters_have_the_grading_that_they_are_made_from(smallest: float, largest: float) -> None:
+    """By mass, which in the plane is area: sampled diameters give d10, d50 and d90, and these the limits again."""
+    diameters = np.linspace(smallest, largest, 200_001)
+    area = np.cumsum(diameters**2) / np.sum(diameters**2)
+    d10, d50, d90 = (float(np.interp(share, area, diameters)) for share in (0.1, 0.5, 0.9))
+    assert uniform_limits(d10, d50, d90) == pytest.approx((smallest, largest), rel=1e-4)
+
+
+def test_a_wide_grading_keeps_its_median() -> None:
+    """Of a sand with more sizes than a packing holds, half of the mass is below d50; the file has both gradings."""
+    smallest, largest = uniform_limits(0.1, 0.3, 1.0)
+    assert largest == pytest.approx(2.5 * smallest)
+    assert 0.5 * (smallest**3 + largest**3) == pytest.approx(0.3**3)
+    own = OwnSand.of_words("100um,0.3mm,1mm", "100kPa", "quartz", "0,2", Path())
+    assert own.grain_size == pytest.approx(0.5e-3 * (smallest + largest), rel=2e-3)
+    written = read_configuration(tomllib.loads(own.text()))
+    assert written.packing.diameter == pytest.approx((1e-3 * smallest, 1e-3 * largest), rel=5e-3)
+    assert "by mass, 0.1, 0.3, 1 mm given" in own.text()
+    with pytest.raises(ConfigurationError, match="give the mean diameter, or increasing d10, d50 and d90"):
+        OwnSand.of_words("0.3mm,0.2mm,0.1mm", "100kPa", "quartz", "0,2", Path())
+
+
+GRADING = "Sieve;Percent finer\n(mm);(%)\n1,0;100\n0,5;90\n0,1;10\n0,063;0\n"
+
+
+def test_a_grading_is_read_from_a_table(tmp_path: Path, invoke: Callable[..., str]) -> None:
+    """In any order and unit; between sieves linear in the logarithm of the size, and `init` takes it."""
+    (tmp_path / "sizes.csv").write_text(GRADING, encoding="utf-8")
+    grading = read_grading(tmp_path / "sizes.csv")
+    assert grading == pytest.approx((0.1e-3, np.sqrt(0.05) * 1e-3, 0.5e-3))
+    invoke("init", tmp_path / "a.toml", "--grading", tmp_path / "sizes.csv", "--mineral", "glass")
+    written = read_configuration(tomllib.loads((tmp_path / "a.toml").read_text(encoding="utf-8")))
+    assert written.packing.diameter == pytest.approx(uniform_limits(*grading), rel=5e-3)
+    both = ("--grading", tmp_path / "sizes.csv", "--grain-size", "1mm")
+    assert "leave it out: the grading has it" in invoke("init", tmp_path / "b.toml", *both, exit_code=2)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("size,finer\n0.1,10\n0.5,90\n", "row 2 = 0.1,10: give a size with its unit"),
+        ("size (mm),retained\n0.1,10\n0.5,90\n", "column finer: is missing; there are size (mm), retained"),
+        ("size (mm),finer\n0.1,20\n0.5,90\n", "finer = 20 to 90: give percent finer that grows"),
+        ("size (mm),finer\n0.1,0\n0.2,90\n0.5,60\n", "finer = 0 to 60"),
+        ("size (mm),finer\n0.1,0.1\n0.5,0.9\n", "finer = 0.1 to 0.9"),
+        ("size (mm),finer\n0.1,0\n0.5,190\n", "row 3 = 0.5,190"),
+        ("size (mm),finer\n", "rows = 0"),
+    ],
+)
+def test_a_grading_that_is_none_is_refused(text: str, words: str, tmp_path: Path) -> None:
+    """Place, value and cure."""
+    (tmp_path / "sizes.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigurationError) as caught:
+        read_grading(tmp_path / "sizes.csv")
+    assert words in str(caught.value)
 
 
 def test_sands_that_cannot_be_computed_are_refused() -> None:

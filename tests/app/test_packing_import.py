@@ -18,6 +18,7 @@ from calcidem.app.disks.packing_import import ImportedPacking, import_packing
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing, PackingFileError
 from calcidem.dem.sample.packing_file import _read_disks
+from calcidem.input_file import InputFileError
 
 PEERS = Path(__file__).parents[2] / "benchmarks" / "peers"
 sys.path.append(str(PEERS))
@@ -84,7 +85,13 @@ def spreadsheet() -> str:
     )
 
 
-FILES: dict[str, tuple[str, Callable[[], str]]] = {
+def extended_xyz(disks: Floats, of_cell: str = "0.02095 0 0 0 0.05 0 0 0 1") -> str:
+    """Frame of an extended XYZ file."""
+    head = f'{len(disks)}\nLattice="{of_cell}" Properties=species:S:1:pos:R:3:radius:R:1 Time=0.5 pbc="F F T"\n'
+    return head + lines_of([("Si", x, y, 0.0, r) for x, y, r in disks.tolist()])
+
+
+FILES: dict[str, tuple[str, Callable[[], str | bytes]]] = {
     "data": ("LAMMPS data file", lambda: data_file("sphere", "id", "type", "diameter", "density", "x", "y", "z")),
     "data with images": (
         "LAMMPS data file",
@@ -113,11 +120,26 @@ FILES: dict[str, tuple[str, Callable[[], str]]] = {
         lambda: "Ball information\nBall ID  Pos-X  Pos-Y  Ball radius\n" + lines_of(np.insert(LATTICE, 0, ROW, axis=1)),
     ),
     "spreadsheet": ("table", spreadsheet),
+    "spreadsheet in Latin-1": (
+        "table",
+        lambda: spreadsheet().replace("Nr", "Gr\u00f6\u00dfe in \u00b0").encode("latin-1"),
+    ),
+    "columns in units of their own": (
+        "table",
+        lambda: "x (mm)|radius/\u00b5m|y_m\n" + lines_of(LATTICE[:, [0, 2, 1]] * (1e3, 1e6, 1.0), "|"),
+    ),
+    "ParaView": (
+        "table",
+        lambda: '"Points:0","Points:1","Points:2","radius"\n' + lines_of(np.insert(LATTICE, 2, 0.0, axis=1), ","),
+    ),
+    "OVITO": ("extended XYZ", lambda: extended_xyz(LATTICE * (1.0, 1.0, 0.5)) + extended_xyz(LATTICE)),
+    "YADE in x and z": ("YADE text export", lambda: "#format x_y_z_r\n" + lines_of(np.insert(LATTICE, 1, 0.7, axis=1))),
+    "a line of units": ("table", lambda: "x;y;r\n[mm];[mm];[mm]\n" + lines_of(LATTICE * 1e3, ";")),
     "commented names": ("table", lambda: "# made by hand\n# x y r\n" + lines_of(LATTICE)),
 }
 
 
-def bring(folder: Path, text: str, **choices: object) -> ImportedPacking:
+def bring(folder: Path, text: str | bytes, **choices: object) -> ImportedPacking:
     """Import a text."""
     (folder / "source").write_bytes(text if isinstance(text, bytes) else text.encode())
     return import_packing(folder / "source", folder / "disks.csv", **choices)  # type: ignore[arg-type]  # what a test wants
@@ -155,7 +177,7 @@ def test_what_is_no_disk_of_the_packing_is_left_out_and_said(tmp_path: Path) -> 
     """Other types, points, disks beside the plane and lines without numbers are counted; the rest stays."""
     disks = [(x, y, 0.5, r, 1) for x, y, r in LATTICE.tolist()]
     others = [(0.1, 0.1, 0.5, 0.001, "wall"), (0.0, 0.0, 0.5, 0.0, 1), (0.01, 0.01, 0.6, 0.001, 1)]
-    text = "x y z r type\n" + lines_of([*disks, *others]) + "the end\n"
+    text = "x y z r type\n" + lines_of([*disks, *others]) + "mean of all disks in this list\n"
     found = bring(tmp_path, text, types=["1"])
     report = str(found)
     assert len(found.x) == 108
@@ -200,7 +222,7 @@ SPREAD = "x,y,z,radius\n" + lines_of(np.insert(LATTICE, 2, LATTICE[:, 1], axis=1
         ("x y r\n" + lines_of(LATTICE), {"plane": "xx"}, ("plane = 'xx'", "xz")),
         ("x y r\n" + lines_of(LATTICE), {"types": ["1"]}, ("type = '1'", "its types are none")),
         ("x y r\n" + lines_of(LATTICE), {"walls": (1, 0, 0, 1)}, ("walls", "low to high")),
-        (SPREAD, {}, ("no common plane", "with plane")),
+        (SPREAD, {}, ("no layer in the chosen plane", "with plane")),
         (FILES["dump"][1](), {"timestep": 7}, ("timestep = 7", "0, 5000")),
         (FILES["dump"][1]().replace("ff ff pp", "xy xz yz pp pp pp"), {}, ("line 122", "tilted")),
         (FILES["data"][1]().replace("sphere", "atomic"), {}, ("'Atoms # atomic'", "atom_style sphere")),
@@ -218,20 +240,76 @@ def test_what_is_wrong_names_the_place_and_the_cure(
     assert not (tmp_path / "disks.csv").exists()
 
 
+PERIODIC = LATTICE - (0.0011, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        dump("id", "type", "x", "y", "z", "radius").replace("BOUNDS ff ff pp\n-0.01", "BOUNDS pp ff pp\n0.0011"),
+        extended_xyz(PERIODIC).replace("F F T", "T F T"),
+    ],
+)
+def test_a_packing_across_a_periodic_boundary_gets_no_walls_in_silence(text: str, tmp_path: Path) -> None:
+    """Its boundary is named; walls that the user gives cut it."""
+    with pytest.raises(
+        PackingFileError, match=r"the boundary in x is periodic, and [0-9]+ disks reach across"
+    ) as caught:
+        bring(tmp_path, text)
+    assert "Give walls" in str(caught.value)
+    cut = bring(tmp_path, text, walls=(0.003, 0.018, -0.001, 1.0))
+    assert cut.width == pytest.approx(0.015)
+    assert "reach beyond the walls" in str(cut)
+
+
+def test_a_periodic_box_that_no_disk_leaves_is_a_box(tmp_path: Path) -> None:
+    """Walls of disks inside a periodic box keep them from its sides."""
+    text = dump("id", "type", "x", "y", "z", "radius").replace("ff ff pp", "pp pp pp")
+    assert len(bring(tmp_path, text).x) == 108
+
+
+def test_the_plane_of_a_layer_is_found_and_said(tmp_path: Path) -> None:
+    """Disks that lie in x and z need no option; what is no layer in the plane asked for is said to be none there."""
+    text = FILES["YADE in x and z"][1]()
+    assert "plane xz, in which the disks lie" in str(bring(tmp_path, text))
+    with pytest.raises(PackingFileError, match="no layer in the chosen plane"):
+        bring(tmp_path, text, plane="xy")
+
+
+def test_a_table_without_known_names_is_told_its_own(tmp_path: Path) -> None:
+    """Its names are listed, not denied."""
+    text = "east,north,rad\n" + lines_of(LATTICE, ",")
+    with pytest.raises(PackingFileError, match=r"no column x, y; it has east, north, rad\. Name them"):
+        bring(tmp_path, text)
+
+
+def test_a_tilted_cell_is_refused(tmp_path: Path) -> None:
+    """In extended XYZ as in LAMMPS' files."""
+    with pytest.raises(PackingFileError, match="line 2: the box is tilted"):
+        bring(tmp_path, extended_xyz(LATTICE, "0.02095 0 0 0.01 0.05 0 0 0 1"))
+
+
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_that_was_cut_off_is_refused(name: str, tmp_path: Path) -> None:
     """Wherever it ends, a file is bad input or a table with fewer disks; LAMMPS says how many there should be."""
     form, text = FILES[name][0], FILES[name][1]()
+    text = text if isinstance(text, str) else text.decode("latin-1")
     text = text[max(0, text.rfind("ITEM: TIMESTEP")) :]
     for length in range(0, len(text) - 30, len(text) // 60):
-        with suppress(PackingFileError):
+        with suppress(PackingFileError, InputFileError):
             assert len(bring(tmp_path, text[:length]).x) < 108
             assert "LAMMPS" not in form
+            assert "XYZ" not in form
 
 
 def test_strange_sizes_are_remarked(tmp_path: Path) -> None:
     """Millimetres read as metres, and diameters read as radii the other way round, are named."""
-    assert "Check the unit" in str(bring(tmp_path, "x y r\n" + lines_of(LATTICE * 1e3)))
+    metres = "x y r\n" + lines_of(LATTICE * 1e3)
+    assert "Check the unit" in str(bring(tmp_path, metres, unit="m"))
+    with pytest.raises(
+        PackingFileError, match=r"has no unit.*2\.17 m is not that of a sand; unit: mm if it is 2\.17 mm"
+    ):
+        bring(tmp_path, metres)
     assert "Few disks touch" in str(bring(tmp_path, "x y r\n" + lines_of(LATTICE * (1.0, 1.0, 0.5))))
 
 

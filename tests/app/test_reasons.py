@@ -172,6 +172,24 @@ def test_calibrated_values_kept_for_another_material_are_told(tmp_path: Path, in
     assert "calcidem calibrate" in said
 
 
+def test_a_database_beside_the_configuration_is_named_from_another_folder(
+    tmp_path: Path, invoke: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same file in another folder would compute all anew; the note says what continues it, and only then."""
+    (tmp_path / "sand" / "results").mkdir(parents=True)
+    (tmp_path / "sand" / "own.toml").write_text(preset_text("quick"), encoding="utf-8")
+    database = tmp_path / "sand" / "results" / "quick.db"
+    Store(database).close()
+    monkeypatch.chdir(tmp_path)
+    configuration = Path("sand", "own.toml")
+    said = " ".join(invoke("run", configuration, "--check").split())
+    assert "results/quick.db does not exist here, but sand/results/quick.db is beside the configuration" in said
+    assert "give --db sand/results/quick.db" in said
+    assert "beside the configuration" not in invoke("run", configuration, "--check", "--db", database)
+    monkeypatch.chdir(tmp_path / "sand")
+    assert "beside the configuration" not in invoke("run", "own.toml", "--check")
+
+
 def test_every_value_that_a_preset_calls_calibrated_is_known() -> None:
     """The keys with this comment, and no others."""
     marked = {

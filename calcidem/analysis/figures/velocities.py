@@ -31,7 +31,7 @@ from calcidem.analysis.figures.style import (
     new_panel,
     pick_evenly,
 )
-from calcidem.analysis.measured import Target
+from calcidem.analysis.measured import Target, group_specimens
 from calcidem.analysis.planning import narrowing
 from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.storage.records.error_budget import NORMAL_95, depends_on_pulse
@@ -65,6 +65,7 @@ def draw_range(
     enlarged = not placed and len(low) > 2 and rows[-1].content > 4 * close  # fewer need no second picture
     _draw_range(axes, cells, rows, [row for row in published if not enlarged or row[0] > close])
     _draw_measured(axes, measured)
+    axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))  # velocities are positive even if a band is not
     axes.set_xlabel(CONTENT_LABEL)
     axes.set_ylabel(VS_LABEL)
     if placed:  # other elements of the figure have their own legend
@@ -140,25 +141,30 @@ def _draw_range(
             zorder=4,
             label="published mean and standard\ndeviation (set off to the right)",
         )
-    axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))  # velocities are positive even if a band is not
 
 
 def _draw_measured(axes: Axes, measured: Sequence[Target]) -> None:
-    """Add laboratory means with standard deviations to a picture of Vs against content."""
-    if measured:
-        axes.errorbar(
-            [target.content for target in measured],
-            [target.vs for target in measured],
-            yerr=[target.sd or 0.0 for target in measured],
-            fmt="s",
-            markersize=5,
-            markerfacecolor="white",
-            color=BLACK,
-            elinewidth=1.2,
-            capsize=3,
-            zorder=5,
-            label="measured mean and\nstandard deviation",
-        )
+    """Add laboratory specimens, and means with standard deviations, to a picture of Vs against content."""
+    specimens = [row for row in measured if row.samples == 1]
+    means = [joined for joined, _ in group_specimens(measured) if joined.samples != 1]
+    for rows, mark, label in (
+        (specimens, "x", "measured specimen"),
+        (means, "s", "measured mean and\nstandard deviation"),
+    ):
+        if rows:
+            axes.errorbar(
+                [row.content for row in rows],
+                [row.vs for row in rows],
+                yerr=[row.sd or 0.0 for row in rows],
+                fmt=mark,
+                markersize=5,
+                markerfacecolor="white",
+                color=BLACK,
+                elinewidth=1.2,
+                capsize=3,
+                zorder=5,
+                label=label,
+            )
 
 
 @apply_style
@@ -179,8 +185,8 @@ def draw_histograms(
         values = vs.sel(content=row.content).to_numpy()
         _draw_histogram(axes, values[np.isfinite(values)], row.vs)
         axes.set_title(f"{row.content:g} %")
-        for target in measured:
-            if math.isclose(target.content, row.content, abs_tol=1e-6):
+        for target, _ in group_specimens(measured):
+            if math.isclose(target.content, row.content, rel_tol=0.05, abs_tol=1e-6):
                 marks.append(axes.axvline(target.vs, color=BLACK, linewidth=1.5, linestyle="--", label="measured mean"))
                 low, high = axes.get_xlim()
                 axes.set_xlim(min(low, 0.97 * target.vs), max(high, 1.03 * target.vs))

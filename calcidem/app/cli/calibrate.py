@@ -27,7 +27,9 @@ def calibrate_command(
     configuration: ConfigurationFile,
     target: Annotated[
         Path,
-        typer.Option(help="CSV file: content (percent), vs (m/s), and optionally sd (m/s) and samples."),
+        typer.Option(
+            help="Table: content (percent), Vs (m/s), optionally sd, samples; a row for each specimen or mean."
+        ),
     ],
     out: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibrated configuration to write.")],
     free: Annotated[
@@ -61,6 +63,7 @@ def calibrate_command(
     cores: StudyCores = 0,
 ) -> None:
     """Fit parameters to measured means, and standard deviations, of Vs; write a configuration."""
+    from calcidem.analysis.measured import group_specimens
     from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.config.measured import read_targets
     from calcidem.app.config.reader import load_configuration, parse_file
@@ -71,7 +74,11 @@ def calibrate_command(
 
     refuse_to_replace(out)
     loaded = load_configuration(configuration)
-    targets = read_targets(target)
+    targets = tuple(joined for joined, _ in group_specimens(read_targets(target, tell)))
+    if len(targets) > len({row.content for row in targets}):
+        raise typer.BadParameter(
+            "has one content under several confining stresses; give the rows of one of them", param_hint="--target"
+        )
     packing = provide_packing(loaded, None, tell)
     ranges = [ParameterRange.parse(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
     chosen = range(first_seed, first_seed + seeds)

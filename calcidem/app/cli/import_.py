@@ -18,7 +18,7 @@ def import_command(
     file: Annotated[
         Path,
         typer.Argument(
-            help="NetCDF file of 'calcidem export', or disks: LAMMPS data or dump, YADE export, PFC ball list, table."
+            help="NetCDF file of 'calcidem export', or disks: LAMMPS data or dump, YADE, extended XYZ, PFC, any table."
         ),
     ],
     database: Annotated[
@@ -29,7 +29,9 @@ def import_command(
     unit: Annotated[str | None, typer.Option(help="Disks: unit of length, if the file has none.")] = None,
     columns: Annotated[str, typer.Option(help="Disks: names of the columns from the left: x,y,z,radius.")] = "",
     types: Annotated[list[str] | None, typer.Option("--type", help="Disks: only this type; may be repeated.")] = None,
-    plane: Annotated[str, typer.Option(help="Disks: axes of the file that become x and y.")] = "xy",
+    plane: Annotated[
+        str | None, typer.Option(help="Disks: axes of the file that become x and y; by default those of their plane.")
+    ] = None,
     walls: Annotated[
         tuple[float, float, float, float] | None,
         typer.Option(

@@ -24,7 +24,14 @@ def init_command(
     full: Annotated[bool, typer.Option("--full", help="Include every key with its meaning.")] = False,
     grain_size: Annotated[
         str | None,
-        typer.Option(metavar="SIZE", help="Mean diameter of your own sand, such as 0.3mm."),
+        typer.Option(
+            metavar="SIZE",
+            help="Mean diameter of your own sand, such as 0.3mm; or d10,d50,d90 by mass, such as 0.2mm,0.3mm,0.4mm.",
+        ),
+    ] = None,
+    grading: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Or its grading: a table of size (with unit) and percent finer by mass."),
     ] = None,
     disks: Annotated[
         Path | None,
@@ -37,7 +44,12 @@ def init_command(
         typer.Option(metavar="STRESS", help="Its confining stress; 100kPa if not given."),
     ] = None,
     mineral: Annotated[
-        str | None, typer.Option(metavar="MINERAL", help="Its grains: quartz (if not given), carbonate or calcite.")
+        str | None,
+        typer.Option(
+            metavar="MINERAL",
+            help="Its grains: quartz (if not given), carbonate, calcite or glass; or shear modulus, Poisson's ratio "
+            "and density, such as 30GPa,0.2,2500kg/m3.",
+        ),
     ] = None,
     contents: Annotated[
         str | None, typer.Option(metavar="PERCENT,...", help="Its calcite contents; 0,1,2,4 if not given.")
@@ -45,23 +57,25 @@ def init_command(
 ) -> None:
     """Write a configuration to start from: an example, or one for your own sand."""
     chosen = preset or next(iter(Preset))
-    if grain_size is None and disks is None:
+    sizes = {"--grain-size": grain_size, "--grading": grading, "--disks": disks}
+    given = [name for name, value in sizes.items() if value is not None]
+    if not given:
         of_a_sand = {"--stress": stress, "--mineral": mineral, "--contents": contents}
-        refuse_options("give --grain-size or --disks, too: it is for a sand of your own", of_a_sand)
+        refuse_options("give --grain-size, --grading or --disks, too: it is for a sand of your own", of_a_sand)
         text = preset_text(chosen)
         if full:
             from calcidem.app.config.reference import full_text  # the reader of configurations takes a second to load
 
             text = full_text(chosen)
     elif preset is not None or full:
-        hint = "--grain-size" if disks is None else "--disks"
-        raise typer.BadParameter("leave --preset and --full out: they are for examples", param_hint=hint)
-    elif grain_size is not None and disks is not None:
-        raise typer.BadParameter("leave it out: the disks have their sizes", param_hint="--grain-size")
+        raise typer.BadParameter("leave --preset and --full out: they are for examples", param_hint=given[0])
+    elif len(given) > 1:
+        said = "the disks have their sizes" if disks is not None else "the grading has it"
+        raise typer.BadParameter(f"leave it out: {said}", param_hint=given[0])
     else:
-        from calcidem.app.config.own_sand import OwnSand  # as above
+        from calcidem.app.config.own_sand import OwnSand, read_grading  # as above
 
-        size = disks or str(grain_size)
+        size = disks or grain_size or ",".join(f"{d!r}m" for d in read_grading(grading or Path()))
         own = OwnSand.of_words(size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent)
         text = own.text()
     try:
@@ -71,7 +85,7 @@ def init_command(
         if not file.is_file():
             raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file") from None
         problem = f"{file} exists and was left unchanged; run it with 'calcidem run {file}', or "
-        if grain_size is not None or disks is not None:
+        if given:
             raise typer.BadParameter(f"{problem}give another name") from None
         other = file.with_stem(f"{file.stem}-{chosen}")
         raise typer.BadParameter(f"{problem}write another with 'calcidem init {other} --preset {chosen}'") from None

@@ -1,6 +1,5 @@
 """``calcidem predict``: Vs of a sample that was not simulated, and a check of such predictions."""
 
-import csv
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,8 +8,9 @@ import typer
 
 from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, Level, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
-from calcidem.input_file import read_text
+from calcidem.input_file import read_input
 from calcidem.storage.records import P_CONTACT, CementPattern
+from calcidem.table import Table
 
 
 def predict_command(
@@ -84,15 +84,19 @@ def predict_command(
 
 def _read_pattern(path: Path) -> CementPattern:
     """Cemented contacts in a file; P and C contacts have the same effect on a path."""
-    text = read_text(path, 1_000_000_000)  # bytes; the contacts of 10 million disks have fewer
+    known = {"first": "first|i|a", "second": "second|j|b"}
+    content = read_input(path, 1_000_000_000)  # bytes; the contacts of 10 million disks have fewer
+    table = Table.read(content, path, known, tuple(known))
+    if not table.rows and not table.head:
+        raise typer.BadParameter(f"{path} has no line of two grain numbers; give one for each cemented contact")
+    places = table.places(known)
+    chosen = [places.get(name, place) for place, name in enumerate(known)]
     try:
-        lines = [row[:2] for row in csv.reader(text.splitlines()) if row]
-        if lines and not any(entry.strip().lstrip("-").isdigit() for entry in lines[0]):
-            del lines[0]  # a header
-        contacts = np.array([[int(entry) for entry in row] for row in lines], dtype=np.int32).reshape(len(lines), 2)
-    except (ValueError, OverflowError, csv.Error) as error:
+        contacts = [[int(row[place]) for place in chosen] for _, row in table.rows]
+        pairs = np.array(contacts, dtype=np.int32).reshape(len(contacts), 2)
+    except (ValueError, OverflowError, IndexError) as error:
         raise typer.BadParameter(f"{path}: {error}; give two grain numbers on each line") from error
-    return CementPattern(contacts, np.full(len(contacts), P_CONTACT, dtype=np.uint8), np.empty((0, 2)))
+    return CementPattern(pairs, np.full(len(pairs), P_CONTACT, dtype=np.uint8), np.empty((0, 2)))
 
 
 def _tell_checks(

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from calcidem.app.cli.arguments import CampaignName, Database
-from calcidem.app.cli.terminal import progress_bar
+from calcidem.app.cli.terminal import progress_bar, tell
 
 
 def report_command(
@@ -25,7 +25,9 @@ def report_command(
     measured: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.csv", help="Laboratory velocities to compare: columns content, vs, and sd, samples."
+            metavar="FILE.csv",
+            help="Laboratory velocities to compare, a row for each specimen or mean: content, Vs, and sd, samples, "
+            "confining stress; or G0 and density.",
         ),
     ] = None,
     campaign: CampaignName = None,
@@ -40,7 +42,7 @@ def report_command(
         with read_campaign(database, campaign) as store:
             out = unnamed_page(store)
     refuse_to_replace(out)
-    targets = read_targets(measured) if measured else ()
+    targets = read_targets(measured, tell) if measured else ()
     studies = None
     if with_studies:
         from calcidem.app.studies.frequency_and_damping import run_studies

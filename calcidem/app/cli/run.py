@@ -162,6 +162,10 @@ def _read_overridden(
     from calcidem.app.config.reader import load_configuration
 
     loaded = load_configuration(configuration, overrides)
+    beside = configuration.parent / loaded.database
+    if not Path(loaded.database).exists() and beside.is_file():  # a URL of a server is neither
+        place = f"{loaded.database} does not exist here, but {beside} is beside the configuration"
+        tell(f"Note: {place}. To continue it, stop this run and give --db {beside}")
     if retry:
         from calcidem.app.campaign.run import retry_cells
         from calcidem.storage.records import CellStatus

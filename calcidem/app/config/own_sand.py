@@ -27,14 +27,17 @@ from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.sample.packing_file import checked_disks
 from calcidem.dem.wave.experiment import WAVELENGTHS
 from calcidem.dem.wave.pulse import cutoff_frequency
+from calcidem.input_file import read_input
+from calcidem.table import UNITS, Table, parse_number, unit_in_name, value_of
 
 MINERALS = {
     "quartz": Sand(shear_modulus=44e9, poisson_ratio=0.08, density=2650.0),
     "carbonate": Sand(shear_modulus=32e9, poisson_ratio=0.32, density=2710.0),
     "calcite": Sand(shear_modulus=32e9, poisson_ratio=0.32, density=2710.0),
+    "glass": Sand(shear_modulus=29e9, poisson_ratio=0.2, density=2500.0),
 }
 """Materials of the grains: Mavko, Mukerji and Dvorkin (2009), The Rock Physics Handbook, doi:10.1017/CBO9780511626753,
-tables of mineral moduli.
+tables of mineral moduli; beads of glass: Makse, Gland, Johnson and Schwartz (1999), doi:10.1103/PhysRevLett.83.5070.
 """
 
 
@@ -85,18 +88,23 @@ class OwnSand:
     stress: float
     """Vertical confining stress, Pa."""
     mineral: str
-    """Key of `MINERALS`."""
+    """Key of `MINERALS`, or shear modulus, Poisson's ratio and density, see `read_mineral`."""
     contents: Sequence[float]
     """Calcite contents, percent of the sand's mass."""
     disks: OwnDisks | None = None
     """Disks, if given."""
+    limits: tuple[float, float] = (0.83, 1.17)
+    """Smallest and largest diameter over the mean; by default those of the paper's sand."""
+    grading: tuple[float, float, float] | None = None
+    """d10, d50 and d90 by mass, m, if given."""
 
     @classmethod
     def of_words(cls, size: str | Path, stress: str, mineral: str, contents: str, folder: Path) -> Self:
         """Understand the options of `calcidem init`: the size in words, or the file of the disks; the others in words.
 
-        Disks are named relative to the configuration's folder. `ConfigurationError` with everything that is wrong;
-        `PackingFileError`, naming the line, if the file has no disks.
+        The size is the mean diameter, or d10, d50 and d90 with commas between them. Disks are named relative to the
+        configuration's folder. `ConfigurationError` with everything that is wrong; `PackingFileError`, naming the line,
+        if the file has no disks.
         """
         problems: list[Problem] = []
 
@@ -108,11 +116,20 @@ class OwnSand:
                 return math.nan
 
         disks = OwnDisks.read(size, folder) if isinstance(size, Path) else None
-        diameter = float(f"{disks.diameters[1]:.3g}") if disks else quantity("--grain-size", "grain size", str(size))
+        graded: tuple[tuple[float, float], tuple[float, float, float]] | tuple[()] = ()
+        sizes = [] if disks else [quantity("--grain-size", "grain size", part) for part in str(size).split(",")]
+        if len(sizes) == 3 and sizes == sorted(set(sizes)):
+            smallest, largest = uniform_limits(*sizes)
+            mean = 0.5 * (smallest + largest)
+            graded, sizes = ((smallest / mean, largest / mean), (sizes[0], sizes[1], sizes[2])), [mean]
+        elif len(sizes) > 1:
+            problems.append(Problem(f"--grain-size {size}: give the mean diameter, or increasing d10, d50 and d90"))
+        diameter = float(f"{disks.diameters[1] if disks else sizes[0]:.3g}")
         pressure = quantity("--stress", "stress", stress)
-        if mineral not in MINERALS:
-            known = ", ".join(MINERALS)
-            problems.append(Problem(f"--mineral {mineral}: give one of {known}, and change [sand] for another"))
+        try:
+            read_mineral(mineral)
+        except ValueError as error:
+            problems.append(Problem(f"--mineral {mineral}: {error}"))
         try:
             percentages = [float(part) for part in contents.split(",")]
         except ValueError:
@@ -121,7 +138,7 @@ class OwnSand:
             problems.append(Problem(f"--contents {contents}: give percent of the sand's mass, from 0 to 100"))
         if problems:
             raise ConfigurationError("the sand", problems)
-        return cls(diameter, pressure, mineral, percentages, disks)
+        return cls(diameter, pressure, mineral, percentages, disks, *graded)
 
     @property
     def box(self) -> tuple[float, float]:
@@ -141,7 +158,7 @@ class OwnSand:
         A disk stands for a row of 1 m / d grains. Each of its contacts is as many contacts of spheres in parallel,
         which multiplies the modulus. So the overlap over the radius is that of grains under the stress.
         """
-        mineral = MINERALS[self.mineral]
+        mineral = read_mineral(self.mineral)
         return Sand(mineral.shear_modulus / self.grain_size, mineral.poisson_ratio, mineral.density)
 
     @property
@@ -157,7 +174,7 @@ class OwnSand:
         of porous granular rocks, J. Appl. Mech. 48, 803, doi:10.1115/1.3157738. With b = width / 2, a width of
         0.41 d, and 1 m / d grains.
         """
-        mineral = MINERALS[self.mineral]
+        mineral = read_mineral(self.mineral)
         return 2.0 * mineral.shear_modulus * 0.41 / (1.0 - mineral.poisson_ratio)
 
     @property
@@ -186,18 +203,19 @@ class OwnSand:
         ]
         if problems:
             raise ConfigurationError("the sand", problems)
-        mineral, d, (width, height) = MINERALS[self.mineral], self.grain_size, self.box
+        mineral, d, (width, height) = read_mineral(self.mineral), self.grain_size, self.box
+        name = self.mineral if self.mineral in MINERALS else "own mineral"
         waves = WAVELENGTHS * self.velocity / (width - 2.0 * d)  # frequency, over half of the listening depth of 4 d
         template = files("calcidem.app.config").joinpath("own_sand.toml").read_text(encoding="utf-8")
         text = template.format(
             d=_Multiple(d),
             height=_Multiple(height),
             row=1.0 / d,
-            mineral=self.mineral,
-            grains=self.mineral.capitalize(),
+            mineral=name,
+            grains=name.capitalize(),
             size=f"{d * 1e3:g} mm",
             stress=f"{self.stress / 1e3:g} kPa",
-            name=f"{self.mineral}-{d * 1e3:g}mm-{self.stress / 1e3:g}kPa",
+            name=f"{name.replace(' ', '-')}-{d * 1e3:g}mm-{self.stress / 1e3:g}kPa",
             contents=sorted(map(float, self.contents)),
             packing=self._packing(),
             pressure=_Multiple(self.stress),
@@ -227,14 +245,87 @@ class OwnSand:
                 f"file = {quote(disks.file)}  # {disks.count} disks of {smallest:.3g} to {largest:.3g} mm\n"
                 f"width = {width!r}  # {width / d:.0f} d, and {height / d:.0f} d high at rest; 30 d x 50 d are good"
             )
-        low, high = 0.83, 1.17  # over the mean diameter, as in the paper's sand
+        low, high = (float(f"{limit:.3g}") for limit in self.limits)
+        reason = "equal disks would form a crystal"
+        if self.grading is not None:
+            below = [d * ((1.0 - share) * low**3 + share * high**3) ** (1 / 3) for share in (0.1, 0.5, 0.9)]
+            has, given = (", ".join(f"{1e3 * size:.3g}" for size in sizes) for sizes in (below, self.grading))
+            reason = f"d10, d50, d90 {has} mm by mass, {given} mm given"
         mean_square = (low * low + low * high + high * high) / 3.0
         count = round((1.0 - PackingRule().porosity) * width * height / (0.25 * math.pi * d * d * mean_square), -1)
         return (
             f"width = {d:30}  # 30 d: {WAVELENGTHS:g} wavelengths of path, each of 11 grains\n"
             f"height = {d:50}  # 50 d: side walls wider than the path; some {count:.0f} disks in all\n"
-            f"diameter = [{d:0.83}, {d:1.17}]  # {low} d to {high} d: equal disks would form a crystal"
+            f"diameter = [{format(d, str(low))}, {format(d, str(high))}]  # {low} d to {high} d: {reason}"
         )
+
+
+def uniform_limits(d10: float, d50: float, d90: float) -> tuple[float, float]:
+    """Smallest and largest of uniformly distributed diameters with such a grading by mass, in its unit.
+
+    The mass below d is ``(d^3 - a^3) / (b^3 - a^3)`` for diameters of a to b: that of disks is their area, d^2 each.
+    d10 and d90 fix both. If they need b above 2.5 a, d50 does with b = 2.5 a: smaller disks would
+    be narrower than the cement in clusters, 0.52 of the mean.
+    """
+    spread = (d90**3 - d10**3) / 0.8
+    smallest, largest = d10**3 - 0.1 * spread, d90**3 + 0.1 * spread
+    if largest > 2.5**3 * smallest:
+        smallest = 2.0 * d50**3 / (1.0 + 2.5**3)
+        largest = 2.5**3 * smallest
+    return float(smallest ** (1 / 3)), float(largest ** (1 / 3))
+
+
+def read_grading(file: Path) -> tuple[float, float, float]:
+    """d10, d50 and d90, m, of a table of sizes and percent finer by mass, linear in the logarithm of the size.
+
+    `ConfigurationError` if it lacks a column, a unit or the range of 10 to 90 %; `InputFileError` if it is not text.
+    """
+    known = {
+        "size": "(grain|particle|sieve|mesh)?(size|diameter|opening|aperture)|d|sieve",
+        "finer": "(cumulative)?(percent)?(cumulative)?(finer|passing|undersize)(bymass|byweight)?|p",
+    }
+    table = Table.read(read_input(file, 1_000_000), file, known, tuple(known))  # bytes; far more than a grading has
+    columns, rows, problems = table.places(known), [], list[Problem]()
+    unit = unit_in_name(table.names[columns["size"]], "length")[1] if "size" in columns else ""
+    if missing := [name for name in known if name not in columns]:
+        given = ", ".join(table.names) or "no names"
+        problems.append(
+            Problem(f"column {missing[0]}: is missing; there are {given}. Write 'size (mm)' and 'finer (%)'")
+        )
+    for number, row in table.rows if not problems else ():
+        texts = (*row, "", "")[columns["size"]], (*row, "", "")[columns["finer"]]
+        rows.append((value_of(texts[0], "length", unit), value_of(texts[1], "percent", "%")))
+        if not (0.0 < rows[-1][0] < math.inf and 0.0 <= rows[-1][1] <= 100.0):
+            cure = "give a size with its unit, as in a column 'size (mm)', and percent from 0 to 100"
+            problems.append(Problem(f"row {number} = {','.join(row)}: {cure}"))
+    sizes, finer = np.array(sorted(rows)).reshape(-1, 2).T
+    if not problems and (not rows or (np.diff(finer) < 0.0).any() or finer[0] > 10.0 or finer[-1] < 90.0):
+        cure = "give percent finer that grows with the size, from 10 or less to 90 or more"
+        problems.append(Problem(f"finer = {finer[0]:g} to {finer[-1]:g}: {cure}" if rows else f"rows = 0: {cure}"))
+    if problems:
+        raise ConfigurationError(str(file), problems)
+    d10, d50, d90 = np.exp(np.interp((10.0, 50.0, 90.0), finer, np.log(sizes)))
+    return float(d10), float(d50), float(d90)
+
+
+def read_mineral(text: str) -> Sand:
+    """Mineral of a name, or of its shear modulus, Poisson's ratio and density, such as 30GPa,0.2,2500kg/m3.
+
+    `ValueError` for another text.
+    """
+    if text in MINERALS:
+        return MINERALS[text]
+    parts = text.split(",")
+    if len(parts) == 3:
+        modulus, ratio, density = (
+            value_of(parts[0], "stress", ""),
+            parse_number(parts[1]),
+            value_of(parts[2], "density", "kg/m3"),
+        )
+        if 1e6 <= modulus <= 1e12 and ratio and not ratio[1] and 0.0 <= ratio[0] <= 0.5 and 500.0 <= density <= 20e3:
+            return Sand(modulus, ratio[0], density)
+    cure = "or shear modulus, Poisson's ratio and density of your own, such as 30GPa,0.2,2500kg/m3"
+    raise ValueError(f"give one of {', '.join(MINERALS)}, {cure}")
 
 
 def parse_quantity(quantity: str, text: str) -> float:
@@ -243,17 +334,13 @@ def parse_quantity(quantity: str, text: str) -> float:
     `ValueError` without a known unit, or for an impossible value.
     """
     if quantity == "stress":
-        units, unit, low, high, example = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6}, "Pa", 1.0, 1e9, "100kPa"
+        dimension, unit, low, high, example = "stress", "Pa", 1.0, 1e9, "100kPa"
     else:  # beyond these limits a material is not sand
-        units, unit, low, high, example = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}, "m", 1e-6, 1.0, "0.3mm"
-    found = re.fullmatch(r"\s*([0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-z]+)\s*", text, re.ASCII)
-    cure = f"give a number with one of the units {', '.join(units)}, such as {example}"
-    if found is None or found[2] not in units:
+        dimension, unit, low, high, example = "length", "m", 1e-6, 1.0, "0.3mm"
+    value = value_of(text, dimension, "")
+    cure = f"give a number with one of the units {', '.join(UNITS[dimension])}, such as {example}"
+    if math.isnan(value):
         raise ValueError(f"'{text}' is not a {quantity}: {cure}")
-    try:
-        value = float(f"{float(found[1]) * units[found[2]]:.12g}")  # 0.0003 and not 0.00030000000000000003
-    except ValueError:
-        value = math.nan
     if not low <= value <= high:
         raise ValueError(f"'{text}' is not between {low:g} {unit} and {high:g} {unit}: {cure}")
     return value

@@ -1,9 +1,7 @@
-"""Readers of disks of other programs: LAMMPS data and dump files, text exports of YADE, tables such as PFC's lists."""
+"""Readers of disks of other programs: LAMMPS data and dumps, YADE, extended XYZ, and tables such as PFC's lists."""
 
-import csv
 import re
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -12,10 +10,23 @@ import numpy as np
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import PackingFileError
 from calcidem.dem.sample.packing_file import FARTHEST
-from calcidem.input_file import read_text
+from calcidem.input_file import InputFileError, as_text, read_input
+from calcidem.table import Table, factor_of, parse_number, unit_in_name
 
-_UNIT_IN_NAME = re.compile(r"[\[(_]\s*(m|cm|mm|um|µm|nm)\s*[\])]?$", re.IGNORECASE)
-"""Unit of length at the end of a column's name."""
+_BEFORE, _CENTRE = "(?:ball)?(?:pos(?:ition)?|coord(?:inate)?|cent(?:er|re)|centroid|c)?", "cent(?:er|re)"
+
+_KNOWN = {
+    **{
+        axis: rf"{_BEFORE}{axis}(?:u|pos(?:ition)?|{_CENTRE})?|(?:points?|pos(?:ition)?|coord(?:inate)?s?){number}"
+        for number, axis in enumerate("xyz")
+    },
+    **{f"scaled {axis}": rf"{axis}su?" for axis in "xyz"},
+    "radius": "r|rad|radius|ballradius",
+    "diameter": "d|dia|diam|diameter",
+    "type": "type|mat|matid|material|group|clumpid|species|particletype",
+    "id": "id|ballid|particleidentifier",
+}
+"""Names of columns by their meaning, see `calcidem.table.meaning_of`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +46,8 @@ class ForeignDisks:
     """(N,) types, groups or materials, as text; None without such a column."""
     box: Floats | None = None
     """(3, 2) lowest and highest x, y and z of the box in the file; None without one."""
+    periodic: str = ""
+    """Axes in which the box continues on its other side."""
     unit: str = ""
     """Unit of length in the file; empty without one."""
     skipped: tuple[int, ...] = ()
@@ -48,15 +61,18 @@ class ForeignDisks:
         radius, diameter, type and id are ignored. In a LAMMPS dump the snapshot of ``timestep`` is read, by default the
         last one. `PackingFileError` and `InputFileError` name file, line and remedy.
         """
-        lines = read_text(file, 500_000_000).splitlines()  # bytes; a dump of all snapshots of a run may have more
+        content = read_input(file, 500_000_000)  # bytes; a dump of all snapshots of a run may have more
+        lines = as_text(content, file, "cp1252").splitlines()
         read = _recognise(lines, file)
         if timestep is not None and read is not _read_dump:
             raise PackingFileError(
                 f"timestep = {timestep}: {file} is not a LAMMPS dump and has no snapshots; leave it out"
             )
         try:
-            rows = read(file, lines, timestep)
-        except (ValueError, IndexError, csv.Error) as error:
+            rows = read(file, lines, timestep) if read else _read_table(file, content)
+        except InputFileError:
+            raise
+        except (ValueError, IndexError) as error:
             raise PackingFileError(f"{file} is damaged after its beginning ({error}); was it cut off?") from error
         if columns:
             rows = replace(rows, names=columns, evidence=f"{rows.evidence}; columns as given")
@@ -73,11 +89,12 @@ class _Rows:
     entries: list[tuple[int, list[str]]]
     box: Floats | None = None
     unit: str = ""
+    periodic: str = ""
     skipped: list[int] = field(default_factory=list)
 
 
-def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int | None], _Rows]:
-    """Reader for the format of the first lines."""
+def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int | None], _Rows] | None:
+    """Reader for the format of the first lines; None for a table."""
     head = next((line for line in lines if line.strip()), "")
     if head.startswith("ITEM:"):
         return _read_dump
@@ -85,7 +102,9 @@ def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int |
         return _read_data
     if not head:
         raise PackingFileError(f"{file} is empty; give a file with disks")
-    return _read_yade if re.match(r"#\s*format\s", head) else _read_table
+    if head.strip().isdecimal() and re.search(r"\bProperties=", "".join(lines[1:2])):
+        return _read_xyz
+    return _read_yade if re.match(r"#\s*format\s", head) else None
 
 
 def _find_line(lines: list[str], pattern: str) -> int | None:
@@ -151,7 +170,8 @@ def _read_dump(file: Path, lines: list[str], timestep: int | None) -> _Rows:
     _refuse_missing(file, lines[items["NUMBER"] + 1], entries)
     evidence = f"line 1 is '{lines[0].strip()}'; timestep {steps[chosen]}, one of {len(steps)}"
     unit = _unit_of_style(r"ITEM: UNITS\n(\w+)", "\n".join(lines[: items["ATOMS"]]))
-    return _Rows("LAMMPS dump", evidence, lines[items["ATOMS"]].split()[2:], entries, box, unit)
+    periodic = "".join(axis for axis, kind in zip("xyz", bounds[-3:], strict=True) if kind == "pp")
+    return _Rows("LAMMPS dump", evidence, lines[items["ATOMS"]].split()[2:], entries, box, unit, periodic)
 
 
 def _unit_of_style(pattern: str, text: str) -> str:
@@ -174,101 +194,53 @@ def _read_yade(_file: Path, lines: list[str], _timestep: int | None) -> _Rows:
     return _Rows("YADE text export", f"line {first + 1} is '{lines[first].strip()}'", names, entries)
 
 
-def _read_table(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
+def _read_xyz(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
+    """Last frame of an extended XYZ file (manual of OVITO, file formats), with its cell and boundaries."""
+    begin, after = 0, 0
+    while after < len(lines) and lines[after].strip():
+        begin, after = after, after + int(lines[after]) + 2
+    words = dict(re.findall(r"""(\w+)=["']?((?<=["'])[^"']*|\S+)""", lines[begin + 1]))
+    names = []
+    kinds = words["Properties"].split(":")
+    for name, count in zip(kinds[::3], kinds[2::3], strict=True):
+        names += ["x", "y", "z"] if name == "pos" else [name] if count == "1" else [name] * int(count)
+    entries = [(number, line.split()) for number, line in enumerate(lines[begin + 2 : after], begin + 3)]
+    _refuse_missing(file, lines[begin], entries)
+    box = None
+    if "Lattice" in words:
+        cell = np.array([float(word) for word in words["Lattice"].split()]).reshape(3, 3)
+        if (cell != np.diag(np.diag(cell))).any():
+            raise PackingFileError(
+                f"{file}, line {begin + 2}: the box is tilted; give disks in a rectangular box (Lattice with zeros)"
+            )
+        origin = np.array([float(word) for word in words.get("Origin", "0 0 0").split()])
+        box = np.stack([origin, origin + np.diag(cell)], axis=1)
+    periodic = "".join(axis for axis, kind in zip("xyz", words.get("pbc", "").split(), strict=False) if kind in "T1")
+    return _Rows("extended XYZ", f"line {begin + 2} has Properties", names, entries, box, periodic=periodic)
+
+
+def _read_table(file: Path, content: bytes) -> _Rows:
     """Table with named columns: CSV with any delimiter, or a list printed by PFC."""
-    first = next((index for index, line in enumerate(lines) if _has_numbers(_cut(line))), None)
-    if first is None:
+    table = Table.read(content, file, _KNOWN, ("x", "y"), 3)
+    if not table.rows:
         raise PackingFileError(f"{file} has no line of numbers; give a table with the columns x, y and radius")
-    delimiter, count = _delimiter_of(lines[first]), len(_cut(lines[first]))
-    head, names = next(
-        (
-            (index, names)
-            for index in range(first - 1, -1, -1)
-            if {"x", "y"} <= set(map(_meaning_of, names := _names(lines[index], delimiter, count)))
-        ),
-        (None, []),
-    )
-    entries, skipped = [], []
-    for number, line in enumerate(lines[first:], first + 1):
-        words = _cut(line, delimiter)
-        if line.strip() and line.lstrip()[0] not in "#;%":
-            is_row = len(words) == count or _has_numbers(words)
-            (entries.append((number, words)) if is_row else skipped.append(number))
-    is_pfc = any(re.search(r"\bball\b", line, re.IGNORECASE) for line in lines[:first])
-    units = {found[1].lower() for name in names if (found := _UNIT_IN_NAME.search(name.strip()))}
+    full = [sum(map(bool, map(parse_number, words))) >= 3 for _, words in table.rows]
+    wide = len(table.rows[full.index(True)][1]) if any(full) else 0
+    is_row = [has_numbers or len(words) == wide for has_numbers, (_, words) in zip(full, table.rows, strict=True)]
+    is_pfc = re.search(rb"\bball\b", b"\n".join(content.split(b"\n", table.head)[: table.head]), re.IGNORECASE)
     return _Rows(
         "PFC ball list" if is_pfc else "table",
-        f"line {(head or 0) + 1} names the columns" if names else "its columns have no names",
-        names,
-        entries,
-        unit=units.pop().replace("µ", "u") if len(units) == 1 else "",
-        skipped=skipped,
+        f"line {table.head} names the columns" if table.head else "its columns have no names",
+        table.names,
+        [row for row, good in zip(table.rows, is_row, strict=True) if good],
+        unit=next((unit for name in table.names if (unit := unit_in_name(name, "length")[1])), ""),
+        skipped=[number for (number, _), good in zip(table.rows, is_row, strict=True) if not good],
     )
-
-
-def _delimiter_of(line: str) -> str:
-    """Delimiter of the entries of a line; empty for white space."""
-    return "" if "(" in line else next((mark for mark in "\t;|," if mark in line), "")
-
-
-def _cut(line: str, delimiter: str | None = None) -> list[str]:
-    """Entries of a line; a vector in brackets gives several; a comma other than the delimiter is decimal."""
-    delimiter = _delimiter_of(line) if delimiter is None else delimiter
-    if not delimiter:
-        return re.sub(r"[()\[\],]", " ", line).split()
-    words = [word.strip() for word in next(csv.reader([line], delimiter=delimiter), [])]
-    return words if delimiter == "," else [re.sub(r"(?<=\d),(?=\d)", ".", word) for word in words]
-
-
-def _names(line: str, delimiter: str, count: int) -> list[str]:
-    """Names of the columns in a line; of a vector those of its components, if rows have `count` entries."""
-    line = line.strip().lstrip("#;%").strip()
-    if delimiter:
-        return [name.strip() for name in next(csv.reader([line], delimiter=delimiter), [])]
-    line = re.sub(r"\b(pos\w*|coord\w*|cent\w*)[\s.:-]+([xyz])\b", r"\1\2", line, flags=re.IGNORECASE)
-    line = re.sub(r"\s+([\[(]\s*\w+\s*[\])])", r"\1", line)  # a unit belongs to the preceding name
-    line = re.sub(r"\bball\s+(id|radius)\b", r"\1", line, flags=re.IGNORECASE)
-    names: list[str] = []
-    words = line.replace(",", " ").split()
-    for word in words:
-        is_vector = word.lower() in {"pos", "position", "centroid"}
-        names += ("x", "y", "z")[: 1 + count - len(words)] if is_vector else (word,)
-    return names
-
-
-def _has_numbers(words: list[str]) -> bool:
-    """Whether a line can be a disk: at least three numbers, which are at least half of its entries."""
-    count = 0
-    for word in words:
-        with suppress(ValueError):
-            float(word)
-            count += 1
-    return count >= 3 and 2 * count >= len(words)
-
-
-def _meaning_of(name: str) -> str:
-    """Meaning of a column of that name; the name itself if unknown."""
-    plain = re.sub(r"[^a-z0-9]", "", _UNIT_IN_NAME.sub("", name.strip()).lower())
-    centre = "cent(?:er|re)"
-    before = f"(?:ball)?(?:pos(?:ition)?|coord(?:inate)?|{centre}|centroid|c)?"
-    if place := re.fullmatch(rf"{before}([xyz])(?:u|pos(?:ition)?|{centre})?", plain):
-        return place[1]
-    if re.fullmatch("[xyz]su?", plain):
-        return f"scaled {plain[0]}"
-    known = {
-        "radius": {"r", "rad", "radius", "ballradius"},
-        "diameter": {"d", "dia", "diam", "diameter"},
-        "type": {"type", "mat", "matid", "material", "group", "clumpid"},
-        "id": {"id", "ballid"},
-    }
-    return next((quantity for quantity, names in known.items() if plain in names), name)
 
 
 def _disks_of(file: Path, rows: _Rows) -> ForeignDisks:
     """Disks of rows, in the order of their numbers if given."""
-    columns: dict[str, int] = {}
-    for place, name in enumerate(rows.names):
-        columns.setdefault(_meaning_of(name), place)
+    columns = Table(tuple(rows.names), 0, []).places(_KNOWN)
     if rows.box is not None:
         scaled = {axis: columns[f"scaled {axis}"] for axis in "xyz" if f"scaled {axis}" in columns}
         columns = scaled | columns
@@ -279,6 +251,10 @@ def _disks_of(file: Path, rows: _Rows) -> ForeignDisks:
             f"it has {', '.join(rows.names) or 'no names'}. Name them from the left with columns, such as x,y,radius"
         )
     numbers = _numbers_of(file, rows, [(name, columns[name]) for name in ("x", "y", "z", size) if name in columns])
+    for name in numbers:
+        own = unit_in_name(rows.names[columns[name]], "length")[1]
+        if own and factor_of(own, "length") != factor_of(rows.unit, "length"):
+            numbers[name] *= factor_of(own, "length") / factor_of(rows.unit, "length")
     centres = np.column_stack([numbers.get(axis, np.zeros(len(rows.entries))) for axis in "xyz"])
     for index, axis in enumerate("xyz"):
         if rows.box is not None and columns.get(axis) == columns.get(f"scaled {axis}", -1):
@@ -298,6 +274,7 @@ def _disks_of(file: Path, rows: _Rows) -> ForeignDisks:
         radius=numbers[size][order] * (1.0 if size == "radius" else 0.5),
         kinds=tuple(kinds[row] for row in order) if kinds else None,
         box=rows.box,
+        periodic=rows.periodic,
         unit=rows.unit,
         skipped=tuple(rows.skipped),
     )

@@ -20,6 +20,7 @@ from calcidem.dem.sample.judgement import (
 from calcidem.dem.sample.packing import PackingFileError
 from calcidem.dem.sample.packing_file import FEWEST_DISKS, refuse_deep_overlaps, write_disks_csv
 from calcidem.storage.files import write_atomically
+from calcidem.table import UNITS, factor_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +81,7 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
     unit: str | None = None,
     columns: Sequence[str] = (),
     types: Sequence[str] = (),
-    plane: str = "xy",
+    plane: str | None = None,
     walls: Sequence[float] | None = None,
     timestep: int | None = None,
 ) -> ImportedPacking:
@@ -91,22 +92,24 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
     Parameters
     ----------
     source
-        LAMMPS data file or text dump, text export of YADE, list of PFC, or a table with named columns; its content
-        determines the format.
+        LAMMPS data file or text dump, text export of YADE, extended XYZ of OVITO, list of PFC, or a table with named
+        columns, such as ParaView's; its content determines the format.
     out
         CSV file with x, y and radius in m, floor and left wall at 0.
     unit
-        Unit of length: m, cm, mm, um or nm. By default that of the file, or m without one.
+        Unit of length: m, cm, mm, um or nm. By default that of the file, or m without one; then sizes that no sand has
+        are refused.
     columns
         Names of the columns from the left, instead of those in the file: x, y, z, radius or diameter, type, id; other
         names are ignored.
     types
         Only disks of these types, groups or materials.
     plane
-        Axes of the source that become x and y.
+        Axes of the source that become x and y; by default the plane in which most disks lie.
     walls
         Left wall, right wall, floor and lid, in the source's unit and frame; disks beyond them are left out. By default
-        the outermost disks touch the walls. A box in the file or round numbers nearby are preferred.
+        the outermost disks touch the walls. A box in the file or round numbers nearby are preferred. A packing that
+        continues across periodic sides is refused without walls.
     timestep
         Snapshot of a LAMMPS dump; by default the last one.
 
@@ -121,11 +124,21 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
         raise PackingFileError(f"out = '{out}' is the file that is read; give another name")
     found = ForeignDisks.read(source, columns, timestep)
     factor, remarks = _metres(found, unit)
-    axes = _axes(plane)
+    axes = _axes(found, plane, remarks)
     place, radius = found.place[:, axes] * factor, found.radius * factor
     kept, left_out = _choose_disks(source, found, place, radius, types)
+    if unit is None and not found.unit and kept.any():
+        _question_unit(source, 2.0 * float(radius[kept].mean()))
     bounds = None if found.box is None else found.box[axes[:2]] * factor
     given = None if walls is None else factor * np.asarray(walls, dtype=float).reshape(2, 2)
+    if given is None and bounds is not None:
+        across = (np.abs(place[:, :2] - bounds.mean(axis=1)) + (1.0 - LARGEST_OVERLAP) * radius[:, None])[kept]
+        for side, axis in enumerate("xyz"[number] for number in axes[:2]):
+            if axis in found.periodic and (count := int((across[:, side] > 0.5 * np.ptp(bounds[side])).sum())):
+                raise PackingFileError(
+                    f"{source}: the boundary in {axis} is periodic, and {count} disks reach across it; a campaign has "
+                    "walls there. Give walls = left, right, floor and lid inside the box: disks beyond are left out"
+                )
     box, said = _box_of(place[kept, :2], radius[kept], bounds, given)
     if given is not None:
         beyond = _reach_beyond(place, radius, box) & kept
@@ -165,22 +178,46 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
 
 def _metres(found: ForeignDisks, unit: str | None) -> tuple[float, list[str]]:
     """Source's unit in metres, and its origin."""
-    metres = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}
-    if unit is not None and unit not in metres:
-        raise PackingFileError(f"unit = '{unit}' is none of {', '.join(metres)}; give one of them")
-    if unit is not None:
-        return metres[unit], [f"unit {unit}, as given"]
-    if found.unit:
-        return metres[found.unit], [f"unit {found.unit}, as in the file"]
-    return 1.0, ["unit m, since the file has none"]
+    chosen = found.unit or "m" if unit is None else unit
+    factor = factor_of(chosen, "length")
+    if np.isnan(factor):
+        raise PackingFileError(f"unit = '{unit}' is none of {', '.join(UNITS['length'])}; give one of them")
+    origin = "as given" if unit is not None else "as in the file" if found.unit else "since the file has none"
+    return factor, [f"unit {chosen}, {origin}"]
 
 
-def _axes(plane: str) -> list[int]:
-    """Numbers of the axes that become x, y and z."""
-    if len(set(plane)) != 2 or not set(plane) <= set("xyz"):
+def _question_unit(source: Path, mean: float) -> None:
+    """Refuse a mean diameter, m, that is not that of a sand if nobody said that it is in m."""
+    if not _is_sand(mean):
+        fitting = [
+            f"{name} if it is {mean:.3g} {name}" for name, one in UNITS["length"].items() if _is_sand(one * mean)
+        ]
+        cure = f"unit: {' or '.join(fitting) or 'm'}"
+        raise PackingFileError(
+            f"{source} has no unit, and a mean diameter of {mean:.3g} m is not that of a sand; {cure}"
+        )
+
+
+def _is_sand(diameter: float) -> bool:
+    """Whether grains of a sand have such a mean diameter, m."""
+    return 2e-5 <= diameter <= 0.02
+
+
+def _axes(found: ForeignDisks, plane: str | None, remarks: list[str]) -> list[int]:
+    """Numbers of the axes that become x, y and z; without a plane the one in which most disks lie, and a remark."""
+    if plane is not None and (len(set(plane)) != 2 or not set(plane) <= set("xyz")):
         raise PackingFileError(f"plane = '{plane}' is not a pair of axes; give xy, xz or yz")
+    if plane is None:
+        flat = [2.0 * _beside_plane(found.place[:, 2 - n], found.radius).sum() <= len(found.radius) for n in range(3)]
+        plane = ("xy", "xz", "yz")[flat.index(True)] if any(flat) else "xy"
+        remarks += [f"plane {plane}, in which the disks lie"] * (plane != "xy")
     first, second = ("xyz".index(axis) for axis in plane)
     return [first, second, 3 - first - second]
+
+
+def _beside_plane(place: Floats, radius: Floats) -> Flags:
+    """Disks (N,) off the common plane, by their places across it."""
+    return np.asarray(np.abs(place - np.median(place)) > 0.1 * radius)
 
 
 def _choose_disks(
@@ -205,12 +242,13 @@ def _choose_disks(
     left_out += [f"{sizeless.sum()} points without a size"] * bool(sizeless.any())
     kept &= ~sizeless
     if kept.any():
-        aside = kept & (np.abs(place[:, 2] - np.median(place[kept, 2])) > 0.1 * radius)
+        aside = np.zeros_like(kept)
+        aside[kept] = _beside_plane(place[kept, 2], radius[kept])
         if 2 * aside.sum() > kept.sum():
             extents = ", ".join(f"{axis} {np.ptp(found.place[kept, number]):.3g}" for number, axis in enumerate("xyz"))
             raise PackingFileError(
-                f"{source}: most disks lie in no common plane (extents in its unit: {extents}); give a packing of one "
-                "layer, and with plane the two axes in which it lies, such as xz"
+                f"{source}: most disks are no layer in the chosen plane (extents in its unit: {extents}); give a "
+                "packing of one layer, and with plane the two axes in which it lies, such as xz"
             )
         left_out += [f"{aside.sum()} disks out of the plane of the others"] * bool(aside.any())
         kept &= ~aside
@@ -246,7 +284,7 @@ def _reach_beyond(place: Floats, radius: Floats, box: Floats) -> Flags:
 def _suspicions(radius: Floats, pairs: int, deepest: float) -> Iterator[str]:
     """Notes about suspicious values."""
     mean = 2.0 * float(radius.mean())
-    if not 2e-5 <= mean <= 0.02:  # m
+    if not _is_sand(mean):
         yield f"Check the unit: a mean diameter of {mean:.3g} m is not that of a sand."
     if deepest > DEEP_OVERLAP:
         yield f"The largest overlap is {deepest:.1%} of a radius; above {LARGEST_OVERLAP:.0%} disks are refused."

@@ -15,7 +15,7 @@ from scipy import stats
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.velocities import published_velocities
-from calcidem.analysis.measured import misfits, root_mean_square_misfit
+from calcidem.analysis.measured import is_covered, misfits, root_mean_square_misfit
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
 from calcidem.analysis.shear_wave import median_diameter_by_mass
 from calcidem.app.report.results import RESULT_TABLES
@@ -101,6 +101,8 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
     rows = tuple(
         (
             f"{one.measured.content:g}{' (interpolated)' if one.interpolated else ''}",
+            ABSENT if one.measured.stress is None else f"{one.measured.stress / 1e3:g}",
+            ABSENT if one.measured.samples is None else str(one.measured.samples),
             decimal(one.mean),
             decimal(one.measured.vs),
             decimal(100 * one.difference, 1),
@@ -108,17 +110,30 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
             decimal(one.standard_deviation),
             ABSENT if one.measured.sd is None else decimal(one.measured.sd),
             decimal(one.deviation_ratio, 2),
+            f"{one.outside} of {one.compared}" if one.compared else ABSENT,
         )
         for one in found
     )
-    outside = len(analysis.measured) - len(found)
+    contents = [row.content for row in analysis.distributions if row.vs.n] or [math.inf]
+    beyond = [row for row in analysis.measured if not is_covered(row, contents[0], contents[-1])]
+    stresses = sorted({row.stress for row in analysis.measured if row.stress is not None})
+    here = analysis.config.get("packing", {}).get("stress")
+    named = ", ".join(f"{row.content:g} % ({decimal(row.vs)} m/s)" for row in beyond)
+    said = [f"Measured beyond the campaign's contents, and not compared: {named}."] * bool(beyond)
+    if here is not None and any(abs(stress / here - 1.0) > 0.1 for stress in stresses):
+        kilopascals = ", ".join(f"{stress / 1e3:g}" for stress in stresses)
+        said.append(f"Measured under {kilopascals} kPa, computed under {here / 1e3:g} kPa.")
+    outside, compared = (sum(getattr(one, name) for one in found) for name in ("outside", "compared"))
     return Table(
         f"This campaign and measured velocities: root mean square of the differences of the means "
-        f"{decimal(100 * root_mean_square_misfit(found), 1)} %. Between the campaign's contents by straight lines. A "
-        "standard error is that of the difference of both means. Marked: more than two of them. "
-        f"Measured contents outside the campaign's range: {outside}.",
+        f"{decimal(100 * root_mean_square_misfit(found), 1)} %. {outside} of {compared} measured values are outside "
+        "the interval of 95 % of new samples. Specimens of nearly one content are joined: a tenth of it or 0.1 %. "
+        "Between the campaign's contents by straight lines. A standard error is that of the difference of both means. "
+        f"Marked: more than two of them. {' '.join(said)}".strip(),
         (
             "content (%)",
+            "confining stress (kPa)",
+            "samples",
             "mean (m/s)",
             "measured mean (m/s)",
             "difference (%)",
@@ -126,6 +141,7 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
             "standard deviation (m/s)",
             "measured deviation (m/s)",
             "ratio",
+            "outside 95 % of new samples",
         ),
         rows,
         frozenset(i for i, one in enumerate(found) if abs(one.standard_errors) > 2.0),

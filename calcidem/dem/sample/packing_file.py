@@ -14,9 +14,11 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.compaction import OWN_DISKS, Cost, box_walls, packing_at_rest, relax
 from calcidem.dem.sample.judgement import LARGEST_OVERLAP, overlapping_pairs
 from calcidem.dem.sample.packing import Packing, PackingFileError, PackingRule, PackingStage
-from calcidem.input_file import MOST_BYTES, as_text, read_input
+from calcidem.input_file import MOST_BYTES, read_input
+from calcidem.table import Table, unit_in_name, value_of
 
 _CSV_COLUMNS = ("x", "y", "radius")
+_KNOWN = {"x": "x", "y": "y", "radius": "r|radius"}
 FEWEST_DISKS = 10
 FARTHEST = 1e30
 """m; keeps distances of disks and their squares finite."""
@@ -53,8 +55,8 @@ def packing_from_csv(
     Parameters
     ----------
     file
-        CSV with a header line naming the columns x, y and radius, m; floor and left wall are at 0. Further columns and
-        lines that begin with ``#`` are ignored.
+        Table with a header line naming the columns x, y and radius, in m unless their names have a unit; floor and left
+        wall are at 0. Further columns and lines that begin with ``#`` are ignored.
     sand
         Material; the rule's friction of preparation replaces its own while the disks come to rest.
     rule
@@ -89,7 +91,8 @@ def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Float
 def _read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int], str]:
     """Return x, y, radius (N,) and line of each disk in the file, and the file's SHA-256; as `checked_disks`."""
     content = read_input(file, MOST_BYTES)
-    rows = list(_numbered_rows(file, as_text(content, file).splitlines()))
+    table = Table.read(content, file, _KNOWN, _CSV_COLUMNS)
+    rows = list(_numbered_disks(file, table))
     if len(rows) < FEWEST_DISKS:
         raise PackingFileError(f"{file} has {len(rows)} disks; give at least {FEWEST_DISKS}")
     numbers, values = zip(*rows, strict=True)
@@ -97,36 +100,27 @@ def _read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int], str]:
     return x.copy(), y.copy(), radius.copy(), list(numbers), sha256(content).hexdigest()
 
 
-def _numbered_rows(file: Path, lines: list[str]) -> Iterator[tuple[int, tuple[float, float, float]]]:
+def _numbered_disks(file: Path, table: Table) -> Iterator[tuple[int, tuple[float, float, float]]]:
     """Yield the line number and x, y, radius of each disk."""
-    kept = [(number, line) for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
-    head = [name.strip() for name in _cells(file, *kept[0])] if kept else []
-    if missing := [name for name in _CSV_COLUMNS if name not in head]:
+    columns = table.places(_KNOWN)
+    if missing := [name for name in _CSV_COLUMNS if name not in columns]:
         raise PackingFileError(f"{file} has no column {', '.join(missing)}; its first line must name x, y and radius")
-    places = [head.index(name) for name in _CSV_COLUMNS]
-    for number, line in kept[1:]:
-        row = _cells(file, number, line)
+    places = [(columns[name], unit_in_name(table.names[columns[name]], "length")[1] or "m") for name in _CSV_COLUMNS]
+    for number, row in table.rows:
         try:
-            x, y, radius = (float(row[place]) for place in places)
-        except (ValueError, IndexError) as error:
-            shown = f"{line[:80]}{'...' if len(line) > 80 else ''}"
-            raise PackingFileError(
-                f"{file}, line {number}: '{shown}' is not a disk; give three numbers in m"
-            ) from error
+            x, y, radius = (value_of(row[place], "length", unit) for place, unit in places)
+        except IndexError:
+            x = y = radius = np.nan
+        if np.isnan([x, y, radius]).any():
+            shown = ",".join(row)
+            shown = f"{shown[:80]}{'...' if len(shown) > 80 else ''}"
+            raise PackingFileError(f"{file}, line {number}: '{shown}' is not a disk; give three numbers in m")
         if not (abs(x) <= FARTHEST and abs(y) <= FARTHEST and 1.0 / FARTHEST <= radius <= FARTHEST):
             raise PackingFileError(
                 f"{file}, line {number}: x = {x:g}, y = {y:g}, radius = {radius:g}; give finite numbers and a positive "
                 f"radius, in m, up to {FARTHEST:g}"
             )
         yield number, (x, y, radius)
-
-
-def _cells(file: Path, number: int, line: str) -> list[str]:
-    """Entries of one line; quotes end with it."""
-    try:
-        return next(csv.reader([line]), [])
-    except csv.Error as error:
-        raise PackingFileError(f"{file}, line {number}: {error}; give lines of three numbers in m") from error
 
 
 def _check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats, width: float) -> None:
