@@ -16,7 +16,7 @@ from calcidem.analysis.contact_graph import PreferentialPath
 from calcidem.analysis.correlation import Correlations, correlate, correlate_by_content, seed_permutation_test
 from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
-from calcidem.analysis.error_budget import ErrorBudget, error_budget, median_known
+from calcidem.analysis.error_budget import ErrorBudget, are_samples, error_budget, median_known
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.measured import Target
 from calcidem.analysis.outcomes import count_outcomes, name_outcomes
@@ -98,6 +98,12 @@ class CampaignAnalysis:
         return campaign_dataset(self.store)
 
     @cached_property
+    def distinct(self) -> xr.Dataset:
+        """The same of distinct samples with a velocity alone, NaN elsewhere: the population of tables and medians."""
+        numbers = self.cells[[name for name, values in self.cells.items() if values.dtype.kind in "if"]]
+        return numbers.where(xr.DataArray(are_samples(self.cells["vs"], self.cells["content"]), self.vs.coords))
+
+    @cached_property
     def vs(self) -> xr.DataArray:
         """Shear-wave velocity in m/s along (seed, content), NaN if missing."""
         return self.cells["vs"]
@@ -115,17 +121,17 @@ class CampaignAnalysis:
     @cached_property
     def distributions(self) -> tuple[ContentDistribution, ...]:
         """Distribution of Vs at each content."""
-        return describe_contents(self.vs, self.status)
+        return describe_contents(self.vs, self.status, error=self.cells["vs_error"])
 
     @cached_property
     def budget(self) -> ErrorBudget:
         """Errors of all velocities."""
-        return error_budget(self.cells.data_vars)
+        return error_budget(self.cells)
 
     @cached_property
     def budgets(self) -> tuple[ErrorBudget, ...]:
         """Errors of the velocities of each content, in the order of `distributions`."""
-        return tuple(error_budget(self.cells.sel(content=row.content).data_vars) for row in self.distributions)
+        return tuple(error_budget(self.cells.sel(content=row.content)) for row in self.distributions)
 
     @cached_property
     def stages(self) -> tuple[StageGrowth, ...]:

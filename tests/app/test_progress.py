@@ -55,7 +55,8 @@ def tell_a_story(display: ProgressDisplay, database: Path) -> None:
 def test_lines_tell_what_matters() -> None:
     """In a log there are lines for each stage, the start, a failure, the cells and the end, without colours."""
     stream = io.StringIO()
-    tell_a_story(ProgressDisplay(Console(file=stream, width=60)), TUTORIAL)
+    with ProgressDisplay(Console(file=stream, width=60)) as display:
+        tell_a_story(display, TUTORIAL)
     text = stream.getvalue()
     total = sum(CampaignStatus.read(TUTORIAL).counts.values())
     for line in (

@@ -24,6 +24,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_
 from calcidem.analysis.dispersion import Dispersion
 from calcidem.analysis.distribution import budget_dataset, describe_contents, tabulate
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES
+from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
 from calcidem.analysis.outcomes import name_outcomes
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.predictor import Prediction
@@ -326,13 +327,19 @@ class Campaign(Closable):
         found = found.rename(columns={"mean": "mean, m/s", "standard_deviation": "sd, m/s"}).rename_axis("content, %")
         return head + found.to_html(float_format=lambda value: f"{value:.1f}")
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Advice about the velocities, such as waves too short for the grains, a sentence each; empty without any."""
+        return tuple(notes_on(self.store.table(NOTE_QUANTITIES)))
+
     def summary(self, level: float = 0.95) -> xr.Dataset:
         """Return the distribution of Vs at each content, with intervals at a level.
 
         Along content, intervals also along bound: n, missing, failed, mean, standard deviation (m/s), skewness,
-        kurtosis, Jarque-Bera test, confidence and prediction intervals. Errors of the velocities are medians of the
-        relative standard errors, and the standard deviation by reading errors alone (m/s), see
-        `calcidem.analysis.error_budget`.
+        kurtosis, Jarque-Bera test, confidence and prediction intervals. They are over distinct samples with a velocity:
+        without cement all seeds are one sample, and the interval is that of its error. Intervals cover the seeds of one
+        packing. Errors of the velocities are medians of the relative standard errors, and the standard deviation by
+        reading errors alone (m/s), see `calcidem.analysis.error_budget`.
 
         Examples
         --------
@@ -345,7 +352,7 @@ class Campaign(Closable):
         """
         # In a large campaign these are a small part of the data of `to_xarray`.
         cells = self.to_xarray((*BUDGET_QUANTITIES, "status"))
-        described = tabulate(describe_contents(cells["vs"], name_outcomes(cells["status"]), level))
+        described = tabulate(describe_contents(cells["vs"], name_outcomes(cells["status"]), level, cells["vs_error"]))
         return described.assign(budget_dataset(cells).data_vars)
 
     def small_strain_modulus(self, density: float | None = None) -> xr.DataArray:

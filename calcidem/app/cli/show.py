@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.text import Text
 
+from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
-from calcidem.app.cli.terminal import printable, progress_bar
+from calcidem.app.cli.terminal import progress_bar
 from calcidem.ends import Verdict
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help

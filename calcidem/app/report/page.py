@@ -18,11 +18,10 @@ from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render, save
-from calcidem.analysis.intervals import is_in_doubt
 from calcidem.analysis.measured import Target
+from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
-from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.wording import ABSENT, Table, decimal
 from calcidem.input_file import open_input
@@ -30,7 +29,7 @@ from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
 from calcidem.storage.netcdf.export import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.sweep.progress import duration, pluralize
+from calcidem.sweep.progress import duration
 
 _MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",
@@ -231,32 +230,19 @@ def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _PageSection
 
 
 def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
-    """Return warnings about few samples, missing cement or long waves."""
+    """Return remarks on few samples and missing cement, and the advice on the velocities."""
     remarks = []
-    measured = [row.vs.n for row in analysis.distributions if row.vs.n]
+    measured = [row.vs.n for row in analysis.distributions if row.vs.n and row.content > 0]
     if measured and min(measured) < 30:  # of these the moments have little meaning
         remarks.append(
             f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test that "
             "does not reject normality is weak."
         )
-    doubtful = [row for row in analysis.distributions if is_in_doubt(row.vs.n, row.failed)]
-    if doubtful:
-        shares = ", ".join(f"{row.content:g} % ({row.failed} of {row.failed + row.vs.n})" for row in doubtful)
+    if any(row.content == 0 for row in analysis.distributions) and analysis.vs.sizes["seed"] > 1:
         remarks.append(
-            f"Possible selection bias at {shares}: cells without velocity may shift the mean by more than its standard "
-            "error. The table of cells without a velocity names reasons and remedies."
+            "Without cement all seeds are the same sample. It counts once, and its interval is that of its error."
         )
-    broken = analysis.cells["broken_bonds"].to_numpy()
-    if count := int(np.sum(broken > 0)):
-        remarks.append(f"The pulse broke bonds in {pluralize(count, 'cell')}, at most {np.nanmax(broken):.0f} in one.")
-    if any(row.content == 0 and row.vs.n > 1 for row in analysis.distributions):
-        remarks.append("Without cement the seeds of one packing are the same sample, so there is no scatter at 0 %.")
-    if near := near_field_rows(analysis):
-        remarks.append(
-            f"At {len(near)} of {len(analysis.distributions)} contents fewer than two wavelengths lie between "
-            "transmitter and receiver: near field and shear wave arrive together there."
-        )
-    return remarks
+    return remarks + notes_on(analysis.store.table(NOTE_QUANTITIES))
 
 
 def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture:

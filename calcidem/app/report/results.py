@@ -45,10 +45,11 @@ def _velocity_table(analysis: CampaignAnalysis) -> Table:
         for row, budget in zip(analysis.distributions, analysis.budgets, strict=True)
     ]
     return Table(
-        "Shear-wave velocity at each content. Brackets hold 95 % intervals: of the mean by Student's t, of the "
+        "Shear-wave velocity at each content. Brackets hold 95 % intervals for further seeds of the same packing: of "
+        "the mean by Student's t (without cement, where all seeds are one sample, by its error), of the "
         "standard deviation by chi-square (fewer than 8 samples) or by Bonett's formula, which corrects for "
         "kurtosis. Reading error is the standard deviation that errors of the readings alone would give, their "
-        "root mean square; it is left out where all samples are the same. The range of new samples holds for "
+        "root mean square. The range of new samples holds for "
         "normal velocities. p is that of the Jarque-Bera test simulated for this number of samples. Cells not "
         "computed yet and cells without a velocity have separate columns; the other columns exclude them. Marked "
         "rows have such cells.",
@@ -72,10 +73,10 @@ def _velocity_table(analysis: CampaignAnalysis) -> Table:
 
 def _meaning_table(analysis: CampaignAnalysis) -> Table:
     """Quantities of the velocities: modulus, wavelengths, calcite and, where computed, static speed."""
-    cells, static = analysis.cells, bool(np.isfinite(analysis.cells["static_speed"]).any())
+    static = bool(np.isfinite(analysis.cells["static_speed"]).any())
     rows = []
     for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
-        column = cells.sel(content=row.content)
+        column = analysis.distinct.sel(content=row.content)
         rows.append(
             (
                 f"{row.content:g}",
@@ -122,7 +123,8 @@ def _meaning_table(analysis: CampaignAnalysis) -> Table:
 def near_field_rows(analysis: CampaignAnalysis) -> list[int]:
     """Indices of contents at which at least half of the cells have too few wavelengths on the path."""
     found = (
-        median_known(analysis.cells["wavelengths_on_path"].sel(content=row.content)) for row in analysis.distributions
+        median_known(analysis.distinct["wavelengths_on_path"].sel(content=row.content))
+        for row in analysis.distributions
     )
     return [place for place, number in enumerate(found) if number < FEWEST_WAVELENGTHS]
 
@@ -266,10 +268,9 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
 
 def _cost_table(analysis: CampaignAnalysis) -> Table:
     """Numerical and statistical errors, and run times."""
-    cells = analysis.cells
     rows = []
     for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
-        column = cells.sel(content=row.content)
+        column = analysis.distinct.sel(content=row.content)
         relative = 100 * row.vs.standard_deviation / (row.vs.mean * math.sqrt(row.vs.n)) if row.vs.n > 1 else math.nan
         rows.append(
             (
@@ -311,12 +312,12 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
 
 def _two_velocities_table(analysis: CampaignAnalysis) -> Table | None:
     """Both velocities, their ratio and its known bias, and the pulse's effect; None if no cell has both."""
-    cells = analysis.cells
+    cells = analysis.distinct
     if not bool((cells["vs"] * cells["effective_vs"]).notnull().any()):
         return None
     rows, loud = [], set()
     for place, (row, budget) in enumerate(zip(analysis.distributions, analysis.budgets, strict=True)):
-        column = cells.sel(content=row.content)
+        column = analysis.distinct.sel(content=row.content)
         effective = column["effective_vs"]
         if budget.loud:
             loud.add(place)

@@ -328,7 +328,7 @@ const connection = (text, isLost) => {
 stream.addEventListener("open", () => connection("Live: stored cells appear here within seconds.", false));
 stream.addEventListener("error", () => {
   const isComplete = campaigns.size > 0 && [...campaigns.values()].every(({ status }) => status.cells && !status.cells.pending);
-  connection(isComplete ? "The server has ended. All cells are below; “calcidem serve DB” shows them again." : "The connection is lost: the server has ended, or can't be reached. Below is what was stored before.", !isComplete);
+  connection(isComplete ? "The server has ended. All cells are below; 'calcidem serve DB' shows them again." : "The connection is lost: the server has ended, or can't be reached. Below is what was stored before.", !isComplete);
 });
 stream.addEventListener("status", (event) => takeStatus(JSON.parse(event.data)));
 stream.addEventListener("cells", (event) => takeCells(JSON.parse(event.data)));
