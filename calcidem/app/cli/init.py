@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, refuse_options
-from calcidem.app.config.presets import PRESETS, preset_text
+from calcidem.app.config.presets import PRESETS, preset_text, slurm_job
 
 Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})  # type: ignore[misc]  # not literal
 
@@ -42,8 +42,18 @@ def init_command(
     contents: Annotated[
         str | None, typer.Option(metavar="PERCENT,...", help="Its calcite contents; 0,1,2,4 if not given.")
     ] = None,
+    slurm: Annotated[
+        bool,
+        typer.Option("--slurm", help="Also write its Slurm job, FILE.sbatch; a configuration that exists is kept."),
+    ] = False,
 ) -> None:
     """Write a configuration to start from: an example, or one for your own sand."""
+    if slurm:
+        job = file.with_suffix(".sbatch")
+        _write_new(job, slurm_job(file.name), "submit it, or remove it first")
+        typer.echo(f"Wrote {job}. Edit its first lines, then: sbatch {job}")
+        if file.exists():
+            return
     chosen = preset or next(iter(Preset))
     if grain_size is None and disks is None:
         of_a_sand = {"--stress": stress, "--mineral": mineral, "--contents": contents}
@@ -64,15 +74,19 @@ def init_command(
         size = disks or str(grain_size)
         own = OwnSand.of_words(size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent)
         text = own.text()
+    other = file.with_stem(f"{file.stem}-{chosen}")
+    is_own = grain_size is not None or disks is not None
+    another = "give another name" if is_own else f"write another with 'calcidem init {other} --preset {chosen}'"
+    _write_new(file, text, f"run it with 'calcidem run {file}', or {another}")
+    typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
+
+
+def _write_new(file: Path, text: str, remedy: str) -> None:
+    """Write a file that must not exist yet."""
     try:
         with file.open("x", encoding="utf-8") as target:
             target.write(text)
     except FileExistsError:
         if not file.is_file():
             raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file") from None
-        problem = f"{file} exists and was left unchanged; run it with 'calcidem run {file}', or "
-        if grain_size is not None or disks is not None:
-            raise typer.BadParameter(f"{problem}give another name") from None
-        other = file.with_stem(f"{file.stem}-{chosen}")
-        raise typer.BadParameter(f"{problem}write another with 'calcidem init {other} --preset {chosen}'") from None
-    typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
+        raise typer.BadParameter(f"{file} exists and was left unchanged; {remedy}") from None
