@@ -114,10 +114,7 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
     for doubt in doubts:
         yield f"Warning: {doubt}."
     yield f"Packing: {len(packing.radius)} disks; they hold these contents and this wave."
-    if configuration.excitation.table is None:
-        experiment = configuration.experiment(packing)
-        chosen = (f"{experiment.frequency(content) / 1e3:g} kHz at {content:g} %" for content in sorted(speeds))
-        yield f'Frequency: {", ".join(chosen)}, by wave.frequency = "auto".'
+    yield from _chosen_frequencies(configuration, packing)
     for doubt in wave_doubts(configuration, packing, speeds):
         yield f"Warning: {doubt}."
 
@@ -215,6 +212,14 @@ def _describe_ranks(ranks: int) -> str:
             "of the MPI library that mpi4py loads."
         )
     return f"Ranks: {mpirun} starts {ranks}, and they communicate ({mpi_library_version()})."
+
+
+def _chosen_frequencies(configuration: Configuration, packing: Packing) -> Iterator[str]:
+    """Frequencies that `wave.frequency = "auto"` chooses."""
+    if configuration.excitation.table is None:
+        experiment, contents = configuration.experiment(packing), sorted(configuration.campaign.contents)
+        chosen = (f"{experiment.frequency(content) / 1e3:g} kHz at {content:g} %" for content in contents)
+        yield f'Frequency: {", ".join(chosen)}, by wave.frequency = "auto".'
 
 
 def wave_doubts(
