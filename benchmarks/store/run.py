@@ -32,7 +32,7 @@ from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, GraphSummary, PathFeatures
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, NetworkFeatures, PathFeatures
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
@@ -80,7 +80,7 @@ def cells(seeds: int) -> Iterator[CellResult]:
                 rank=3,
                 host="node7",
                 features=PathFeatures(41, 1, 40, 40 / 41, 0.5, 20, 12.1, 0.1),
-                graph=GraphSummary(7200, 1300, 3.05, 20, 4100, 1),
+                network=NetworkFeatures(0.04, 0.4, 0.4, 2.8, -0.01, 20, 4100, 1),
             )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
 from calcidem.analysis.contact_graph import PreferentialPath
+from calcidem.analysis.contact_network import NETWORK_FEATURES
 from calcidem.analysis.correlation import Correlations, correlate, correlate_by_content, seed_permutation_test
 from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
@@ -143,7 +144,7 @@ class CampaignAnalysis:
     def graphs(self) -> tuple[PackingGraph, ...]:
         """Contact graph of each packing of the campaign, by its index."""
         wave = self.config.get("wave", {})
-        names = ("transmitter_half_width", "receiver_half_width")
+        names = ("transmitter_half_width", "receiver_half_width", "boundary_thickness")
         missing = [name for name in names if name not in wave]
         if missing:
             raise UnavailableError(f"the configuration of the campaign lacks wave.{missing[0]}")
@@ -179,6 +180,26 @@ class CampaignAnalysis:
             table[name].attrs = {"units": "1", "long_name": definition}
         table["vs"] = self.vs
         return table
+
+    @cached_property
+    def network_table(self) -> xr.Dataset:
+        """Features of the cement as a network, and Vs along (seed, content), NaN where missing."""
+        table = self.cells[[*NETWORK_FEATURES, "vs"]].astype(float)
+        if not bool(table["network_conductance"].notnull().any()):
+            raise UnavailableError("no features of networks are stored")
+        return table
+
+    @cached_property
+    def network_correlations(self) -> Correlations:
+        """Correlation of the features of networks and Vs."""
+        with _translate_refusals():
+            return correlate(self.network_table)
+
+    @cached_property
+    def network_tests(self) -> xr.Dataset:
+        """As `feature_tests`, for the features of networks."""
+        with _translate_refusals():
+            return seed_permutation_test(self.network_table, "vs")
 
     @cached_property
     def correlations(self) -> Correlations:
@@ -323,13 +344,15 @@ class CampaignAnalysis:
 
 
 def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
-    """Correlate the eight features with Vs within one content, over the selected cells only.
+    """Correlate the features of path and network with Vs within one content, over the selected cells only.
 
     Returns along feature ``pearson``, its 95 % interval ``pearson_low`` and ``pearson_high``, ``p`` and
     ``p_corrected``, see `calcidem.analysis.correlation.seed_permutation_test`. `UnavailableError` if the campaign has
     no cement, or no selected cell has a velocity.
     """
     table = analysis.table
+    with suppress(UnavailableError):
+        table = table.merge(analysis.network_table)
     chosen = np.zeros(analysis.vs.shape, dtype=bool)
     columns = analysis.store.table(("seed", "content"), selection)
     chosen[

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from calcidem.analysis.connectivity import ContactWeights, connectivity, normalized_connectivity, straight_contacts
 from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, ShortestPaths
+from calcidem.analysis.contact_network import ContactNetwork, contact_network
 from calcidem.storage.records import CementPattern, PackingRecord, PathFeatures
 
 FEATURES = {
@@ -70,8 +71,8 @@ class PackingGraph:
     """Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains."""
     straight: float
     """Contacts of a straight row of grains of the median diameter by count, from transmitter to receiver."""
-    in_column: NDArray[np.bool_]
-    """True for contacts at the height of the receiver, shape (m,)."""
+    network: ContactNetwork
+    """The contacts with what features of the cement as a network need."""
     _keys: NDArray[np.int64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -92,10 +93,6 @@ class PackingGraph:
         kinds = np.zeros(self.graph.contact_count, dtype=np.uint8)
         kinds[self._rows(cement.contacts)] = cement.kind
         return kinds
-
-    def column_share(self, bonded: NDArray[np.bool_]) -> float:
-        """Share of cemented contacts at the height of the receiver; NaN if there are no contacts."""
-        return float(np.mean(bonded[self.in_column])) if self.in_column.any() else np.nan
 
     def path(self, bonded: NDArray[np.bool_], known: tuple[int, ...] = ()) -> PreferentialPath:
         """Return the preferential path of a sample with these cemented contacts (m,); known grains save the search.
@@ -129,11 +126,13 @@ class PackingGraph:
         return np.asarray(rows, dtype=np.int64)
 
 
-def packing_graph(packing: PackingRecord, transmitter_half_width: float, receiver_half_width: float) -> PackingGraph:
+def packing_graph(
+    packing: PackingRecord, transmitter_half_width: float, receiver_half_width: float, boundary_thickness: float
+) -> PackingGraph:
     """Build the graph of a packing.
 
-    Transmitter and receiver grains touch the left and the right wall within a half-width (m) of mid-height.
-    `ValueError` if no grain touches one of the bands.
+    Transmitter and receiver grains touch the left and the right wall within a half-width (m) of mid-height. The damped
+    layers at floor and lid have a thickness (m). `ValueError` if no grain touches one of the bands.
     """
     off_centre = np.abs(packing.y - packing.height / 2)
     centres = np.column_stack([packing.x, packing.y])
@@ -147,13 +146,12 @@ def packing_graph(packing: PackingRecord, transmitter_half_width: float, receive
         transmitter=np.flatnonzero((packing.x < packing.radius) & (off_centre < transmitter_half_width)),
         receiver=np.flatnonzero((packing.width - packing.x < packing.radius) & (off_centre < receiver_half_width)),
     )
-    middle = packing.y[graph.pairs].mean(axis=1) - packing.height / 2
     return PackingGraph(
         packing=packing,
         graph=graph,
         weights=ContactWeights.from_coordination_number(graph.coordination_number),
         straight=straight_contacts(packing.width, 2 * float(np.median(packing.radius))),
-        in_column=np.abs(middle) < receiver_half_width,
+        network=contact_network(packing, graph, boundary_thickness),
     )
 
 

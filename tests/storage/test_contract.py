@@ -310,7 +310,7 @@ def test_quoted_text_stays_data(store: Store, records: "Records") -> None:
         "INSERT INTO cell (campaign_id, seed, content) SELECT campaign_id, seed, content FROM cell",
         "UPDATE result SET path_contacts = 99",
         "UPDATE arrays SET name = 'picture'",
-        "UPDATE result SET graph_components = -1",
+        "UPDATE result SET network_components = -1",
     ],
 )
 def test_schema_refuses_nonsense(store: Store, records: "Records", statement: str) -> None:

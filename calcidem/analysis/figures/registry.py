@@ -163,6 +163,13 @@ CAMPAIGN_FIGURES = (
         lambda analysis: draw_correlations(analysis.correlations),
     ),
     CampaignFigure(
+        "network_correlations",
+        "Correlation of features of the whole sample and Vs",
+        "As before, for features of the cement as a network between the walls. Its conductance G follows the scatter "
+        "of Vs within one content best.",
+        lambda analysis: draw_correlations(analysis.network_correlations),
+    ),
+    CampaignFigure(
         "weight_scan",
         "Weight of a cemented contact",
         "Correlation of C_d,n with Vs over the ratio of the two contact weights; the shortest path of every "

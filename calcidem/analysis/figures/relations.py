@@ -7,6 +7,7 @@ from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.contact_network import NETWORK_FEATURES
 from calcidem.analysis.correlation import Correlations
 from calcidem.analysis.figures.style import (
     BLACK,
@@ -30,7 +31,7 @@ from calcidem.analysis.published import published_study
 
 def _symbol(name: str) -> str:
     """Return the symbol of a variable as mathematical text, such as ``$C_{d,n}$``."""
-    symbols = {name: symbol for name, (symbol, _) in FEATURES.items()} | {"vs": "V_s"}
+    symbols = {name: symbol for name, (symbol, _) in (FEATURES | NETWORK_FEATURES).items()} | {"vs": "V_s"}
     base, _, index = symbols[name].partition("_")
     upright = f"\\mathrm{{{base}}}" if len(base) > 1 else base
     return f"${upright}_{{{index}}}$" if index else f"${upright}$"
@@ -38,7 +39,7 @@ def _symbol(name: str) -> str:
 
 @apply_style
 def draw_correlations(correlations: Correlations) -> Figure:
-    """Draw the correlation matrices of the eight features and Vs over all contents and within one (Fig. 13a)."""
+    """Draw the correlation matrices of features and Vs over all contents and within one (Fig. 13a)."""
     figure = new_figure(height=3.95, width=7.4)
     panels = figure.subplots(1, 2)
     titles = ("over all contents", "within one content")

@@ -420,9 +420,9 @@ class Campaign(Closable):
         """Predict Vs of a sample, and an interval, from the campaign's samples of that content (%).
 
         Nothing is simulated. Give a seed, whose cement is drawn and which takes no part in the fit, or a cement
-        pattern; without both the prediction uses the content alone. The features of the cement are its share of the
-        contacts at the receiver's height and of all contacts. `QueryError` if the campaign has too few velocities at
-        the content, or if the pattern does not match it.
+        pattern; without both the prediction uses the content alone. The feature of the cement is its conductance, see
+        `contact_network.NETWORK_FEATURES`. `QueryError` if the campaign has too few velocities at the content, or if
+        the pattern does not match it.
 
         Examples
         --------

@@ -15,15 +15,15 @@ from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CellStatus, CementPattern
 from calcidem.storage.store import Selection
 
-CEMENT_FEATURES = ("column_share", "cemented_share")
-"""Cemented shares of the contacts at the receiver's height and of all contacts, from which Vs is predicted."""
+CEMENT_FEATURES = ("network_conductance",)
+"""Features of the cement from which Vs is predicted, see `contact_network.NETWORK_FEATURES`."""
 
 
 class _Samples(NamedTuple):
     """Samples of a content that have a velocity."""
 
     features: Floats
-    """(n, 2) `CEMENT_FEATURES`, or (n, 0)."""
+    """(n, 1) `CEMENT_FEATURES`, or (n, 0)."""
     vs: Floats
     """(n,) m/s."""
     seeds: Integers
@@ -89,7 +89,7 @@ def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPat
     return pattern_of(experiment.packing, cement)
 
 
-def cement_shares(analysis: CampaignAnalysis, content: float) -> dict[int, Floats]:
+def cement_features(analysis: CampaignAnalysis, content: float) -> dict[int, Floats]:
     """`CEMENT_FEATURES` of the samples of a content with a velocity and known cement, by seed."""
     cells = analysis.outcomes_of(Selection(contents=content, statuses=CellStatus.DONE), ("cement",))
     return {
@@ -102,7 +102,7 @@ def cement_shares(analysis: CampaignAnalysis, content: float) -> dict[int, Float
 def _samples_at(analysis: CampaignAnalysis, content: float, *, with_cement: bool) -> _Samples:
     """Samples of a content; those without known cement are left out, unless it cannot be drawn again for any."""
     column = analysis.vs.sel(content=content).dropna("seed")
-    shares = cement_shares(analysis, content) if with_cement else {}
+    shares = cement_features(analysis, content) if with_cement else {}
     if shares:
         column = column.sel(seed=[seed for seed in column["seed"].to_numpy().tolist() if seed in shares])
     seeds, vs = column["seed"].to_numpy(), column.to_numpy().astype(float)
@@ -111,16 +111,17 @@ def _samples_at(analysis: CampaignAnalysis, content: float, *, with_cement: bool
 
 
 def _features_of(graph: PackingGraph, pattern: CementPattern) -> Floats:
-    """(2,) `CEMENT_FEATURES` of a pattern; `QueryError` if it cements grains that do not touch."""
+    """(1,) `CEMENT_FEATURES` of a pattern; `QueryError` if it cements grains that do not touch."""
     try:
         bonded = graph.bonded(pattern)
     except ValueError as error:
         raise QueryError(f"{error}.", "Give the contacts of a sample of this campaign.") from error
-    return np.array([graph.column_share(bonded), np.mean(bonded)])
+    features = graph.network.features(bonded)
+    return np.array([getattr(features, name) for name in CEMENT_FEATURES], dtype=float)
 
 
 def _refuse_far_features(content: float, features: Floats, table: Floats) -> None:
-    """Raise a `QueryError` if a feature is outside the range of the samples, (n, 2), by more than this range."""
+    """Raise a `QueryError` if a feature is outside the range of the samples, (n, 1), by more than this range."""
     for name, value, low, high in zip(CEMENT_FEATURES, features, table.min(axis=0), table.max(axis=0), strict=True):
         if high > low and not 2.0 * low - high <= value <= 2.0 * high - low:
             problem = f"{name} = {value:g} is far from the {low:g} to {high:g} of the samples at {content:g} %."

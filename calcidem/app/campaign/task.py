@@ -11,11 +11,7 @@ from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from calcidem.analysis.contact_graph import ContactGraph
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.patterns import pattern_of, stored_section
@@ -36,7 +32,7 @@ from calcidem.storage.records import (
     CellResult,
     CementPattern,
     GrainPath,
-    GraphSummary,
+    NetworkFeatures,
     PackedResult,
     PathFeatures,
 )
@@ -119,6 +115,7 @@ class CellComputation:
             packing_record(self.packing, index=0, packing_hash=self.configuration.packing_hash),
             self.configuration.wave.transmitter_half_width,
             self.configuration.wave.receiver_half_width,
+            self.configuration.wave.boundary_thickness,
         )
 
 
@@ -161,12 +158,12 @@ def cell_result(
 ) -> CellResult:
     """Record of a measurement for the store; the storing process sets attempt, rank and host.
 
-    Without a ``graph`` of the packing, as in `verify`, path features and graph summary are left out. So no quantity
+    Without a ``graph`` of the packing, as in `verify`, features of path and network are left out. So no quantity
     that `is_exact` may need it.
     """
     cement, section, reading = measurement.cement, measurement.section, measurement.reading
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
-    path, features, summary = (None, None, None) if graph is None else _describe_graph(graph, pattern)
+    path, features, network = (None, None, None) if graph is None else _describe_graph(graph, pattern)
     on_path, over_d50 = wavelengths(measurement.vs, section.frequency, section.distance, _median_diameter(packing))
     return CellResult(
         key=CellKey(measurement.seed, measurement.content),
@@ -201,7 +198,7 @@ def cell_result(
         retry=section.retry,
         seconds=measurement.seconds,
         features=features,
-        graph=summary,
+        network=network,
         path=path,
         section=stored_section(section) if store_sections else None,
         cement=pattern,
@@ -215,58 +212,17 @@ def _median_diameter(packing: Packing) -> float:
 
 def _describe_graph(
     packing: PackingGraph, cement: CementPattern
-) -> tuple[GrainPath | None, PathFeatures | None, GraphSummary]:
-    """Path, its features and summary of the graph of one sample.
+) -> tuple[GrainPath | None, PathFeatures | None, NetworkFeatures]:
+    """Path, its features and those of the network of one sample.
 
     There is no path if no chain of contacts joins transmitter and receiver.
     """
     bonded = packing.bonded(cement)
-    summary = _graph_summary(packing.graph, bonded)
-    if summary.graph_gap_contacts is None:
-        return None, None, summary
+    network = packing.network.features(bonded)
+    if network.network_gap_contacts is None:
+        return None, None, network
     paths = packing.shortest_paths(bonded)
-    return GrainPath(np.array(paths.first().grains, dtype=np.int32)), packing.features(paths), summary
-
-
-def _graph_summary(graph: ContactGraph, bonded: npt.NDArray[np.bool_]) -> GraphSummary:
-    """Summarise the graph of a sample with these cemented contacts (m,)."""
-    first, second = graph.pairs[bonded].T
-    count = graph.grain_count
-    cement = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
-    pieces, component = connected_components(cement, directed=False)
-    grains = np.bincount(component, minlength=pieces)
-    larger = grains[grains > 1]
-    return GraphSummary(
-        graph_contacts=graph.contact_count,
-        graph_bonded_contacts=int(np.count_nonzero(bonded)),
-        graph_coordination_number=graph.coordination_number,
-        graph_components=len(larger),
-        graph_largest_component=int(larger.max(initial=0)),
-        graph_gap_contacts=_fewest_uncemented_contacts(graph, bonded, component),
-    )
-
-
-def _fewest_uncemented_contacts(
-    graph: ContactGraph, bonded: npt.NDArray[np.bool_], piece: npt.NDArray[np.integer]
-) -> int | None:
-    """Return the fewest uncemented contacts on a path from transmitter to receiver; None without any path.
-
-    ``piece`` (N,) numbers the groups of grains joined by cement. Steps within a group cost nothing, so the path leads
-    from group to group. It begins at an additional piece, connected only to those of the transmitter.
-    """
-    begin = int(piece.max()) + 1
-    first, second = piece[graph.pairs[~bonded]].T
-    sent = piece[graph.transmitter]
-    rows, columns = np.concatenate([first, second, np.full(len(sent), begin)]), np.concatenate([second, first, sent])
-    ways = csr_array((np.ones(len(rows)), (rows, columns)), shape=(begin + 1, begin + 1))
-    order, before = breadth_first_order(ways, begin)
-    heard = order[np.isin(order, piece[graph.receiver])]
-    if not len(heard):
-        return None
-    place, contacts = int(before[heard[0]]), 0
-    while place != begin:
-        place, contacts = int(before[place]), contacts + 1
-    return contacts
+    return GrainPath(np.array(paths.first().grains, dtype=np.int32)), packing.features(paths), network
 
 
 def kernel_compilations(

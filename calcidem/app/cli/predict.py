@@ -34,8 +34,8 @@ def predict_command(
 ) -> None:
     """Predict Vs of a sample from the campaign's own samples of its content, with an interval; nothing is simulated.
 
-    Features are the cemented shares of the contacts at the height of the receiver (column_share) and of all
-    (cemented_share). Leaving out each sample in turn checks the intervals.
+    The feature is the conductance of the cement as a network (network_conductance). Leaving out each sample in turn
+    checks the intervals.
     """
     from calcidem.analysis.campaign_analysis import CampaignAnalysis
     from calcidem.app.campaign.patterns import with_patterns

@@ -2,13 +2,15 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.contact_network import NETWORK_FEATURES
+from calcidem.analysis.correlation import Correlations
 from calcidem.analysis.error_budget import median_known
 from calcidem.analysis.packing_graph import FEATURES
 from calcidem.analysis.published import published_study
@@ -187,8 +189,21 @@ def _growth_table(analysis: CampaignAnalysis) -> Table | None:
 
 
 def _feature_table(analysis: CampaignAnalysis) -> Table:
-    """The eight features, their definitions, and their correlation with Vs."""
-    matrices, tests = analysis.correlations, analysis.feature_tests
+    """The eight features of the path, their definitions, and their correlation with Vs."""
+    return _correlation_table("the preferential path", FEATURES, analysis.correlations, analysis.feature_tests)
+
+
+def _network_table(analysis: CampaignAnalysis) -> Table:
+    """The features of the cement as a network, likewise."""
+    return _correlation_table(
+        "the cement as a network", NETWORK_FEATURES, analysis.network_correlations, analysis.network_tests
+    )
+
+
+def _correlation_table(
+    subject: str, features: Mapping[str, tuple[str, str]], matrices: Correlations, tests: xr.Dataset
+) -> Table:
+    """Features with symbol and definition, and their correlation with Vs."""
 
     def coefficient(matrix: xr.Dataset, name: str) -> str:
         cell = matrix.sel(variable=name, other="vs")
@@ -206,10 +221,10 @@ def _feature_table(analysis: CampaignAnalysis) -> Table:
             coefficient(matrices.within, name),
             probability(float(tests["p_corrected"].sel(variable=name))),
         )
-        for name, (symbol, definition) in FEATURES.items()
+        for name, (symbol, definition) in features.items()
     )
     return Table(
-        "Features of the preferential path and Pearson's correlation with Vs, with 95 % intervals. Over all "
+        f"Features of {subject} and Pearson's correlation with Vs, with 95 % intervals. Over all "
         "contents a common growth with content inflates it. Within one content, less the mean and over the standard "
         "deviation of each content, it measures how much of the scatter a feature explains. Its p-value is corrected "
         "for the number of features: seeds are exchanged at random, and the largest coefficient counts.",
@@ -359,6 +374,7 @@ RESULT_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "outcomes": _outcome_table,
     "growth": _growth_table,
     "features": _feature_table,
+    "network_features": _network_table,
     "laws": _law_table,
     "errors_and_cost": _cost_table,
     "two_velocities": _two_velocities_table,

@@ -8,7 +8,7 @@ The patterns are those of the first seeds from 0 on that hold so much. So the ch
 and is the same for its parts, for more seeds, and after an interruption.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
@@ -17,7 +17,7 @@ import numpy as np
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves
-from calcidem.dem.wave.reading import Reading, read_section
+from calcidem.dem.wave.reading import Reading, arrival_shift, read_section
 from calcidem.dem.wave.rule import Law
 from calcidem.dem.wave.section import Section
 
@@ -42,7 +42,9 @@ class Check:
     """Time step over the stability limit."""
     numerical_error: float | None = None
     effective_numerical_error: float | None = None
-    """Of Vs and of the effective velocity, by law, time step, sampling and precision."""
+    """Of Vs and of the effective velocity, by law, time step, sampling and precision. That of Vs is the shift of the
+    received wave over its travel time: two peaks of equal height may change places, which is the error of the reading.
+    """
     pulse_effect: float | None = None
     effective_pulse_effect: float | None = None
     """Of both, by the strength of the pulse: from the difference of its two senses."""
@@ -79,35 +81,28 @@ def check_content(
     # If none holds so much, the first says what it holds.
     bonded = [one.at(content).bonded for one in (list(holding) or [experiment.ordering(0)])]
 
-    def velocities(settings: Experiment, width: int, *senses: float) -> Floats:
-        """(senses, patterns, 2) Vs and effective velocity, m/s; NaN without one."""
+    def sections(settings: Experiment, width: int, *senses: float) -> list[list[Section]]:
+        """Sections of the patterns for each sense of the pulse."""
         samples = [(flags, sense) for sense in senses for flags in bonded]
-        sections: list[Section] = []
+        found: list[Section] = []
         for begin in range(0, len(samples), width):
-            batch = samples[begin : begin + width]
-            sections += send_waves(
-                settings,
-                [flags for flags, _ in batch],
-                frequency,
-                lanes=width,
-                check=check,
-                signs=[sense for _, sense in batch],
-            )
-        found = [_velocities_of(section, experiment) for section in sections]
-        return np.array(found).reshape(len(senses), len(bonded), 2)
+            flags, signs = zip(*samples[begin : begin + width], strict=True)
+            found += send_waves(settings, flags, frequency, lanes=width, check=check, signs=signs)
+        return [found[begin : begin + len(bonded)] for begin in range(0, len(samples), len(bonded))]
 
     law, step = cheapest_law(experiment), rule.step_fraction
     for halving in range(_HALVINGS + 1):
-        forth, back = velocities(_finer(experiment, step), _LANES, 1.0, -1.0)
-        usual = velocities(experiment.with_wave(law=law, step_fraction=step), lanes, 1.0)[0]
-        if rule.law == "auto" and law == "linear" and not _apart(usual, forth)[1] <= _ALLOWED:
+        forth, back = sections(_finer(experiment, step), _LANES, 1.0, -1.0)
+        (usual,) = sections(experiment.with_wave(law=law, step_fraction=step), lanes, 1.0)
+        numerical = _apart(usual, forth, experiment)
+        if rule.law == "auto" and law == "linear" and not numerical[1] <= _ALLOWED:
             law = "finite"
-            usual = velocities(experiment.with_wave(law=law, step_fraction=step), lanes, 1.0)[0]
-        numerical = _apart(usual, forth)
+            (usual,) = sections(experiment.with_wave(law=law, step_fraction=step), lanes, 1.0)
+            numerical = _apart(usual, forth, experiment)
         if not numerical[1] > _ALLOWED or halving == _HALVINGS:
             break
         step *= 0.5
-    errors = [_STUDENT * numerical, _STUDENT / np.sqrt(2.0) * _apart(forth, back)]
+    errors = [_STUDENT * numerical, _STUDENT / np.sqrt(2.0) * _apart(forth, back, experiment)]
     # Where the check samples give no Vs, the effective velocity stands for it.
     filled = [(row[0] if np.isfinite(row[0]) else row[1], row[1]) for row in errors]
     known = [[float(value) if np.isfinite(value) else None for value in row] for row in filled]
@@ -139,18 +134,25 @@ def _finer(experiment: Experiment, step_fraction: float) -> Experiment:
     )
 
 
-def _velocities_of(section: Section, experiment: Experiment) -> tuple[float, float]:
-    """Vs and effective velocity of a section, m/s; NaN without one."""
+def _apart(one: Sequence[Section], other: Sequence[Section], experiment: Experiment) -> Floats:
+    """(2,) root mean square differences of Vs and of the effective velocity, relative; NaN where none is known."""
+    found = []
+    for section, second in zip(one, other, strict=True):
+        first, again = _read(section, experiment), _read(second, experiment)
+        if first is None or again is None:
+            continue
+        of_vs = np.nan
+        if first.verdict is None:
+            of_vs = arrival_shift(section, second, first.travel_time, experiment.pick) / first.travel_time
+        mean = 0.5 * (first.wave.velocity + again.wave.velocity)
+        found.append((of_vs, (first.wave.velocity - again.wave.velocity) / mean))
+    squares = np.array(found).reshape(-1, 2) ** 2
+    known = np.isfinite(squares)
+    count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return np.asarray(np.sqrt(np.where(known, squares, 0.0).sum(axis=0) / count))
+
+
+def _read(section: Section, experiment: Experiment) -> Reading | None:
+    """Reading of a section; None without a wave."""
     found = None if section.problem else read_section(section, experiment.clamp, experiment.pick)
-    if not isinstance(found, Reading):
-        return np.nan, np.nan
-    vs: float | None = getattr(found, experiment.pick.method)
-    return (np.nan if vs is None else vs), found.wave.velocity
-
-
-def _apart(one: Floats, other: Floats) -> Floats:
-    """(2,) root mean squares of relative differences of velocities (patterns, 2); NaN where none is known."""
-    apart = 2.0 * (one - other) / (one + other)
-    known = np.isfinite(apart)
-    squares = np.where(known, apart * apart, 0.0).sum(axis=0)
-    return np.asarray(np.sqrt(squares / np.where(known.any(axis=0), known.sum(axis=0), np.nan)))
+    return found if isinstance(found, Reading) else None

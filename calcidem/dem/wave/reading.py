@@ -210,6 +210,41 @@ def smooth(motion: Floats, half_width: float) -> Floats:
     return sliding_products(np.concatenate([rest, motion]), weight)
 
 
+def arrival_shift(section: Section, other: Section, travel_time: float, rule: PickRule = PickRule()) -> float:
+    """Time by which the received wave of another section is later, s: the lag of their best correlation.
+
+    Half a period before and after the arrival is compared, or less if a record ends there; the lag is at most half a
+    period. NaN if the other record ends within half a period after the arrival.
+
+    Parameters
+    ----------
+    section, other
+        Two sections of a sample, whose sampling may differ.
+    travel_time
+        Between the transmitted and the received peak, s.
+    rule
+        Smoothing of the signals.
+    """
+    half = int(0.5 * section.period)
+    arrival = max(half, round(travel_time / section.sampling_interval + section.transmitted_peak))
+    first, second = (smooth(one.across[:, -1] * RESOLUTION, rule.smoothing * one.period) for one in (section, other))
+    sample = np.arange(arrival - 2 * half, arrival + 2 * half + 1)
+    place = (section.start_time - other.start_time + sample * section.sampling_interval) / other.sampling_interval
+    place = place[place < len(second) - 1]
+    low = np.maximum(0, place.astype(int))
+    # Before the record all is at rest.
+    second = np.where(place < 0.0, 0.0, second[low] + (place - low) * (second[low + 1] - second[low]))
+    wave = first[arrival - half : arrival - half + max(0, len(second) - 2 * half)]
+    if len(wave) < half:
+        return np.nan
+    second = second[: len(wave) + 2 * half]
+    strength = np.sqrt(sliding_products(second * second, np.ones_like(wave)))
+    likeness = sliding_products(second, wave) / np.maximum(strength, SILENCE)
+    best = int(likeness.argmax())
+    inside = 0 < best < len(likeness) - 1
+    return (best - half + (parabola_vertex(likeness, best) if inside else 0.0)) * section.sampling_interval
+
+
 def _read_first_arrival(section: Section, found: Reading) -> float | None:
     """Time between the last rises through the onset level before both peaks, s."""
     received = found.signal[: found.index + 1]

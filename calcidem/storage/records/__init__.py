@@ -29,7 +29,7 @@ from calcidem.storage.records.sample import (
     P_CONTACT,
     CementPattern,
     GrainPath,
-    GraphSummary,
+    NetworkFeatures,
     PathFeatures,
     RecordedSection,
 )
@@ -52,7 +52,7 @@ __all__ = [
     "CellStatus",
     "CementPattern",
     "GrainPath",
-    "GraphSummary",
+    "NetworkFeatures",
     "PackedResult",
     "PackingRecord",
     "PathFeatures",

@@ -18,7 +18,7 @@ from calcidem.ends import CellStatus
 from calcidem.storage.records.arrays import pack_arrays
 from calcidem.storage.records.error_budget import DERIVED_QUANTITIES, NORMAL_95
 from calcidem.storage.records.quantity import Bound, Quantity, Record
-from calcidem.storage.records.sample import CementPattern, GrainPath, GraphSummary, PathFeatures, RecordedSection
+from calcidem.storage.records.sample import CementPattern, GrainPath, NetworkFeatures, PathFeatures, RecordedSection
 
 _Real = float | None
 _Whole = int | None
@@ -149,8 +149,8 @@ class CellResult(Record):
     """Counted from 1 over all runs; part of the outcome's identity (see `Store`)."""
     packing_index: Annotated[int, Quantity("1", "which of the campaign's packings", "campaign", _NOT_NEGATIVE)] = 0
     features: PathFeatures | None = None
-    graph: GraphSummary | None = None
-    """Path features and summary of the contact graph, if known."""
+    network: NetworkFeatures | None = None
+    """Features of its preferential path and of its cement as a network, if known."""
     path: GrainPath | None = None
     section: RecordedSection | None = None
     cement: CementPattern | None = None
@@ -168,10 +168,10 @@ class CellResult(Record):
     def from_values(cls, key: CellKey, values: Mapping[str, Any]) -> Self:
         """Build an outcome from its stored quantities and arrays by name; others are ignored.
 
-        Path features and graph summary are complete or missing, except for quantities that were added later.
+        Features of path and network are complete or missing, except for quantities that were added later.
         """
         parts: dict[str, Any] = {name: values[name] for name in ARRAY_RECORDS if name in values}
-        for field, kind in (("features", PathFeatures), ("graph", GraphSummary)):
+        for field, kind in (("features", PathFeatures), ("network", NetworkFeatures)):
             names = [quantity.name for quantity in kind.quantities()]
             if any(values[name] is not None for name in names):
                 parts[field] = kind(**{name: values[name] for name in names})
@@ -179,7 +179,7 @@ class CellResult(Record):
 
     def values(self) -> dict[str, Any]:
         """Return its stored quantities by name, without those of the cell."""
-        parts = [part for part in (self, self.features, self.graph) if part is not None]
+        parts = [part for part in (self, self.features, self.network) if part is not None]
         return {q.name: getattr(part, q.name) for part in parts for q in part.quantities()}
 
     def packed(self) -> "PackedResult":
@@ -281,7 +281,7 @@ def _catalogue() -> Iterator[Quantity]:
     yield from CellKey.quantities()
     yield from CellResult.quantities()
     yield from DERIVED_QUANTITIES
-    for part in (PathFeatures, GraphSummary):  # which a cell may lack as a whole
+    for part in (PathFeatures, NetworkFeatures):  # which a cell may lack as a whole
         yield from (replace(quantity, is_optional=True) for quantity in part.quantities())
 
 

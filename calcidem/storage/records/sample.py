@@ -1,4 +1,4 @@
-"""Frozen records of a sample: section, cement pattern, path, graph."""
+"""Frozen records of a sample: section, cement pattern, path, network."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -15,7 +15,7 @@ C_CONTACT = 2
 
 _positive = partial(Quantity, bound=Bound.POSITIVE)
 _path = partial(Quantity, "1", origin="path")
-_graph = partial(Quantity, "1", origin="graph", bound=Bound.NOT_NEGATIVE)
+_network = partial(Quantity, "1", origin="network", bound=Bound.NOT_NEGATIVE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,25 +110,23 @@ class PathFeatures(Record):
 
 
 @dataclass(frozen=True, slots=True)
-class GraphSummary(Record):
-    """Summary of the contact graph of a cell; `ValueError` for contradictory numbers."""
+class NetworkFeatures(Record):
+    """Features of the cement of a cell as a network; see `calcidem.analysis.contact_network.NETWORK_FEATURES`.
 
-    graph_contacts: Annotated[int, _graph("contacts between grains")]
-    graph_bonded_contacts: Annotated[int, _graph("cemented contacts between grains")]
-    graph_coordination_number: Annotated[float, _graph("contacts of a grain, on average")]
-    """2 contacts / grains, grains without contact included."""
-    graph_components: Annotated[int, _graph("groups of grains joined by cement")]
-    graph_largest_component: Annotated[int, _graph("grains in the largest of them")]
+    None where there is nothing to count: no contact where the wave is, no cement, no path.
+    """
+
+    network_conductance: Annotated[float | None, _network("conductance between the walls over that if all is cemented")]
+    network_cemented_share: Annotated[float | None, _network("share of cemented contacts where the wave is")]
+    network_strong_share: Annotated[float | None, _network("the same among contacts above the mean force")]
+    network_coordination_number: Annotated[float | None, _network("cemented contacts of a cemented grain")]
+    network_anisotropy: Annotated[
+        float | None, Quantity("1", "anisotropy of the cemented contacts along the path", origin="network")
+    ]
+    network_components: Annotated[int, _network("groups of grains joined by cement")]
+    network_largest_component: Annotated[int, _network("grains in the largest of them")]
     """A group has two or more grains; 0 where there is no cement."""
-    graph_gap_contacts: Annotated[
-        int | None, _graph("fewest uncemented contacts on a path from transmitter to receiver")
+    network_gap_contacts: Annotated[
+        int | None, _network("fewest uncemented contacts on a path from transmitter to receiver")
     ]
     """0 if cement alone connects transmitter and receiver, None if they are not connected."""
-
-    def __post_init__(self) -> None:
-        Record.__post_init__(self)
-        if self.graph_bonded_contacts > self.graph_contacts:
-            raise ValueError(
-                f"GraphSummary.graph_bonded_contacts is {self.graph_bonded_contacts} of {self.graph_contacts}; "
-                "cemented contacts are a part of all contacts."
-            )

@@ -29,7 +29,7 @@ from calcidem.storage.records.quantity import Bound
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.store import LeaseHolder
 
-_SCHEMA = 3
+_SCHEMA = 4
 """Version of these tables."""
 
 _METADATA = sa.MetaData(
@@ -200,7 +200,6 @@ RESULT = sa.Table(
         name="done_has_numerics",
     ),
     sa.CheckConstraint("path_hertz_contacts + path_bonded_contacts = path_contacts", name="path_adds_up"),
-    sa.CheckConstraint("graph_bonded_contacts <= graph_contacts", name="graph_bonded_are_contacts"),
     *_checks_of(_STORED_QUANTITIES),
     sa.Index(None, "status", "vs"),
 )

@@ -103,20 +103,20 @@ def test_graph_agrees_with_the_stored_summary(campaign: Campaign) -> None:
     """The networkx graph has the contacts, bonds and components that are stored with the cell."""
     import networkx as nx  # noqa: PLC0415 - this test alone needs it
 
-    graph, stored = campaign.graph(seed=2, content=2.55), campaign.cell(seed=2, content=2.55).graph
+    graph, stored = campaign.graph(seed=2, content=2.55), campaign.cell(seed=2, content=2.55).network
     assert stored is not None
     bonds = [(a, b) for a, b, bonded in graph.edges(data="bonded") if bonded]
     cement = nx.Graph(bonds)
-    assert (graph.number_of_edges(), len(bonds)) == (stored.graph_contacts, stored.graph_bonded_contacts)
+    assert 2 * len(bonds) / cement.number_of_nodes() == stored.network_coordination_number
     sizes = [len(component) for component in nx.connected_components(cement)]
-    assert (len(sizes), max(sizes)) == (stored.graph_components, stored.graph_largest_component)
+    assert (len(sizes), max(sizes)) == (stored.network_components, stored.network_largest_component)
     lengths = nx.multi_source_dijkstra_path_length(
         graph,
         {grain for grain, role in graph.nodes(data="role") if role == "transmitter"},
         weight=lambda _first, _second, data: 0 if data["bonded"] else 1,
     )
     receivers = [grain for grain, role in graph.nodes(data="role") if role == "receiver"]
-    assert min(lengths[grain] for grain in receivers) == stored.graph_gap_contacts
+    assert min(lengths[grain] for grain in receivers) == stored.network_gap_contacts
 
 
 def test_experiment_survives_the_database(campaign: Campaign) -> None:

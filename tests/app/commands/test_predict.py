@@ -9,7 +9,7 @@ import pytest
 
 from calcidem.app.campaign import opened
 from calcidem.app.campaign.opened import Campaign
-from calcidem.app.campaign.prediction import cement_shares, check_predictions, predict_velocity
+from calcidem.app.campaign.prediction import cement_features, check_predictions, predict_velocity
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CementPattern
 
@@ -28,12 +28,11 @@ def test_seed_and_pattern_of_a_sample_predict_the_same(campaign: Campaign) -> No
     assert alone.vs == pytest.approx(float(np.exp(np.log(vs.drop_sel(seed=2)).mean())))
 
 
-def test_features_are_the_shares_of_cemented_contacts(campaign: Campaign) -> None:
-    """Shares of cemented contacts no further above or below mid-height than the receiver reaches, and of all."""
-    sample, half = campaign.sample(seed=2, content=5.0), campaign.config["wave"]["receiver_half_width"]
-    off = np.abs(sample.packing.y[sample.packing.pairs].mean(axis=1) - sample.packing.height / 2.0)
-    expected = (sample.kind[off < half] > 0).mean(), (sample.kind > 0).mean()
-    assert cement_shares(campaign.analyse(), 5.0)[2] == pytest.approx(expected)
+def test_the_feature_is_the_stored_conductance(campaign: Campaign) -> None:
+    """From the pattern of the cement comes what the cell's record has."""
+    stored = campaign.cell(seed=2, content=5.0).network
+    assert stored is not None
+    assert cement_features(campaign.analyse(), 5.0)[2] == pytest.approx([stored.network_conductance], rel=1e-9)
 
 
 def test_a_campaign_without_its_cement_predicts_from_its_content(
@@ -52,7 +51,7 @@ def test_what_cannot_be_predicted_is_refused(campaign: Campaign) -> None:
     """A content without cells, cement of another packing or of another content are told with a cure."""
     with pytest.raises(QueryError, match=r"content = 4 %.*Choose among 0"):
         campaign.predict(content=4.0)
-    with pytest.raises(QueryError, match=r"column_share = \S+ is far from the .* of the samples at 5 %"):
+    with pytest.raises(QueryError, match=r"network_conductance = \S+ is far from the .* of the samples at 5 %"):
         campaign.predict(content=5.0, pattern=campaign.cell(seed=2, content=0.66).cement)
     with pytest.raises(QueryError, match=r"level = 2\.0: is not a probability"):
         campaign.predict(content=5.0, level=2.0)
