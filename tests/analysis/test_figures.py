@@ -110,7 +110,7 @@ def test_the_legend_of_the_range_covers_no_band(analysis: CampaignAnalysis) -> N
 
 
 @pytest.mark.parametrize("seeds", [4, 40])
-def test_the_range_shows_bands_of_many_samples_and_dots_of_few(analysis: CampaignAnalysis, seeds: int) -> None:
+def test_the_range_shows_bands_of_many_samples_and_dots_of_few(seeds: int) -> None:
     """Contents up to 0.66 % have a panel of their own, and the one sample without cement the interval of its error."""
     contents = np.array([0.0, 0.34, 0.66, 5.0])
     vs = 200.0 + 200.0 * contents + np.arange(seeds)[:, None] * contents

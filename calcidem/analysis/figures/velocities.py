@@ -131,8 +131,8 @@ def _draw_range(
     axes.errorbar(content, means, abs(limits - means), fmt="none", color=BLUE, capsize=3, label=label)
     loud = [bool(depends_on_pulse(effect).any()) for effect in effects]
     if any(loud):
-        look = {"markersize": 8, "markerfacecolor": "none", "color": ORANGE, "linestyle": "none"}
-        axes.plot(content[loud], means[loud], marker="o", label="depends on the pulse", **look)
+        at, label = content[loud], "depends on the pulse"
+        axes.plot(at, means[loud], "o", markersize=8, markerfacecolor="none", color=ORANGE, label=label)
     here = [(at, row) for at, row in published if _is_within(at, rows)]
     if here:
         aside = 0.015 * (content[-1] - content[0])  # so that neither hides the other

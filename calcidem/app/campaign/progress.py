@@ -163,13 +163,12 @@ class ProgressDisplay:
             self._next = now + self._pause
             self._pause = min(1.5 * self._pause, 600.0)
             left = "" if progress.seconds_left is None else f", {duration(progress.seconds_left)} left"
-            self._note(f"{progress.stage}: {progress.detail}{left}")
+            self._note(f"{time.strftime('%H:%M:%S')} {progress.stage}: {progress.detail}{left}")
 
     def _note(self, text: str) -> None:
-        """Write a sentence that remains visible, in a log with its time."""
+        """Write a sentence that remains visible."""
         if self._console is not None:
-            moment = "" if self._bars is not None else f"{time.strftime('%H:%M:%S')} "
-            self._console.print(printable(f"{moment}{text}"), markup=False, highlight=False, soft_wrap=True)
+            self._console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
     def write(self, line: str) -> None:
         """Write a line of another program unchanged, with its colours; a closed terminal is not an error."""
