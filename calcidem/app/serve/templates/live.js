@@ -172,6 +172,7 @@ function addCampaign(number) {
   const card = element("article", { className: "campaign" }, ...Object.values(parts));
   const campaign = { number, parts, card, records: null, status: null, fetching: false };
   campaigns.set(number, campaign);
+  byId("loading")?.remove();
   byId("campaigns").append(card);
   if (campaigns.size === 2) campaigns.forEach(addMiniature);
   else if (campaigns.size > 2) addMiniature(campaign);
