@@ -1,9 +1,9 @@
 """Products of the analysis of a stored campaign, each computed at first use."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from calcidem.analysis.error_budget import ErrorBudget, are_samples, error_budge
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.measured import Target
 from calcidem.analysis.outcomes import count_outcomes, name_outcomes
-from calcidem.analysis.packing_graph import FEATURES, PackingGraph, packing_graph
+from calcidem.analysis.packing_graph import FEATURES, Feature, PackingGraph, describe_feature, packing_graph
 from calcidem.analysis.published import StageGrowth, growth_by_stage
 from calcidem.analysis.weights import PathEnvelope, RatioScan, path_envelope, scan_ratio
 from calcidem.storage.dataset import campaign_dataset
@@ -85,6 +85,8 @@ class CampaignAnalysis:
     """Above this number of cells, paths are analysed only for the samples of the first seeds."""
     with_cement: Callable[[Store, Iterable[CellResult]], Iterator[CellResult]] = lambda _, outcomes: iter(outcomes)
     """Adds cement that is not stored to outcomes of the store, if possible."""
+    features: Mapping[str, Feature] = field(default_factory=dict)
+    """Features of other packages, or of the calling program, by name."""
     measured: tuple[Target, ...] = ()
     """Laboratory velocities for comparison."""
 
@@ -170,12 +172,29 @@ class CampaignAnalysis:
     @cached_property
     def table(self) -> xr.Dataset:
         """The eight features and Vs along (seed, content), NaN where missing."""
+        definitions = {name: definition for name, (_, definition) in FEATURES.items()}
+        return self._table_of(definitions, lambda sample, name: getattr(sample.features, name))
+
+    @cached_property
+    def own_table(self) -> xr.Dataset:
+        """The same with `features`."""
+        if not self.features:
+            raise UnavailableError("no package or program gave features of its own")
+        definitions = {name: describe_feature(feature) for name, feature in self.features.items()}
+
+        def measure(sample: MeasuredSample, name: str) -> float:
+            return float(self.features[name](self.graphs[sample.packing_index], sample.kinds))
+
+        return self._table_of(definitions, measure)
+
+    def _table_of(self, definitions: Mapping[str, str], measure: Callable[[MeasuredSample, str], float]) -> xr.Dataset:
+        """Features, with their definitions, and Vs along (seed, content)."""
         table = xr.Dataset(coords={"seed": self.vs["seed"], "content": self.vs["content"]})
         rows = np.searchsorted(table["seed"], [sample.seed for sample in self.samples])
         columns = np.searchsorted(table["content"], [sample.content for sample in self.samples])
-        for name, (_, definition) in FEATURES.items():
+        for name, definition in definitions.items():
             values = np.full(self.vs.shape, math.nan)
-            values[rows, columns] = [getattr(sample.features, name) for sample in self.samples]
+            values[rows, columns] = [measure(sample, name) for sample in self.samples]
             table[name] = ("seed", "content"), values
             table[name].attrs = {"units": "1", "long_name": definition}
         table["vs"] = self.vs

@@ -43,9 +43,9 @@ def notes_on(columns: Mapping[str, NDArray[Any]]) -> list[str]:
         "arrive together: a higher wave.frequency or a wider packing separates them.": near,
         f"At {short} % a wavelength has fewer than {FEWEST_GRAINS:g} grains, which scatter and slow it: a lower "
         "wave.frequency measures the sand.": short,
-        f"At {loud} % Vs depends on the pulse by more than {MOST_PULSE_EFFECT:.0%}: a smaller wave.amplitude measures "
-        "the sample.": loud,
-        f"The pulse broke bonds in cells: {broken}. A smaller wave.amplitude breaks none.": broken,
+        f"At {loud} % Vs depends on the pulse by more than {100 * MOST_PULSE_EFFECT:g} %: a smaller wave.amplitude "
+        "measures the sample.": loud,
+        f"Cells in which the pulse broke bonds: {broken}; a smaller wave.amplitude breaks none.": broken,
         f"Possible selection bias at {where(doubtful)} %: cells without velocity may shift the mean by more than its "
         "standard error.": where(doubtful),
         f"Cells without velocity: {failed.sum()}. 'calcidem status DB' has reasons and remedies.": failed.any(),

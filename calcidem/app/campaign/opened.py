@@ -5,7 +5,7 @@ The numbers of the paper's campaign, which the package contains, can be loaded w
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,7 +26,7 @@ from calcidem.analysis.distribution import budget_dataset, describe_contents, ta
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES
 from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
 from calcidem.analysis.outcomes import name_outcomes
-from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.analysis.packing_graph import Feature, PackingGraph, installed_features
 from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.identity import refuse_other_physics
@@ -498,12 +498,15 @@ class Campaign(Closable):
 
         return CampaignPlots(self.analyse(), self.cemented)
 
-    def analyse(self, most_samples: int | None = None) -> CampaignAnalysis:
+    def analyse(
+        self, most_samples: int | None = None, features: Mapping[str, Feature] | None = None
+    ) -> CampaignAnalysis:
         """Return the analysis of the campaign in its present state; each part is computed at its first use.
 
-        With more cells than ``most_samples``, paths are analysed only for the samples of the first seeds.
+        With more cells than ``most_samples``, paths are analysed only for the samples of the first seeds. ``features``
+        are functions of your own by name, beside those of installed packages; `own_table` has their values.
         """
-        return CampaignAnalysis(self.store, most_samples, with_patterns)
+        return CampaignAnalysis(self.store, most_samples, with_patterns, installed_features() | dict(features or {}))
 
     @cached_property
     def _graphs(self) -> tuple[PackingGraph, ...]:

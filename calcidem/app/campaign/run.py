@@ -24,6 +24,7 @@ from calcidem.app.campaign.stored_packing import packing_record, stored_packing
 from calcidem.app.campaign.task import CellComputation, kernel_compilations
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.own_pattern import Pattern, give_patterns
 from calcidem.dem.sample.packing import Packing, PackingStage
 from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError, StoreUnavailableError
 from calcidem.storage.records import CellKey, CellResult, CellStatus, PackedResult
@@ -53,6 +54,7 @@ def run(
     set: Mapping[str, object] | None = None,  # noqa: A002 - reads as what it does: run(..., set={"wave.damping": 0.2})
     progress: Callable[[RunProgress], object] | bool | None = None,
     executor: Executor | None = None,
+    patterns: Mapping[str, Pattern] | None = None,
 ) -> "Campaign":
     """Compute a campaign, or its missing cells, in this process or on the workers of an executor.
 
@@ -79,6 +81,9 @@ def run(
         Executor whose workers compute: a ``concurrent.futures.ProcessPoolExecutor``, an
         ``mpi4py.futures.MPIPoolExecutor``, ``Client.get_executor()`` of Dask, or any other. The workers need this
         version of calcidem, but not the database. The executor stays open.
+    patterns
+        Patterns of cement by the names that ``pattern.drawn_by`` may have, beside those of installed packages
+        (docs/how-to/extend.md). A name stands for one function, since it is part of the campaign's identity.
 
     Returns
     -------
@@ -99,6 +104,7 @@ def run(
     from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - as above
     from calcidem.app.config.reader import change_configuration  # noqa: PLC0415 - the reader, which workers do not need
 
+    give_patterns(patterns or {})
     values = dict(set or {})
     values |= {"run.database": os.fspath(db)} if db is not None else {}
     values |= {"run.output": os.fspath(output)} if output is not None else {}

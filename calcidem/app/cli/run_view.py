@@ -130,7 +130,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
         others = one.counts.keys() - {CellStatus.DONE}
         table.add_row(
             f"{one.content:g}",
-            f"{one.vs.size}/{len(one.statuses)}{marks[-1]}",
+            f"{one.counts.get(CellStatus.DONE, 0)}/{len(one.statuses)}{marks[-1]}",
             *map(format_number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
             format_number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, "{:.4g}"),
             format_number(median, "{:.2f}") + (" *" if near else ""),

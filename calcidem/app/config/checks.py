@@ -11,6 +11,7 @@ from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.fields import quote
 from calcidem.dem.sample.judgement import expected_overlap, judge_disks, judge_stress
+from calcidem.dem.sample.own_pattern import UnknownPatternError, find_pattern
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import refuse_unfit_pulse, refuse_unfit_samples
@@ -23,7 +24,7 @@ from calcidem.storage.sql.engine import Address
 
 def cross_check(configuration: Configuration) -> list[Problem]:
     """All contradictions of a configuration."""
-    checks = (_geometry_problems, _rest_problems, _frequency_problems, _file_problems)
+    checks = (_pattern_problems, _geometry_problems, _rest_problems, _frequency_problems, _file_problems)
     return [problem for check in checks for problem in check(configuration)]
 
 
@@ -33,6 +34,15 @@ def disks_in_box(configuration: Configuration) -> float:
     smallest, largest = rule.diameter
     area = np.pi / 12.0 * (smallest**2 + smallest * largest + largest**2)
     return float((1.0 - rule.porosity) * rule.width * rule.height / area)
+
+
+def _pattern_problems(configuration: Configuration) -> Iterator[Problem]:
+    """A pattern that no package has."""
+    if configuration.pattern.drawn_by is not None:
+        try:
+            find_pattern(configuration.pattern.drawn_by)
+        except UnknownPatternError as error:
+            yield Problem(f"pattern.{error}", ("pattern.drawn_by",))
 
 
 def _geometry_problems(configuration: Configuration) -> Iterator[Problem]:

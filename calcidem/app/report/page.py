@@ -20,6 +20,7 @@ from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render, save
 from calcidem.analysis.measured import Target
 from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
+from calcidem.analysis.packing_graph import installed_features
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
@@ -123,7 +124,7 @@ def write_report(
     target = Path(out)
     with read_campaign(database, campaign_name) as store:
         # Paths are analysed for the samples of the first seeds; 5,000 take a minute.
-        analysis = CampaignAnalysis(store, 5000, with_patterns, measured)
+        analysis = CampaignAnalysis(store, 5000, with_patterns, installed_features(), measured)
         write_text_atomically(target, _render_page(analysis, studies or {}, watch))
         if files is not None:
             _write_files(analysis, files)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.contact_network import NETWORK_FEATURES
-from calcidem.analysis.correlation import Correlations
+from calcidem.analysis.correlation import Correlations, correlate, seed_permutation_test
 from calcidem.analysis.error_budget import median_known
-from calcidem.analysis.packing_graph import FEATURES
+from calcidem.analysis.packing_graph import FEATURES, describe_feature
 from calcidem.analysis.published import published_study
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, damping_ratio, small_strain_modulus
 from calcidem.app.report.wording import (
@@ -200,6 +200,15 @@ def _network_table(analysis: CampaignAnalysis) -> Table:
     )
 
 
+def _own_table(analysis: CampaignAnalysis) -> Table | None:
+    """Features of other packages, likewise; None without any."""
+    if not analysis.features:
+        return None
+    table = analysis.own_table
+    told = {name: (name.replace("_", " "), describe_feature(feature)) for name, feature in analysis.features.items()}
+    return _correlation_table("other packages", told, correlate(table), seed_permutation_test(table, "vs"))
+
+
 def _correlation_table(
     subject: str, features: Mapping[str, tuple[str, str]], matrices: Correlations, tests: xr.Dataset
 ) -> Table:
@@ -375,6 +384,7 @@ RESULT_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "growth": _growth_table,
     "features": _feature_table,
     "network_features": _network_table,
+    "own_features": _own_table,
     "laws": _law_table,
     "errors_and_cost": _cost_table,
     "two_velocities": _two_velocities_table,
