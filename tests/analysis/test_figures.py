@@ -23,7 +23,13 @@ from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.relations import _law_text, _symbol
-from calcidem.analysis.figures.samples import COLOURS, _round_length, draw_cemented_samples, draw_preferential_paths
+from calcidem.analysis.figures.samples import (
+    COLOURS,
+    _round_length,
+    draw_cemented_samples,
+    draw_measurement,
+    draw_preferential_paths,
+)
 from calcidem.analysis.figures.signals import load_arrival
 from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range, published_velocities
 from calcidem.app.campaign.opened import open_campaign
@@ -125,6 +131,11 @@ def test_the_range_shows_bands_of_many_samples_and_dots_of_few(seeds: int) -> No
     told = [text.get_text() for text in figure.legends[0].get_texts()]
     assert ("50 % of the samples" in told) == (seeds == 40)
     assert ("sample and its 95 % interval" in told) == (seeds == 4)
+
+
+def test_a_measurement_without_signals_is_one_panel(analysis: CampaignAnalysis) -> None:
+    """Nothing is left blank beside the sample."""
+    assert len(draw_measurement(analysis.graphs[0], analysis.config["wave"], None).axes) == 1
 
 
 def test_histograms_are_densities(analysis: CampaignAnalysis) -> None:

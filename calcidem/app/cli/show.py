@@ -76,7 +76,9 @@ def _cell_rows(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if quantity.kind == "text":
             text = str(value or "")
         else:
-            text = decimal(value) if quantity.kind == "whole" else significant(value, 6)
+            is_share = quantity.meaning.startswith("relative")
+            text = decimal(value) if quantity.kind == "whole" else significant(100 * value if is_share else value, 4)
+            text += " %" if is_share and text != ABSENT else ""
         if text in {"", ABSENT} or (name in EXCEPTIONAL and not value):
             continue
         yield quantity.meaning, text if quantity.kind == "text" else f"{text} {readable_unit(quantity.unit)}".rstrip()

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -279,6 +280,24 @@ def _explained_terms(table: Table) -> tuple[tuple[str, str], ...]:
     return tuple((word, _MEANINGS[word]) for word in found if word in _MEANINGS)
 
 
+def _as_numbers(table: Table) -> list[list[str]]:
+    """Header and rows for programs: bare numbers, ends of intervals in columns of their own, empty if missing."""
+    number, signs = r"(-?\d+(?:\.\d+)?(?:e-?\d+)?)", str.maketrans("\N{MINUS SIGN}⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789")
+    forms = re.compile(rf"{number}(?: %)?|{number} \((?:{number} to {number}|{ABSENT})\)|{number} to {number}")
+    columns: list[list[str]] = []
+    for name, *texts in zip(table.header, *table.rows, strict=True):
+        read = [forms.fullmatch(text.translate(signs).replace(" \N{MULTIPLICATION SIGN} 10", "e")) for text in texts]
+        if not all(found or text == ABSENT for found, text in zip(read, texts, strict=True)):
+            columns.append([name, *("" if text == ABSENT else text for text in texts)])
+            continue
+        full = name + " (%)" * any(text.endswith(" %") for text in texts)
+        for head, groups in ((full, (1, 2)), (f"{name}, low", (3, 5)), (f"{name}, high", (4, 6))):
+            values = [next((found[group] for group in groups if found and found[group]), "") for found in read]
+            if any(values) or (head == full and not any(read)):
+                columns.append([head, *values])
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
 def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
     """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
@@ -297,11 +316,7 @@ def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dic
         table, reasons[f"table_{name}"] = make_or_explain(make, analysis)
         if table is not None:
             with (folder / f"table_{name}.csv").open("w", newline="", encoding="utf-8") as stream:
-                writer = csv.writer(stream)
-                writer.writerow(table.header)
-                for row in table.rows:  # for programs with an ASCII minus, and empty where a number is missing
-                    read = ("" if text == ABSENT else text.replace("\N{MINUS SIGN}", "-") for text in row)
-                    writer.writerow(map(spreadsheet_value, read))
+                csv.writer(stream).writerows(map(spreadsheet_value, row) for row in _as_numbers(table))
     exact: dict[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
         "distributions": lambda analysis: tabulate(analysis.distributions),
         "features": lambda analysis: analysis.table,
