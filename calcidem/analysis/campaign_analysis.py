@@ -1,10 +1,11 @@
 """Products of the analysis of a stored campaign, each computed at first use."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from calcidem.storage.records import (
     CellResult,
     CellStatus,
     CementPattern,
+    NetworkFeatures,
     PackingRecord,
     PathFeatures,
 )
@@ -54,18 +56,19 @@ class MeasuredSample:
     """0 (sand), 1 (P) or 2 (C) for each contact of that packing's graph, shape (m,)."""
     path: PreferentialPath
     features: PathFeatures
-    """Its preferential path, and the features of this path."""
+    network: NetworkFeatures
+    """Its preferential path, the features of this path, and those of its cement as a network."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawFit:
-    """The law Vs = a C_d,n^b + c for one choice of weights."""
+    """The law Vs = a C^b + c for one measure C of the cement."""
 
     name: str
-    """Choice of the weights, named as in the published tables."""
-    weights: ContactWeights
+    """Choice of the weights, named as in the published tables, or the measure."""
+    weights: ContactWeights | None
     connectivity: NDArray[np.float64]
-    """C_d,n of each sample of `CampaignAnalysis.samples`, shape (n,)."""
+    """C of each sample of `CampaignAnalysis.samples`, shape (n,): C_d,n for the weights, or the conductance G."""
     fit: PowerLawFit
     check: LeaveOneSeedOut
     """The fit, and its errors for seeds left out."""
@@ -172,41 +175,24 @@ class CampaignAnalysis:
     @cached_property
     def table(self) -> xr.Dataset:
         """The eight features and Vs along (seed, content), NaN where missing."""
-        definitions = {name: definition for name, (_, definition) in FEATURES.items()}
-        return self._table_of(definitions, lambda sample, name: getattr(sample.features, name))
+        return self._feature_table(FEATURES, [sample.features for sample in self.samples])
 
     @cached_property
     def own_table(self) -> xr.Dataset:
         """The same with `features`."""
         if not self.features:
             raise UnavailableError("no package or program gave features of its own")
-        definitions = {name: describe_feature(feature) for name, feature in self.features.items()}
-
-        def measure(sample: MeasuredSample, name: str) -> float:
-            return float(self.features[name](self.graphs[sample.packing_index], sample.kinds))
-
-        return self._table_of(definitions, measure)
-
-    def _table_of(self, definitions: Mapping[str, str], measure: Callable[[MeasuredSample, str], float]) -> xr.Dataset:
-        """Features, with their definitions, and Vs along (seed, content)."""
-        table = xr.Dataset(coords={"seed": self.vs["seed"], "content": self.vs["content"]})
-        rows = np.searchsorted(table["seed"], [sample.seed for sample in self.samples])
-        columns = np.searchsorted(table["content"], [sample.content for sample in self.samples])
-        for name, definition in definitions.items():
-            values = np.full(self.vs.shape, math.nan)
-            values[rows, columns] = [measure(sample, name) for sample in self.samples]
-            table[name] = ("seed", "content"), values
-            table[name].attrs = {"units": "1", "long_name": definition}
-        table["vs"] = self.vs
-        return table
+        definitions = {name: (name, describe_feature(feature)) for name, feature in self.features.items()}
+        values = [
+            {name: feature(self.graphs[sample.packing_index], sample.kinds) for name, feature in self.features.items()}
+            for sample in self.samples
+        ]
+        return self._feature_table(definitions, [SimpleNamespace(**measured) for measured in values])
 
     @cached_property
     def network_table(self) -> xr.Dataset:
         """Features of the cement as a network, and Vs along (seed, content), NaN where missing."""
-        table = self.cells[[*NETWORK_FEATURES, "vs"]].astype(float)
-        if not bool(table["network_conductance"].notnull().any()):
-            raise UnavailableError("no features of networks are stored")
-        return table
+        return self._feature_table(NETWORK_FEATURES, [sample.network for sample in self.samples])
 
     @cached_property
     def network_correlations(self) -> Correlations:
@@ -262,6 +248,12 @@ class CampaignAnalysis:
     def scanned_law(self) -> LawFit:
         """The law with the weight ratio of the best correlation with Vs."""
         return self.law_of_ratio(self.ratio_scan.best_ratio, "Monte-Carlo")
+
+    @cached_property
+    def conductance_law(self) -> LawFit:
+        """The law with the conductance of the network instead of C_d,n."""
+        found = [sample.network.network_conductance for sample in self.samples]
+        return self._law("conductance", None, np.array(found, dtype=np.float64))
 
     def law_of_ratio(self, ratio: float, name: str) -> LawFit:
         """Return the law for a weight ratio, with the shortest paths at this ratio."""
@@ -325,7 +317,24 @@ class CampaignAnalysis:
         found = [s for s in self.samples if math.isclose(s.content, content) and math.isfinite(s.vs)]
         return sorted(found, key=lambda sample: sample.vs)
 
-    def _law(self, name: str, weights: ContactWeights, connectivity: NDArray[np.float64]) -> LawFit:
+    def _feature_table(
+        self,
+        definitions: Mapping[str, tuple[str, str]],
+        features: Sequence[PathFeatures | NetworkFeatures | SimpleNamespace],
+    ) -> xr.Dataset:
+        """Features of each of `samples`, and Vs, along (seed, content); NaN where missing."""
+        table = xr.Dataset(coords={"seed": self.vs["seed"], "content": self.vs["content"]})
+        rows = np.searchsorted(table["seed"], [sample.seed for sample in self.samples])
+        columns = np.searchsorted(table["content"], [sample.content for sample in self.samples])
+        for name, (_, definition) in definitions.items():
+            values = np.full(self.vs.shape, math.nan)
+            values[rows, columns] = [getattr(one, name) for one in features]
+            table[name] = ("seed", "content"), values
+            table[name].attrs = {"units": "1", "long_name": definition}
+        table["vs"] = self.vs
+        return table
+
+    def _law(self, name: str, weights: ContactWeights | None, connectivity: NDArray[np.float64]) -> LawFit:
         with _translate_refusals():
             return LawFit(
                 name=name,
@@ -359,6 +368,7 @@ class CampaignAnalysis:
             kinds=kinds,
             path=path,
             features=cell.features or graph.features(graph.shortest_paths(kinds > 0)),
+            network=cell.network or graph.network.features(kinds > 0),
         )
 
 
@@ -369,9 +379,7 @@ def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr
     ``p_corrected``, see `calcidem.analysis.correlation.seed_permutation_test`. `UnavailableError` if the campaign has
     no cement, or no selected cell has a velocity.
     """
-    table = analysis.table
-    with suppress(UnavailableError):
-        table = table.merge(analysis.network_table)
+    table = analysis.table.merge(analysis.network_table)
     chosen = np.zeros(analysis.vs.shape, dtype=bool)
     columns = analysis.store.table(("seed", "content"), selection)
     chosen[

@@ -1,8 +1,8 @@
 """Which features explain the scatter of Vs within a content: `python docs/reproduction/features.py CAMPAIGN.db ...`.
 
-First the rank correlation of each feature with Vs and with the effective velocity. Then, for the first campaign,
-predictions of each sample from other seeds, with the same features at every content. A negative difference to the
-content alone is a gain.
+First the rank correlation of each feature with Vs and with the effective velocity. Then laws of the first campaign,
+judged on seeds left out and on the other campaigns. Then predictions of each of its samples from other seeds, with the
+same features at every content. A negative difference to the content alone is a gain.
 """
 
 import argparse
@@ -12,22 +12,24 @@ import xarray as xr
 from scipy import stats
 
 from calcidem.analysis.contact_network import NETWORK_FEATURES
+from calcidem.analysis.fits import fit_power_law, leave_one_seed_out
 from calcidem.analysis.packing_graph import FEATURES
 from calcidem.analysis.predictor import VelocityPredictor
 from calcidem.app.campaign.opened import open_campaign
 
 SYMBOLS = {name: symbol for name, (symbol, _) in (NETWORK_FEATURES | FEATURES).items()}
 C_DN, CONDUCTANCE, SHARE = "path_normalized_connectivity", "network_conductance", "network_cemented_share"
+LOGARITHM = "logarithm of the conductance"
 CANDIDATES: dict[str, tuple[str, ...]] = {
     "content alone": (),
     "C_d,n": (C_DN,),
     "S": (SHARE,),
-    "G": (CONDUCTANCE,),
-    "G, S": (CONDUCTANCE, SHARE),
-    "G, C_d,n": (CONDUCTANCE, C_DN),
+    "log G": (LOGARITHM,),
+    "log G, S": (LOGARITHM, SHARE),
+    "log G, C_d,n": (LOGARITHM, C_DN),
     "static_speed (statics)": ("static_speed",),
-    "G, effective_vs (measured)": (CONDUCTANCE, "effective_vs"),
-    "G, effective_vs, error, coherence (measured)": (CONDUCTANCE, "effective_vs", "reading_error", "coherence"),
+    "log G, effective_vs (measured)": (LOGARITHM, "effective_vs"),
+    "log G, effective_vs, error, coherence (measured)": (LOGARITHM, "effective_vs", "reading_error", "coherence"),
 }
 """Those measured are of the wave itself, so no predictors of a sample that was not simulated."""
 
@@ -38,6 +40,7 @@ def main() -> None:
     parser.add_argument("databases", nargs="+")
     campaigns = [scattered_cells(database) for database in parser.parse_args().databases]
     print_correlations(campaigns)
+    print_laws(campaigns)
     cells = campaigns[0]
     print("\n| features | score, m/s | less that of content alone (standard error) | in interval, % |")
     print("|---|---|---|---|")
@@ -51,6 +54,7 @@ def scattered_cells(database: str) -> xr.Dataset:
     """Cells of the contents at which Vs scatters."""
     with open_campaign(database) as campaign:
         cells = campaign.to_xarray()
+    cells[LOGARITHM] = np.log(cells[CONDUCTANCE])
     return cells.sel(content=cells["vs"].std("seed") > 1e-9)  # round-off
 
 
@@ -63,6 +67,32 @@ def print_correlations(campaigns: list[xr.Dataset]) -> None:
     for name in sorted(names, key=lambda name: -np.nan_to_num(abs(rows[name][0]))):
         values = " | ".join("" if np.isnan(value) else f"{value:+.2f}" for value in rows[name])
         print(f"| {SYMBOLS.get(name, name)} | {values} |")
+
+
+def print_laws(campaigns: list[xr.Dataset]) -> None:
+    """Print Vs = a x^b + c, and the rms errors on seeds left out and on the samples of the other campaigns."""
+    first, *others = campaigns
+    print("\n| Vs from | law | rms error on unseen seeds, m/s |" + " on another packing |" * len(others))
+    print("|---|---|---|" + "---|" * len(others))
+    for name in (CONDUCTANCE, C_DN):
+        x, vs, seeds = samples_of(first, name)
+        fit, check = fit_power_law(x, vs), leave_one_seed_out(x, vs, seeds)
+        errors = [vs - fit.predict(x) for x, vs, _ in (samples_of(cells, name) for cells in others)]
+        row = "".join(f" {np.sqrt(np.mean(error**2)):.0f} |" for error in errors)
+        law = f"{fit.a:.0f} {SYMBOLS[name]}^{fit.b:.2f} {fit.c:+.0f}"
+        print(f"| {SYMBOLS[name]} | {law} | {check.root_mean_square_error:.0f} |{row}")
+    count = first["vs"].notnull().sum("seed")
+    apart = (first["vs"] - first["vs"].mean("seed")) * count / (count - 1.0)  # from the mean of the others
+    errors = [apart, *(cells["vs"] - first["vs"].mean("seed") for cells in others)]
+    row = " | ".join(f"{float(np.sqrt((error**2).mean())):.0f}" for error in errors)
+    print(f"| content alone | mean of the content | {row} |")
+
+
+def samples_of(cells: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Feature, Vs and seed of all samples that have them."""
+    x, vs = (cells[one].to_numpy().astype(float) for one in (name, "vs"))
+    known = np.isfinite(x) & np.isfinite(vs)
+    return x[known], vs[known], np.broadcast_to(cells["seed"].to_numpy()[:, None], vs.shape)[known]
 
 
 def correlations(cells: xr.Dataset, name: str) -> list[float]:

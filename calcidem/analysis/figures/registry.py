@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.analysis.figures.relations import draw_correlations, draw_laws, draw_ratio_scan
+from calcidem.analysis.figures.relations import draw_conductance, draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
 from calcidem.analysis.figures.signals import Arrival, draw_dispersion, draw_signals, load_arrival
 from calcidem.analysis.figures.style import pick_evenly
@@ -184,6 +184,13 @@ CAMPAIGN_FIGURES = (
         "Fits of Vs = a C^b + c for weights from the coordination number (left) and from the scan (right), "
         "and at the mean connectivity of each content the interval in which 95 % of new samples fall.",
         draw_laws,
+    ),
+    CampaignFigure(
+        "conductance",
+        "Vs against the conductance of the cement",
+        "Cement as a network of conductors between the side walls: one law for all contents, and fast samples of a "
+        "content conduct more.",
+        draw_conductance,
     ),
     CampaignFigure(
         "narrowing",

@@ -1,12 +1,16 @@
 """Figures of the relation between paths and Vs: correlations, the weight scan and the laws."""
 
+from typing import Any
+
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
 from calcidem.analysis.contact_network import NETWORK_FEATURES
 from calcidem.analysis.correlation import Correlations
 from calcidem.analysis.figures.style import (
@@ -102,36 +106,65 @@ def draw_laws(analysis: CampaignAnalysis) -> Figure:
     figure = new_figure(height=4.1, width=7.4)
     panels = figure.subplots(1, len(laws), sharey=True)
     for axes, law in zip(panels, laws, strict=True):
-        points = axes.scatter(
-            law.connectivity, vs, c=contents, cmap=CONTENT_MAP, s=7, alpha=0.8, linewidths=0, rasterized=True
-        )
-        known = law.connectivity[np.isfinite(vs)]
-        grid = np.linspace(known.min(), known.max(), 200)
-        fit = law.fit
-        outlined = [Stroke(linewidth=2.6, foreground="white"), Normal()]
-        bars = {"color": BLACK, "linewidth": 1.0, "path_effects": outlined, "zorder": 3}
-        label = "95 % of new samples at each content"
-        axes.vlines(*_intervals_by_content(law.connectivity, vs, contents).T, **bars, label=label)
-        axes.plot(grid, fit.predict(grid), color=BLUE, zorder=4, label=_law_text(fit.a, fit.b, fit.c))
+        points, grid = _draw_law(axes, law, "C_{d,n}", vs, contents)
         for other in published:
-            if abs(other.weights.ratio - law.weights.ratio) < 0.02:  # so that values of C_d,n are comparable
+            if law.weights and abs(other.weights.ratio - law.weights.ratio) < 0.02:  # so that C_d,n is comparable
                 span = np.linspace(max(other.connectivity_range.low, grid[0]), other.connectivity_range.high, 200)
-                label = "published: " + _law_text(other.a, other.conclusions_b, other.c)
+                label = "published: " + _law_text("C_{d,n}", other.a, other.conclusions_b, other.c)
                 vs_of_law = power_law(span, other.a, other.conclusions_b, other.c)
                 axes.plot(span, vs_of_law, color=VERMILION, linestyle="--", label=label)
         axes.set_title(f"weights by {law.name}" if law.name != "Monte-Carlo" else "weights by the scan")
-        weights = f"$\\omega_h$ = {law.weights.hertz:.3f}, $\\omega_{{LPB}}$ = {law.weights.bond:.3f}"
-        axes.set_xlabel(f"$C_{{d,n}}$ with {weights}")
+        if law.weights:
+            weights = f"$\\omega_h$ = {law.weights.hertz:.3f}, $\\omega_{{LPB}}$ = {law.weights.bond:.3f}"
+            axes.set_xlabel(f"$C_{{d,n}}$ with {weights}")
         axes.legend(loc="upper right", fontsize=7)
         axes.set_ylim(0, 1.25 * np.nanmax(vs))
     letter_panels(panels)
     panels[0].set_ylabel(VS_LABEL)
+    _add_contents(figure, points, panels)
+    return figure
+
+
+@apply_style
+def draw_conductance(analysis: CampaignAnalysis) -> Figure:
+    """Draw Vs against the conductance of the cement as a network, with the fitted law."""
+    contents = np.array([sample.content for sample in analysis.samples])
+    figure, axes, _ = new_panel(height=4.1)
+    points, _ = _draw_law(axes, analysis.conductance_law, "G", analysis.sample_vs, contents)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel("conductance $G$ of the network, over that with all contacts cemented")
+    axes.set_ylabel(VS_LABEL)
+    axes.legend(loc="upper left", fontsize=7)
+    _add_contents(figure, points, axes)
+    return figure
+
+
+def _draw_law(
+    axes: Axes, law: LawFit, symbol: str, vs: NDArray[np.float64], contents: NDArray[np.float64]
+) -> tuple[PathCollection, NDArray[np.float64]]:
+    """Draw samples, law, and the interval of new samples at each content; returns the points and places of the law."""
+    points = axes.scatter(
+        law.connectivity, vs, c=contents, cmap=CONTENT_MAP, s=7, alpha=0.8, linewidths=0, rasterized=True
+    )
+    known = law.connectivity[np.isfinite(vs)]
+    grid = np.linspace(np.nanmin(known), np.nanmax(known), 200)
+    outlined = [Stroke(linewidth=2.6, foreground="white"), Normal()]
+    bars: dict[str, Any] = {"color": BLACK, "linewidth": 1.0, "path_effects": outlined, "zorder": 3}
+    label = "95 % of new samples at each content"
+    axes.vlines(*_intervals_by_content(law.connectivity, vs, contents).T, **bars, label=label)
+    fit = law.fit
+    axes.plot(grid, fit.predict(grid), color=BLUE, zorder=4, label=_law_text(symbol, fit.a, fit.b, fit.c))
+    return points, grid
+
+
+def _add_contents(figure: Figure, points: PathCollection, axes: Axes | NDArray[np.object_]) -> None:
+    """Add the colour bar of the contents."""
     colour_bar = figure.colorbar(
-        mpl.cm.ScalarMappable(norm=points.norm, cmap=points.cmap), ax=panels, pad=0.01, aspect=35
+        mpl.cm.ScalarMappable(norm=points.norm, cmap=points.cmap), ax=axes, pad=0.01, aspect=35
     )
     colour_bar.set_label("calcite content (%)")
     colour_bar.outline.set_edgecolor("none")
-    return figure
 
 
 def _intervals_by_content(
@@ -149,7 +182,7 @@ def _intervals_by_content(
     return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
-def _law_text(a: float, b: float, c: float) -> str:
-    """Return a law as mathematical text."""
+def _law_text(symbol: str, a: float, b: float, c: float) -> str:
+    """Return a law of a symbol as mathematical text."""
     sign = "\N{MINUS SIGN}" if c < 0 else "+"
-    return f"$V_s = {a:.0f}\\,C_{{d,n}}^{{{b:.2f}}}$ {sign} {abs(c):.0f} m/s"
+    return f"$V_s = {a:.0f}\\,{symbol}^{{{b:.2f}}}$ {sign} {abs(c):.0f} m/s"

@@ -175,7 +175,7 @@ def draw_measurement(graph: PackingGraph, wave: Mapping[str, Any], arrival: Arri
     path = width if arrival is None else arrival.distance * MM
     ends = [((width + side * path) / 2, 0.33 * height) for side in (1.0, -1.0)]
     arrow = {"arrowstyle": "<->", "color": BLACK, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
-    scene.annotate("", *ends, arrowprops=arrow, zorder=9)
+    scene.annotate("", ends[0], ends[1], arrowprops=arrow, zorder=9)
     label = f"width {width:.3g} mm" if arrival is None else f"L = {path:.3g} mm"
     box = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5}
     scene.text(width / 2, 0.335 * height, label, ha="center", va="bottom", zorder=9, bbox=box)

@@ -1,5 +1,6 @@
 """Prediction of Vs of samples that were not simulated, from simulated ones of the same content."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -12,18 +13,15 @@ from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import CellStatus, CementPattern
+from calcidem.storage.records import CellStatus, CementPattern, NetworkFeatures
 from calcidem.storage.store import Selection
-
-CEMENT_FEATURES = ("network_conductance",)
-"""Features of the cement from which Vs is predicted, see `contact_network.NETWORK_FEATURES`."""
 
 
 class _Samples(NamedTuple):
     """Samples of a content that have a velocity."""
 
     features: Floats
-    """(n, 1) `CEMENT_FEATURES`, or (n, 0)."""
+    """(n, 1) logarithms of the conductance, or (n, 0)."""
     vs: Floats
     """(n,) m/s."""
     seeds: Integers
@@ -39,7 +37,8 @@ def predict_velocity(
 ) -> Prediction:
     """Predict Vs of a sample of a content (%) of a campaign, with an interval.
 
-    With the sample's cement the prediction uses `CEMENT_FEATURES`, without it the content alone. The seed to predict
+    With the sample's cement the prediction uses its conductance (`contact_network.NETWORK_FEATURES`), without it the
+    content alone. The seed to predict
     takes no part in the fit. `QueryError` if the cement is not that of a sample of this content, or the campaign has
     too few velocities there.
     """
@@ -59,8 +58,8 @@ def predict_velocity(
         raise QueryError(problem, f"Compute at least {fewest} seeds.")
     features: Floats = np.empty(0)
     if pattern is not None and table.shape[1]:
-        features = _features_of(analysis.graphs[0], pattern)
-        _refuse_far_features(content, features, table[others])
+        features = np.array([_conductance_of(analysis.graphs[0], pattern)])
+        _refuse_far_conductance(content, float(features[0]), table[others, 0])
     return VelocityPredictor.fit(table[others], vs[others], level).predict(features)
 
 
@@ -89,11 +88,11 @@ def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPat
     return pattern_of(experiment.packing, cement)
 
 
-def cement_features(analysis: CampaignAnalysis, content: float) -> dict[int, Floats]:
-    """`CEMENT_FEATURES` of the samples of a content with a velocity and known cement, by seed."""
+def conductances(analysis: CampaignAnalysis, content: float) -> dict[int, float]:
+    """Logarithm of the conductance of the samples of a content with a velocity and known cement, by seed."""
     cells = analysis.outcomes_of(Selection(contents=content, statuses=CellStatus.DONE), ("cement",))
     return {
-        cell.key.seed: _features_of(analysis.graphs[cell.packing_index], cell.cement)
+        cell.key.seed: _conductance_of(analysis.graphs[cell.packing_index], cell.cement, cell.network)
         for cell in cells
         if cell.cement is not None
     }
@@ -102,27 +101,30 @@ def cement_features(analysis: CampaignAnalysis, content: float) -> dict[int, Flo
 def _samples_at(analysis: CampaignAnalysis, content: float, *, with_cement: bool) -> _Samples:
     """Samples of a content; those without known cement are left out, unless it cannot be drawn again for any."""
     column = analysis.vs.sel(content=content).dropna("seed")
-    shares = cement_features(analysis, content) if with_cement else {}
-    if shares:
-        column = column.sel(seed=[seed for seed in column["seed"].to_numpy().tolist() if seed in shares])
+    known = conductances(analysis, content) if with_cement else {}
+    if known:
+        column = column.sel(seed=[seed for seed in column["seed"].to_numpy().tolist() if seed in known])
     seeds, vs = column["seed"].to_numpy(), column.to_numpy().astype(float)
-    table = np.array([shares[seed] for seed in seeds.tolist()]) if shares else np.empty((len(vs), 0))
+    table = np.array([[known[seed]] for seed in seeds.tolist()]) if known else np.empty((len(vs), 0))
     return _Samples(table, vs, seeds)
 
 
-def _features_of(graph: PackingGraph, pattern: CementPattern) -> Floats:
-    """(1,) `CEMENT_FEATURES` of a pattern; `QueryError` if it cements grains that do not touch."""
+def _conductance_of(graph: PackingGraph, pattern: CementPattern, network: NetworkFeatures | None = None) -> float:
+    """Logarithm of the conductance of a pattern; `QueryError` if it cements grains that do not touch.
+
+    Vs is about a power of the conductance.
+    """
     try:
-        bonded = graph.bonded(pattern)
+        found = network or graph.network.features(graph.bonded(pattern))
     except ValueError as error:
         raise QueryError(f"{error}.", "Give the contacts of a sample of this campaign.") from error
-    features = graph.network.features(bonded)
-    return np.array([getattr(features, name) for name in CEMENT_FEATURES], dtype=float)
+    return math.log(found.network_conductance or math.nan)
 
 
-def _refuse_far_features(content: float, features: Floats, table: Floats) -> None:
-    """Raise a `QueryError` if a feature is outside the range of the samples, (n, 1), by more than this range."""
-    for name, value, low, high in zip(CEMENT_FEATURES, features, table.min(axis=0), table.max(axis=0), strict=True):
-        if high > low and not 2.0 * low - high <= value <= 2.0 * high - low:
-            problem = f"{name} = {value:g} is far from the {low:g} to {high:g} of the samples at {content:g} %."
-            raise QueryError(problem, "Give cement that a sample of this content has.")
+def _refuse_far_conductance(content: float, value: float, known: Floats) -> None:
+    """Raise a `QueryError` if a conductance is outside the range of the samples, (n,), by more than this range."""
+    low, high = float(known.min()), float(known.max())
+    if high > low and not 2.0 * low - high <= value <= 2.0 * high - low:
+        shown, least, most = (f"{math.exp(one):.3g}" for one in (value, low, high))
+        problem = f"network_conductance = {shown} is far from the {least} to {most} of the samples at {content:g} %."
+        raise QueryError(problem, "Give cement that a sample of this content has.")

@@ -247,12 +247,12 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
     published = {law.name: law for law in published_study().laws}
     compared = published_study().has_sand_of(analysis.config)
     rows = []
-    for law in (analysis.physical_law, analysis.scanned_law):
-        fit, check, other = law.fit, law.check, published[law.name]
+    for law in (analysis.physical_law, analysis.scanned_law, analysis.conductance_law):
+        fit, check, other = law.fit, law.check, published.get(law.name)
         rows.append(
             (
                 law.name,
-                f"{law.weights.hertz:.3f} / {law.weights.bond:.3f}",
+                f"{law.weights.hertz:.3f} / {law.weights.bond:.3f}" if law.weights else ABSENT,
                 with_bounds(fit.a, fit.a_interval),
                 with_bounds(fit.b, fit.b_interval, 2),
                 with_bounds(fit.c, fit.c_interval),
@@ -261,7 +261,7 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
                 f"{100 * check.coverage:.0f} %",
             )
         )
-        if compared:
+        if compared and other:
             rows.append(
                 (
                     f"{law.name}, published",
@@ -273,9 +273,9 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
                 )
             )
     return Table(
-        "Laws Vs = a C_d,n^b + c with 95 % intervals. The error for unseen seeds is the root mean square over "
-        "samples of a seed that the law was not fitted to, the coverage how many of these fall into their 95 % "
-        "prediction interval.",
+        "Laws Vs = a C^b + c with 95 % intervals; C is C_d,n with these weights, or the conductance G. The error for "
+        "unseen seeds is the root mean square over samples of a seed that the law was not fitted to, the coverage how "
+        "many of these fall into their 95 % prediction interval.",
         (
             "weights by",
             "sand / cement",
