@@ -207,5 +207,5 @@ def test_a_terminal_is_never_without_news(workshop: "Workshop", ranks: int, own_
     counts = [int(number) for number in re.findall(r"(\d+) of 12 cells", plain)]
     assert counts == sorted(counts)
     assert len(set(counts)) > 1
-    for words in ("9 cells in 5 batches", "Database: ", "Wrote ", "  coordination number ", "complete after "):
+    for words in ("12 cells in 6 batches", "Database: ", "Wrote ", "  coordination number ", "complete after "):
         assert any(re.match(rf"(\d\d:\d\d:\d\d )?{words}", line) for line in lines), words

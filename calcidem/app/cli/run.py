@@ -125,12 +125,13 @@ def run_command(
 def _make_packing_alone(configuration: "Configuration") -> None:
     """Make the packing alone, and report on it."""
     from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.campaign.preview import wave_doubts
     from calcidem.app.cli.run_view import packing_lines
     from calcidem.app.config.checks import check_against_packing
 
     packing = provide_packing(configuration, None)
     typer.echo("\n".join(packing_lines(packing)))
-    for warning in check_against_packing(configuration, packing):
+    for warning in (*check_against_packing(configuration, packing), *wave_doubts(configuration, packing)):
         advise(f"{warning}.")
 
 

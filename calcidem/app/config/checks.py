@@ -235,7 +235,7 @@ def can_make_files(folder: Path) -> bool:
 
 
 def check_against_packing(configuration: Configuration, packing: Packing) -> list[str]:
-    """Refuse a plan that the packing cannot hold; return warnings about the packing and its waves, a sentence each.
+    """Refuse a plan that the packing cannot hold; return warnings about the packing and its pulse, a sentence each.
 
     `ConfigurationError` with all problems.
     """
@@ -271,13 +271,6 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> lis
             f"wave.amplitude = {configuration.wave.amplitude:g}: the pulse moves the transmitter by "
             f"{stroke / packing.report.mean_overlap:.2g} mean overlaps of the contacts, so Vs may depend on the pulse; "
             f"give {float(f'{configuration.wave.amplitude * packing.report.mean_overlap / stroke:.1g}'):g} m/s or less"
-        )
-    cutoff = cutoff_estimate(configuration, cemented=False)
-    frequency = experiment.frequency(0.0) if 0.0 in plan.contents else 0.0
-    if frequency > 0.5 * cutoff:  # there a chain propagates waves at sin(x) / x = 0.95 of the long-wave velocity
-        doubts.append(
-            f"wave.frequency = {frequency:g}: at 0 % a wavelength has fewer than 6 grains, "
-            f"and dispersion slows the wave by 4 % and more; give at most {0.5 * cutoff:.2g} Hz"
         )
     return doubts
 
