@@ -15,6 +15,7 @@ import numpy as np
 from calcidem.analysis.notes import FEWEST_GRAINS
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
+from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.parts import batches_of, planned_cells, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
@@ -83,7 +84,8 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
             widths = _expected_half_widths(store, configuration)
             if store.packing_indices():
                 packing = stored_packing(store.packing(), configuration.packing_hash)
-    packing = packing or kept_packing(configuration.packing_hash)
+    with listening(lambda _: None):  # a check has its own sentence on the packing
+        packing = packing or kept_packing(configuration.packing_hash)
     left = batches_of(configuration, [(key.seed, key.content) for key in own if key not in settled])
     cells = len(plan.seed_numbers) * len(plan.contents)
     yield (
