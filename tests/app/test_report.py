@@ -287,7 +287,7 @@ def test_numbers_of_tables_are_bare_for_programs() -> None:
     """Intervals have columns of their own, minus signs and powers are those of programs; texts stay as they are."""
     rows = (
         ("5", "\N{MINUS SIGN}42 (\N{MINUS SIGN}50 to 13)", "1.2 \N{MULTIPLICATION SIGN} 10⁻⁵", "7 %", "m²"),
-        ("9", ABSENT, "3", ABSENT, "5"),
+        ("9", f"{ABSENT} ({ABSENT})", "3", ABSENT, "5"),
     )
     assert _as_numbers(Table("", ("content (%)", "mean", "p", "share", "text"), rows)) == [
         ["content (%)", "mean", "mean, low", "mean, high", "p", "share (%)", "text"],

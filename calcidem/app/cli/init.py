@@ -48,6 +48,8 @@ def init_command(
     ] = False,
 ) -> None:
     """Write a configuration to start from: an example, or one for your own sand."""
+    if not file.name:
+        raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file")
     if slurm:
         job = file.with_suffix(".sbatch")
         _write_new(job, slurm_job(file.name), "submit it, or remove it first")

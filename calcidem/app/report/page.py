@@ -287,7 +287,7 @@ def _as_numbers(table: Table) -> list[list[str]]:
     columns: list[list[str]] = []
     for name, *texts in zip(table.header, *table.rows, strict=True):
         read = [forms.fullmatch(text.translate(signs).replace(" \N{MULTIPLICATION SIGN} 10", "e")) for text in texts]
-        if not all(found or text == ABSENT for found, text in zip(read, texts, strict=True)):
+        if not all(found or text in {ABSENT, f"{ABSENT} ({ABSENT})"} for found, text in zip(read, texts, strict=True)):
             columns.append([name, *("" if text == ABSENT else text for text in texts)])
             continue
         full = name + " (%)" * any(text.endswith(" %") for text in texts)
