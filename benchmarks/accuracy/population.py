@@ -52,8 +52,8 @@ def main() -> None:
         found += new
         for name, rows in ((f"{content:g}", new), ("all", found)):
             columns = []
-            for error, stated in (("vs_error", "stated"), ("effective_error", "effective_stated")):
-                errors, own = ([getattr(row, field) for row in rows] for field in (error, stated))
+            for error in ("vs_error", "effective_error"):
+                errors, own = ([getattr(row, field) for row in rows] for field in (error, "stated"))
                 known = np.abs([one for one in errors if one is not None] or [np.nan])
                 middle = np.nanmedian([np.nan if one is None else one for one in own])
                 columns += [f"{one:.1e}" for one in (np.median(known), known.max(), middle)]

@@ -88,12 +88,12 @@ def test_the_linear_law_is_taken_where_it_agrees_to_a_percent(
     finer = replace(quiet.wave, law="finite", precision="float64", step_fraction=0.4, samples_per_period=80)
     assert rules[0] == finer
     assert rules[1] == replace(quiet.wave, law="linear" if law == "auto" else law)
-    assert result.effective_numerical_error is not None
-    assert result.effective_numerical_error == pytest.approx(2.2 * apart * (found == "linear"), rel=0.1, abs=5e-4)
+    assert result.numerical_error is not None
+    assert result.numerical_error == pytest.approx(2.2 * apart * (found == "linear"), rel=0.1, abs=5e-4)
     assert (result.step_fraction == 0.8) == (found == "finite" or apart < 0.01)
 
 
-@pytest.mark.parametrize(("slope", "halvings"), [(0.02, 0), (0.03, 1), (0.1, 2), (0.3, 3)])
+@pytest.mark.parametrize(("slope", "halvings"), [(0.02, 0), (0.03, 1), (0.09, 2), (0.3, 3)])
 def test_the_step_is_halved_as_long_as_it_matters_by_more_than_a_percent(
     quiet: Experiment, monkeypatch: pytest.MonkeyPatch, slope: float, halvings: int
 ) -> None:
@@ -109,7 +109,7 @@ def test_the_step_is_halved_as_long_as_it_matters_by_more_than_a_percent(
     ]
     step = result.step_fraction
     expected = 2.2 * slope * 0.5 * step / (1.0 + 0.75 * slope * step)
-    assert result.effective_numerical_error == pytest.approx(expected, rel=0.05)
+    assert result.numerical_error == pytest.approx(expected, rel=0.05)
 
 
 def test_the_difference_of_both_senses_is_the_effect_of_the_pulse(
@@ -117,9 +117,9 @@ def test_the_difference_of_both_senses_is_the_effect_of_the_pulse(
 ) -> None:
     """Each sense is off by half of it, as the standard deviation of two is the difference over sqrt 2."""
     result, _ = checked(quiet.with_wave(law="finite"), monkeypatch, lambda _, sign: 2.0 * (1.0 + 0.02 * sign))
-    assert result.effective_pulse_effect == pytest.approx(2.2 / np.sqrt(2.0) * 0.04, rel=0.01)
-    assert result.pulse_effect == pytest.approx(result.effective_pulse_effect, rel=0.1)
-    assert result.effective_numerical_error == pytest.approx(0.0, abs=1e-9)
+    # The peak of a wave in a strip comes early, so its shift is a larger part of its time.
+    assert result.pulse_effect == pytest.approx(2.2 / np.sqrt(2.0) * 0.04, rel=0.03)
+    assert result.numerical_error == pytest.approx(0.0, abs=1e-4)  # of a parabola between 40 samples in a period
 
 
 def test_samples_without_a_wave_have_no_errors(quiet: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,13 +138,10 @@ def test_a_quiet_content_is_confirmed_linear(quiet: Experiment) -> None:
     for content in (0.0, CONTENT):
         found = quiet.once(check_content, content, 8)
         assert (found.law, found.step_fraction) == ("linear", 0.8)
-        for error in (found.numerical_error, found.effective_numerical_error):
-            assert error is not None
-            assert 0.0 < error < 0.022
+        assert found.numerical_error is not None
+        assert 0.0 < found.numerical_error < 0.022
         assert found.pulse_effect is not None
-        assert found.effective_pulse_effect is not None
-        assert found.pulse_effect < 0.02  # of one peak, which is flat on so short a path
-        assert found.effective_pulse_effect < 1e-2
+        assert found.pulse_effect < 0.01
 
 
 def test_a_check_depends_neither_on_lanes_nor_on_the_seeds_that_are_asked_for(quiet: Experiment) -> None:
@@ -162,13 +159,13 @@ def test_a_loud_content_takes_the_finite_law_and_says_what_its_pulse_does(quiet:
     loud = quiet.with_wave(amplitude=LOUD)
     found = check_content(loud, CONTENT, 8)
     assert found.law == "finite"
-    assert found.effective_pulse_effect is not None
-    assert found.effective_pulse_effect > 0.02
+    assert found.pulse_effect is not None
+    assert found.pulse_effect > 0.02
     forced = check_content(loud.with_wave(law="linear"), CONTENT, 8)
     assert forced.law == "linear"
-    assert forced.effective_numerical_error is not None
-    assert forced.effective_numerical_error > 0.01
-    assert forced.effective_pulse_effect == pytest.approx(found.effective_pulse_effect, rel=0.5)
+    assert forced.numerical_error is not None
+    assert forced.numerical_error > 0.01
+    assert forced.pulse_effect == pytest.approx(found.pulse_effect, rel=0.5)
 
 
 @pytest.mark.parametrize("amplitude", [QUIET, LOUD])
@@ -246,10 +243,10 @@ def test_errors_of_the_check_are_part_of_the_effective_error_and_may_refuse_vs(
     assert plain.effective_vs == plain.reading.wave.velocity == pytest.approx(DISTANCE * FREQUENCY / 2.5, rel=1e-3)
     assert plain.effective_error == plain.reading.wave.error
     part = plain.reading.wave.error
-    both = with_error(effective_numerical_error=2.0 * part, effective_pulse_effect=2.0 * part)
+    both = with_error(numerical_error=2.0 * part, pulse_effect=2.0 * part)
     assert both.effective_error == pytest.approx(3.0 * part)
-    assert with_error(numerical_error=0.6, effective_numerical_error=0.049).vs == plain.vs
-    refused = with_error(effective_numerical_error=0.051)
+    assert with_error(numerical_error=0.049).vs == plain.vs
+    refused = with_error(numerical_error=0.051)
     assert (refused.status, refused.vs) == (CellStatus.NO_ARRIVAL, None)
     assert refused.effective_vs == plain.effective_vs
     assert Verdict.of(refused.reason) is Verdict.INACCURATE

@@ -8,13 +8,11 @@ The patterns are those of the first seeds from 0 on that hold so much. So the ch
 and is the same for its parts, for more seeds, and after an interruption.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
-import numpy as np
-
-from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Reading, arrival_shift, read_section
@@ -23,7 +21,7 @@ from calcidem.dem.wave.section import Section
 
 PATTERNS = 2
 _LANES = 4  # both senses of two patterns
-_ALLOWED = 0.01  # rms difference of the effective velocities above which a cheaper law or longer step is not taken
+_ALLOWED = 0.01  # rms difference of the velocities above which a cheaper law or longer step is not taken
 _HALVINGS = 3
 _STUDENT = 2.2
 """Student's t over the normal quantile, both at 95 %, for the rms of `PATTERNS` differences (4.30 / 1.96)."""
@@ -41,13 +39,11 @@ class Check:
     step_fraction: float
     """Time step over the stability limit."""
     numerical_error: float | None = None
-    effective_numerical_error: float | None = None
-    """Of Vs and of the effective velocity, by law, time step, sampling and precision. That of Vs is the shift of the
-    received wave over its travel time: two peaks of equal height may change places, which is the error of the reading.
+    """Of both velocities, by law, time step, sampling and precision. That of Vs is the shift of the received wave over
+    its travel time: two peaks of equal height may change places, which is the error of the reading.
     """
     pulse_effect: float | None = None
-    effective_pulse_effect: float | None = None
-    """Of both, by the strength of the pulse: from the difference of its two senses."""
+    """Of both velocities, by the strength of the pulse: from the difference of its two senses."""
 
 
 def with_check(experiment: Experiment, found: Check) -> Experiment:
@@ -95,18 +91,15 @@ def check_content(
         forth, back = sections(_finer(experiment, step), _LANES, 1.0, -1.0)
         (usual,) = sections(experiment.with_wave(law=law, step_fraction=step), lanes, 1.0)
         numerical = _apart(usual, forth, experiment)
-        if rule.law == "auto" and law == "linear" and not numerical[1] <= _ALLOWED:
+        if rule.law == "auto" and law == "linear" and not numerical <= _ALLOWED:
             law = "finite"
             (usual,) = sections(experiment.with_wave(law=law, step_fraction=step), lanes, 1.0)
             numerical = _apart(usual, forth, experiment)
-        if not numerical[1] > _ALLOWED or halving == _HALVINGS:
+        if not numerical > _ALLOWED or halving == _HALVINGS:
             break
         step *= 0.5
-    errors = [_STUDENT * numerical, _STUDENT / np.sqrt(2.0) * _apart(forth, back, experiment)]
-    # Where the check samples give no Vs, the effective velocity stands for it.
-    filled = [(row[0] if np.isfinite(row[0]) else row[1], row[1]) for row in errors]
-    known = [[float(value) if np.isfinite(value) else None for value in row] for row in filled]
-    return Check(law, step, *known[0], *known[1])
+    errors = (_STUDENT * numerical, _STUDENT / math.sqrt(2.0) * _apart(forth, back, experiment))
+    return Check(law, step, *(None if math.isnan(error) else error for error in errors))
 
 
 def kernels_of(experiment: Experiment, lanes: int) -> tuple[tuple[str, Experiment, int], ...]:
@@ -134,22 +127,19 @@ def _finer(experiment: Experiment, step_fraction: float) -> Experiment:
     )
 
 
-def _apart(one: Sequence[Section], other: Sequence[Section], experiment: Experiment) -> Floats:
-    """(2,) root mean square differences of Vs and of the effective velocity, relative; NaN where none is known."""
+def _apart(one: Sequence[Section], other: Sequence[Section], experiment: Experiment) -> float:
+    """Root mean square difference of both velocities of some sections, relative; NaN where none is known."""
     found = []
     for section, second in zip(one, other, strict=True):
         first, again = _read(section, experiment), _read(second, experiment)
         if first is None or again is None:
             continue
-        of_vs = np.nan
-        if first.verdict is None:
-            of_vs = arrival_shift(section, second, first.travel_time, experiment.pick) / first.travel_time
         mean = 0.5 * (first.wave.velocity + again.wave.velocity)
-        found.append((of_vs, (first.wave.velocity - again.wave.velocity) / mean))
-    squares = np.array(found).reshape(-1, 2) ** 2
-    known = np.isfinite(squares)
-    count = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
-    return np.asarray(np.sqrt(np.where(known, squares, 0.0).sum(axis=0) / count))
+        found.append((first.wave.velocity - again.wave.velocity) / mean)
+        if first.verdict is None:
+            found.append(arrival_shift(section, second, first.travel_time, experiment.pick) / first.travel_time)
+    squares = [each * each for each in found if not math.isnan(each)]
+    return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
 
 
 def _read(section: Section, experiment: Experiment) -> Reading | None:

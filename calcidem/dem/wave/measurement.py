@@ -49,14 +49,8 @@ class Measurement:
         """Its relative standard error: root of the sum of squares of fit, simulation and pulse."""
         if self.reading is None:
             return None
-        fit, numerical, pulse = (
-            part or 0.0
-            for part in (
-                self.reading.wave.error,
-                self.check.effective_numerical_error,
-                self.check.effective_pulse_effect,
-            )
-        )
+        parts = (self.reading.wave.error, self.check.numerical_error, self.check.pulse_effect)
+        fit, numerical, pulse = (part or 0.0 for part in parts)
         return float((fit * fit + numerical * numerical + pulse * pulse) ** 0.5)
 
 
@@ -145,9 +139,7 @@ def interpret(experiment: Experiment, measurement: Measurement) -> Measurement:
     if vs is None:
         reason = f'the {experiment.pick.method.replace("_", " ")} cannot be read; pick.method = "peak" can'
         return replace(new, reason=reason)
-    # That of the effective velocity: in a patchy sample the receiver's highest peak may be another one after the least
-    # change, which is an error of the reading of this sample, and no reason to refuse all others.
-    if (found.effective_numerical_error or 0.0) > LARGEST_NUMERICAL_ERROR:
-        error = f"{Verdict.INACCURATE}: the standard error is {found.effective_numerical_error:.1%}, 5 % are allowed"
+    if (found.numerical_error or 0.0) > LARGEST_NUMERICAL_ERROR:
+        error = f"{Verdict.INACCURATE}: the standard error is {found.numerical_error:.1%}, 5 % are allowed"
         return replace(new, reason=error)
     return replace(new, status=CellStatus.DONE, vs=vs)

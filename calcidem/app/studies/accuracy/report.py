@@ -155,7 +155,7 @@ def _covered(cells: Sequence[CellError]) -> str:
 
 def _covered_effective(cells: Sequence[CellError]) -> str:
     """The same of the effective velocity."""
-    errors, stated = [cell.effective_error for cell in cells], [cell.effective_stated for cell in cells]
+    errors, stated = [cell.effective_error for cell in cells], [cell.stated for cell in cells]
     return _percent(covered_share(errors, stated))
 
 
@@ -202,15 +202,16 @@ def _content_table(study: Study) -> str:
                 len(errors),
                 f"{min(cell.step_fraction for cell in exact):g}",
                 halving,
-                *(_middle(errors), max(errors, default=None), found[0].stated, _covered(found)),
-                *(_middle(effective), max(effective, default=None)),
-                *(found[0].effective_stated, _covered_effective(found)),
+                found[0].stated,
+                *(_middle(errors), max(errors, default=None), _covered(found)),
+                *(_middle(effective), max(effective, default=None), _covered_effective(found)),
             )
         )
     header = (
         *("content %", "cells", "reference's step / limit, smallest", "Vs by its last halving, largest"),
-        *("error of Vs: median", "worst", "stated standard error", "within 1.96 of it"),
-        *("error of effective Vs: median", "worst", "stated standard error", "within 1.96 of it"),
+        "stated standard error",
+        *("error of Vs: median", "worst", "within 1.96 of it"),
+        *("error of effective Vs: median", "worst", "within 1.96 of it"),
     )
     return markdown_table(header, rows)
 
@@ -228,10 +229,10 @@ def _cell_table(study: Study) -> str:
     for exact in study.references:
         cell = found[exact.seed, exact.content]
         reference = (number(exact.vs, ".2f"), f"{exact.step_fraction:g}", exact.halving, number(cell.vs, ".2f"))
-        errors = (cell.vs_error, cell.stated, cell.effective_error, cell.effective_stated)
+        errors = (cell.stated, cell.vs_error, cell.effective_error)
         rows.append((f"{exact.content:g}", exact.seed, *reference, *errors, cell.arrival_error, cell.signal_error))
     header = ("content %", "seed", "reference Vs, m/s", "its step / limit", "Vs by its last halving", "default Vs, m/s")
-    columns = ("error", "stated", "error of effective Vs", "stated", "first arrival", "signal (L2)")
+    columns = ("stated error", "error", "error of effective Vs", "first arrival", "signal (L2)")
     return markdown_table((*header, *columns), rows)
 
 

@@ -53,8 +53,7 @@ class CellError:
     signal_error: float
     """See `signal_distance`."""
     stated: float | None
-    effective_stated: float | None
-    """Relative standard errors of both by the numerics, as the check of the content measured them; None without it."""
+    """Relative standard error of both by the numerics, as the check of the content measured it; None without it."""
 
     @classmethod
     def compare(cls, setting: str, found: Measurement, exact: Measurement) -> Self:
@@ -72,7 +71,6 @@ class CellError:
             arrival_error=relative_deviation(exact_arrival, arrival),
             signal_error=signal_distance(found.section, exact.section),
             stated=found.check.numerical_error,
-            effective_stated=found.check.effective_numerical_error,
         )
 
 
