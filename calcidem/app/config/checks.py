@@ -3,6 +3,7 @@
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -278,7 +279,7 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> lis
 def _sample_problems(configuration: Configuration, experiment: Experiment) -> list[Problem]:
     """Problems of samples of the first seeds that would be refused before their wave."""
     plan, lanes = configuration.campaign, configuration.run.lanes
-    orderings = [experiment.ordering(seed) for seed in plan.seed_numbers[:lanes]]
+    orderings = cache(lambda: [experiment.ordering(seed) for seed in plan.seed_numbers[:lanes]])
     for content in sorted(plan.contents):
         try:
             refuse_unfit_samples(experiment, content, orderings, lanes)
