@@ -51,7 +51,7 @@ generator = random_generator(0, 1, RandomPurpose.DISKS)
 moved, began = [], time.process_time()
 clock("a packing", lambda: make_packing(rule, Sand(), generator, lambda: moved.append(time.process_time() - began)))
 found["of this until it has moved"] = moved[1] - moved[0]
-packing = kept_packing(configuration.packing_hash, lambda _: None)
+packing = kept_packing(configuration.packing_hash)
 for name, action in zip(("samples", "check samples"), kernel_compilations(configuration, packing)):
     clock(f"wave: {name}", action)
 print(json.dumps(found))

@@ -11,6 +11,7 @@ from calcidem.app.campaign.identity import physics_version
 from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.sample.cement import CementCapacityError, PlacedCement
+from calcidem.dem.sample.own_pattern import UnknownPatternError
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.reading import PickRule, Reading, read_section
@@ -46,7 +47,7 @@ def with_patterns(store: "Store", outcomes: Iterable[CellResult]) -> Iterator[Ce
             continue
         try:
             cement = ordering(outcome.packing_index, outcome.key.seed).at(outcome.key.content)
-        except (StoreError, CementCapacityError):
+        except (StoreError, CementCapacityError, UnknownPatternError):
             yield outcome
             continue
         drawn = cement.content_reached, cement.p_contacts, cement.c_contacts, cement.clusters

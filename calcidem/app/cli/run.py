@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calcidem.app.campaign.notices import advise, printable, tell
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, number_parser, refuse_options
-from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable, tell
+from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE
 from calcidem.sweep.progress import first_of, pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
@@ -133,13 +134,14 @@ def run_command(
 def _make_packing_alone(configuration: "Configuration") -> None:
     """Make the packing alone, and report on it."""
     from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.campaign.preview import wave_doubts
     from calcidem.app.cli.run_view import packing_lines
     from calcidem.app.config.checks import check_against_packing
 
-    packing = provide_packing(configuration, None, tell)
+    packing = provide_packing(configuration, None)
     typer.echo("\n".join(packing_lines(packing)))
-    for warning in check_against_packing(configuration, packing):
-        typer.echo(f"Warning: {warning}.")
+    for warning in (*check_against_packing(configuration, packing), *wave_doubts(configuration, packing)):
+        advise(f"{warning}.")
 
 
 def _live_page(configuration: Path, overrides: dict[str, str | None]) -> AbstractContextManager[None]:
@@ -152,7 +154,7 @@ def _live_page(configuration: Path, overrides: dict[str, str | None]) -> Abstrac
             f"leave it out under {launcher()}: 'calcidem serve DB --wait' beside the run does it", param_hint="--serve"
         )
     wanted = _read_overridden(configuration, overrides)
-    return page_beside_run(wanted.database, wanted.campaign.name, lambda text: typer.echo(printable(text)))
+    return page_beside_run(wanted.database, wanted.campaign.name, tell)
 
 
 def _read_overridden(
@@ -172,5 +174,5 @@ def _read_overridden(
 
         pending = retry_cells(loaded, [CellStatus(outcome.value) for outcome in retry])
         head = f"{pluralize(len(pending), 'cell')} to compute again:" if pending else "There is nothing to retry."
-        typer.echo("\n  ".join([head, *first_of(list(map(str, pending)))]))
+        tell("\n  ".join([head, *first_of(list(map(str, pending)))]))
     return loaded

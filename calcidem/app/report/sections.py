@@ -330,7 +330,7 @@ PAGE_SECTIONS = (
         "paths",
         "Preferential paths and connectivity",
         ("paths", "correlations", "weight_scan", "laws"),
-        ("features", "laws"),
+        ("features", "own_features", "laws"),
     ),
     SectionPlan("errors", "Errors and run time", ("narrowing",), ("errors_and_cost", "two_velocities")),
     SectionPlan("published", "The published study", (), ("published",)),
