@@ -74,7 +74,7 @@ def calibrate_command(
 
     refuse_to_replace(out)
     loaded = load_configuration(configuration)
-    targets = tuple(joined for joined, _ in group_specimens(read_targets(target)))
+    targets = tuple(joined for joined, _ in group_specimens(read_targets(target, tell)))
     if len(targets) > len({row.content for row in targets}):
         raise typer.BadParameter(
             "has one content under several confining stresses; give the rows of one of them", param_hint="--target"
