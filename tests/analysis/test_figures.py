@@ -213,7 +213,7 @@ def test_symbols_are_upright_where_they_are_names() -> None:
     """Names of several letters are upright, single letters are not, indices are kept together."""
     assert _symbol("path_normalized_connectivity") == "$C_{d,n}$"
     assert _symbol("path_longest_bonded_run") == r"$\mathrm{QLLC}$"
-    assert "\N{MINUS SIGN} 338" in _law_text(623.0, -1.01, -338.0)
+    assert "\N{MINUS SIGN} 338" in _law_text("C_{d,n}", 623.0, -1.01, -338.0)
 
 
 def test_colours_differ_in_brightness() -> None:
