@@ -143,7 +143,7 @@ def sample_costs(configuration: Path, content: float, lanes: int = 16) -> dict[s
     reader = importlib.import_module("calcidem.app.config.reader")
     values = {"campaign.seeds": lanes, "campaign.contents": [content], "run.lanes": lanes}
     loaded = reader.change_configuration(reader.load_configuration(configuration, {}), values)
-    compute = task.CellComputation(loaded, packing.kept_packing(loaded.packing_hash, lambda _: None))
+    compute = task.CellComputation(loaded, packing.kept_packing(loaded.packing_hash))
     seeds = loaded.campaign.seed_numbers
     batch = importlib.import_module("calcidem.sweep.batch").Batch(0, tuple((seed, content) for seed in seeds))
     compute(batch, lambda: None)
