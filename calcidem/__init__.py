@@ -11,7 +11,8 @@ paper's campaign, which the package contains. `load_configuration` reads and che
 returns one of the examples in `PRESETS`. `import_packing` imports disks of another program, and `read_signal` reads
 velocities from a signal of a laboratory.
 `calcidem.dem` simulates scenes of your own. `ConfigurationError`, `PackingError`, `StoreError`, `LaunchError` and
-`WorkersLostError` name the problem and a remedy.
+`WorkersLostError` name the problem and a remedy. Sentences are records of the logger ``calcidem``, advice is also a
+`CampaignWarning`.
 """
 
 from importlib import import_module
@@ -21,6 +22,7 @@ from calcidem.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from calcidem import dem
+    from calcidem.app.campaign.notices import CampaignWarning
     from calcidem.app.campaign.opened import Campaign, load_paper_campaign, open_campaign
     from calcidem.app.campaign.progress import RunProgress, RunStage
     from calcidem.app.campaign.run import run
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = [
     "PRESETS",
     "Campaign",
+    "CampaignWarning",
     "Configuration",
     "ConfigurationError",
     "LaunchError",
@@ -57,6 +60,7 @@ __all__ = [
 
 _HOMES = {
     "Campaign": "calcidem.app.campaign.opened",
+    "CampaignWarning": "calcidem.app.campaign.notices",
     "PRESETS": "calcidem.app.config.presets",
     "Configuration": "calcidem.app.config.schema",
     "ConfigurationError": "calcidem.app.config.errors",

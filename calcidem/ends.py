@@ -30,6 +30,10 @@ class CellStatus(StrEnum):
         return self.value.replace("_", " ")
 
 
+DECIDED_BY_PHYSICS = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
+"""Outcomes that a new computation would repeat; the others depend on the machine."""
+
+
 class Verdict(StrEnum):
     """Reason why a section gives no velocity, and its remedy.
 

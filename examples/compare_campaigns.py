@@ -2,8 +2,9 @@
 
     python examples/compare_campaigns.py ONE.db OTHER.db FIGURE.png
 
-The same seed places cement alike if both campaigns have the same packing, pattern and root_seed. Then the paired
-difference has a narrower 95 % interval than the difference of the means of all samples (Welch).
+Intervals cover the seeds of one packing; a content without cement, where all seeds are one sample, is left out. The
+same seed places cement alike if both campaigns have the same packing, pattern and root_seed. Then the paired difference
+has a narrower 95 % interval than the difference of the means of all samples (Welch). It is empty for other packings.
 """
 
 import argparse
@@ -36,8 +37,8 @@ def half_width(*samples: np.ndarray) -> float:
 def compare(one: calcidem.Campaign, other: calcidem.Campaign) -> pd.DataFrame:
     """Means, deviations, differences (other minus one) and their half-widths, m/s, by content."""
     first, second = one.vs(), other.vs()
-    rows = {}
-    for content in np.intersect1d(first.content, second.content):
+    rows, is_paired = {}, one.packing().content_hash == other.packing().content_hash
+    for content in np.setdiff1d(np.intersect1d(first.content, second.content), [0.0]):
         a, b = (vs.sel(content=content).dropna("seed") for vs in (first, second))
         pairs, a, b = ((b - a).to_numpy(), a.to_numpy(), b.to_numpy())  # xarray pairs the seeds that both have
         if min(pairs.size, a.size, b.size) < 2:  # no scatter is known
@@ -45,7 +46,8 @@ def compare(one: calcidem.Campaign, other: calcidem.Campaign) -> pd.DataFrame:
         row = {"n": a.size, "mean": a.mean(), "sd": a.std(ddof=1)}
         row |= {"other n": b.size, "other mean": b.mean(), "other sd": b.std(ddof=1)}
         row |= {"difference": b.mean() - a.mean(), "+-": half_width(a, b)}
-        rows[content] = row | {"pairs": pairs.size, "paired": pairs.mean(), "paired +-": half_width(pairs)}
+        pairs = pairs if is_paired else np.full(2, np.nan)
+        rows[content] = row | {"pairs": pairs.size * is_paired, "paired": pairs.mean(), "paired +-": half_width(pairs)}
     return pd.DataFrame(rows).T.rename_axis("content, %")
 
 

@@ -39,7 +39,7 @@ def main() -> None:
             if file.exists():
                 continue
             is_shipped = shipped is not None and shipped.hash == configuration.packing_hash
-            packing = stored_packing(shipped) if is_shipped else provide_packing(configuration, None, print)
+            packing = stored_packing(shipped) if is_shipped else provide_packing(configuration, None)
             file.write_bytes(packing_to_bytes(packing, configuration.packing_hash))
     for file, configuration in files.items():
         packing = packing_from_bytes(file.read_bytes(), configuration.packing_hash)

@@ -157,6 +157,18 @@ def follow(block: Any, names: dict[str, object]) -> None:  # noqa: ANN401 - of a
         Path("calcidem.toml").write_text("\n".join(line for section in lines for line in section), encoding="utf-8")
 
 
+def test_tables_are_whole_and_images_have_words() -> None:
+    """A blank line would end a table, so that the rows below it are text; readers may not see an image."""
+    for page in sorted((*DOCS.rglob("*.md"), *ROOT.glob("*.md"))):
+        text = page.read_text(encoding="utf-8")
+        lines = text.splitlines()
+        heads = {number for number, line in enumerate(lines, -1) if re.fullmatch(r"\|[-:| ]+\|", line)}
+        for number, line in enumerate(lines[2:], 2):
+            starts = line.startswith("|") and not lines[number - 1].startswith("|")
+            assert not starts or number in heads, f"{page}: {number + 1}"
+        assert "![](" not in text, page
+
+
 def test_troubleshooting_has_every_error_and_reason() -> None:
     """Each error that a user may see, each status without velocity, and each reason of an unread signal has its row."""
     page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")

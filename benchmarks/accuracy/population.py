@@ -33,7 +33,7 @@ def main() -> None:
     values = {"packing.seed": given.packing, "campaign.contents": list(given.contents)}
     values |= {"wave.amplitude": given.amplitude} if given.amplitude else {}
     configuration = change_configuration(given.config, values)
-    experiment = configuration.experiment(provide_packing(configuration, None, print, lambda: None))
+    experiment = configuration.experiment(provide_packing(configuration, None))
     wave, lanes = experiment.wave, configuration.run.lanes
     finer = replace(experiment, is_checked=False).with_wave(
         law="finite",

@@ -103,7 +103,7 @@ def over_lanes() -> list[dict[str, Any]]:
 def over_contents() -> list[dict[str, Any]]:
     """CPU seconds of a sample of the paper's campaign at each content."""
     configuration = load_configuration(ROOT / "examples" / "paper.toml")
-    experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None))
+    experiment = configuration.experiment(provide_packing(configuration, None))
     rows = []
     for content in configuration.campaign.contents:
         spent = []

@@ -94,7 +94,7 @@ class Signals:
 def preset_experiment(preset: str) -> Experiment:
     """Experiment of an example, with the packing that comes with calcidem."""
     configuration = load_configuration(ROOT / "examples" / f"{preset}.toml")
-    return configuration.experiment(provide_packing(configuration, None, lambda _: None))
+    return configuration.experiment(provide_packing(configuration, None))
 
 
 def cell_of(experiment: Experiment, content: float, seed: int, ingredients: Ingredients, finer: float = 1.0) -> Cell:

@@ -3,7 +3,9 @@
     python benchmarks/start/run.py [--ranks R] [--seeds N] [--config examples/paper.toml] [--json FILE]
 
 Seconds of the processor (user and system) of whole processes or of the main thread, and of the clock where people
-wait. `--seeds` gives the seeds of the campaign whose phases are told apart; 0 leaves it out.
+wait. `--seeds` gives the seeds of the campaign whose phases are told apart; 0 leaves it out. Of its samples at 0.66 and
+5 %, milliseconds a sample beside the kernel are told, without and with lists of neighbours, and nanoseconds of the
+kernel a contact-step: one listed pair of one lane advanced by one step.
 """
 
 import argparse
@@ -49,7 +51,7 @@ generator = random_generator(0, 1, RandomPurpose.DISKS)
 moved, began = [], time.process_time()
 clock("a packing", lambda: make_packing(rule, Sand(), generator, lambda: moved.append(time.process_time() - began)))
 found["of this until it has moved"] = moved[1] - moved[0]
-packing = kept_packing(configuration.packing_hash, lambda _: None)
+packing = kept_packing(configuration.packing_hash)
 for name, action in zip(("samples", "check samples"), kernel_compilations(configuration, packing)):
     clock(f"wave: {name}", action)
 print(json.dumps(found))
@@ -134,6 +136,38 @@ def run_command(configuration: Path, ranks: int, folder: Path, cache: Path) -> d
     return found | {"whole command": time.monotonic() - began, "processor": children_seconds() - used}
 
 
+def sample_costs(configuration: Path, content: float, lanes: int = 16) -> dict[str, float]:
+    """Cost of the samples of one batch, in the second of two runs, whose constants the worker has kept."""
+    task = importlib.import_module("calcidem.app.campaign.task")
+    packing = importlib.import_module("calcidem.app.campaign.packing")
+    reader = importlib.import_module("calcidem.app.config.reader")
+    values = {"campaign.seeds": lanes, "campaign.contents": [content], "run.lanes": lanes}
+    loaded = reader.change_configuration(reader.load_configuration(configuration, {}), values)
+    compute = task.CellComputation(loaded, packing.kept_packing(loaded.packing_hash, lambda _: None))
+    seeds = loaded.campaign.seed_numbers
+    batch = importlib.import_module("calcidem.sweep.batch").Batch(0, tuple((seed, content) for seed in seeds))
+    compute(batch, lambda: None)
+    leapfrog, steps = importlib.import_module("calcidem.dem.engine.leapfrog"), []
+    kernel = leapfrog.advance_steps
+
+    def counted(features: Any, count: int, time_step: Any, system: Any) -> int:  # noqa: ANN401 - of the kernel
+        done: int = kernel(features, count, time_step, system)
+        steps.append(done * len(system.pairs.first) * lanes)
+        return done
+
+    leapfrog.advance_steps = counted
+    phases = Phases()
+    began = time.thread_time()
+    compute(batch, lambda: None)
+    spent = time.thread_time() - began
+    in_kernel, in_lists = phases.seconds["kernel"], phases.seconds["lists of neighbours"]
+    return {
+        "host ms a sample without lists": 1e3 * (spent - in_kernel - in_lists) / lanes,
+        "host ms a sample with lists": 1e3 * (spent - in_kernel) / lanes,
+        "ns a contact-step": 1e9 * in_kernel / sum(steps),
+    }
+
+
 def campaign_phases(configuration: Path, seeds: int) -> dict[str, float]:
     """Processor seconds of the phases of a campaign in this process, kernels taken from the cache."""
     phases = Phases()
@@ -156,11 +190,11 @@ def scratch() -> Iterator[Path]:
         yield Path(folder)
 
 
-def show(title: str, seconds: dict[str, float]) -> None:
+def show(title: str, values: dict[str, float], unit: str = "s") -> None:
     """Print a table."""
     print(f"\n{title}")
-    for name, value in seconds.items():
-        print(f"  {name:40s} {value:8.2f} s")
+    for name, value in values.items():
+        print(f"  {name:40s} {value:8.2f} {unit}".rstrip())
 
 
 def main() -> None:
@@ -191,6 +225,10 @@ def main() -> None:
         campaign_phases(options.config, 1)  # compiles, if need be
         found["campaign"] = campaign_phases(options.config, options.seeds)
         show(f"Campaign of {options.seeds} seeds, one process, processor", found["campaign"])
+        for content in (0.66, 5.0):
+            title = f"samples at {content:g} %"
+            found[title] = sample_costs(options.config, content)
+            show(title.capitalize(), found[title], "")
     if options.json:
         options.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
 

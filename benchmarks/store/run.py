@@ -96,7 +96,7 @@ def make_database(path: Path, count: int) -> None:
         seeds=tuple(range(1, seeds + 1)),
         created=datetime.now(UTC),
     )
-    packing = provide_packing(Configuration(), None, print)
+    packing = provide_packing(Configuration(), None)
     with Store(path) as store:
         store.begin_campaign(record)
         store.save_packing(packing_record(packing, index=0, packing_hash=Configuration().packing_hash))

@@ -59,7 +59,7 @@ def prepared(preset: str, packing: int, factor: float) -> Experiment:
     values = tomllib.loads(preset_text(preset))
     values["packing"]["seed"] = packing
     configuration = read_configuration(values)
-    experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None))
+    experiment = configuration.experiment(provide_packing(configuration, None))
     return replace(experiment, frequencies=lambda _, content: factor * experiment.frequency(content))
 
 

@@ -3,8 +3,9 @@
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,11 @@ from calcidem.analysis.contact_network import NETWORK_FEATURES
 from calcidem.analysis.correlation import Correlations, correlate, correlate_by_content, seed_permutation_test
 from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, describe_contents
-from calcidem.analysis.error_budget import ErrorBudget, error_budget, median_known
+from calcidem.analysis.error_budget import ErrorBudget, are_samples, error_budget, median_known
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.measured import Target
 from calcidem.analysis.outcomes import count_outcomes, name_outcomes
-from calcidem.analysis.packing_graph import FEATURES, PackingGraph, packing_graph
+from calcidem.analysis.packing_graph import FEATURES, Feature, PackingGraph, describe_feature, packing_graph
 from calcidem.analysis.published import StageGrowth, growth_by_stage
 from calcidem.analysis.weights import PathEnvelope, RatioScan, path_envelope, scan_ratio
 from calcidem.storage.dataset import campaign_dataset
@@ -87,6 +88,8 @@ class CampaignAnalysis:
     """Above this number of cells, paths are analysed only for the samples of the first seeds."""
     with_cement: Callable[[Store, Iterable[CellResult]], Iterator[CellResult]] = lambda _, outcomes: iter(outcomes)
     """Adds cement that is not stored to outcomes of the store, if possible."""
+    features: Mapping[str, Feature] = field(default_factory=dict)
+    """Features of other packages, or of the calling program, by name."""
     measured: tuple[Target, ...] = ()
     """Laboratory velocities for comparison."""
 
@@ -99,6 +102,12 @@ class CampaignAnalysis:
     def cells(self) -> xr.Dataset:
         """All scalar quantities along (seed, content)."""
         return campaign_dataset(self.store)
+
+    @cached_property
+    def distinct(self) -> xr.Dataset:
+        """The same of distinct samples with a velocity alone, NaN elsewhere: the population of tables and medians."""
+        numbers = self.cells[[name for name, values in self.cells.items() if values.dtype.kind in "if"]]
+        return numbers.where(xr.DataArray(are_samples(self.cells["vs"], self.cells["content"]), self.vs.coords))
 
     @cached_property
     def vs(self) -> xr.DataArray:
@@ -118,17 +127,17 @@ class CampaignAnalysis:
     @cached_property
     def distributions(self) -> tuple[ContentDistribution, ...]:
         """Distribution of Vs at each content."""
-        return describe_contents(self.vs, self.status)
+        return describe_contents(self.vs, self.status, error=self.cells["vs_error"])
 
     @cached_property
     def budget(self) -> ErrorBudget:
         """Errors of all velocities."""
-        return error_budget(self.cells.data_vars)
+        return error_budget(self.cells)
 
     @cached_property
     def budgets(self) -> tuple[ErrorBudget, ...]:
         """Errors of the velocities of each content, in the order of `distributions`."""
-        return tuple(error_budget(self.cells.sel(content=row.content).data_vars) for row in self.distributions)
+        return tuple(error_budget(self.cells.sel(content=row.content)) for row in self.distributions)
 
     @cached_property
     def stages(self) -> tuple[StageGrowth, ...]:
@@ -167,6 +176,18 @@ class CampaignAnalysis:
     def table(self) -> xr.Dataset:
         """The eight features and Vs along (seed, content), NaN where missing."""
         return self._feature_table(FEATURES, [sample.features for sample in self.samples])
+
+    @cached_property
+    def own_table(self) -> xr.Dataset:
+        """The same with `features`."""
+        if not self.features:
+            raise UnavailableError("no package or program gave features of its own")
+        definitions = {name: (name, describe_feature(feature)) for name, feature in self.features.items()}
+        values = [
+            {name: feature(self.graphs[sample.packing_index], sample.kinds) for name, feature in self.features.items()}
+            for sample in self.samples
+        ]
+        return self._feature_table(definitions, [SimpleNamespace(**measured) for measured in values])
 
     @cached_property
     def network_table(self) -> xr.Dataset:
@@ -297,7 +318,9 @@ class CampaignAnalysis:
         return sorted(found, key=lambda sample: sample.vs)
 
     def _feature_table(
-        self, definitions: Mapping[str, tuple[str, str]], features: Sequence[PathFeatures | NetworkFeatures]
+        self,
+        definitions: Mapping[str, tuple[str, str]],
+        features: Sequence[PathFeatures | NetworkFeatures | SimpleNamespace],
     ) -> xr.Dataset:
         """Features of each of `samples`, and Vs, along (seed, content); NaN where missing."""
         table = xr.Dataset(coords={"seed": self.vs["seed"], "content": self.vs["content"]})

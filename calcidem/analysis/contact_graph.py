@@ -150,9 +150,9 @@ def contacts_on_path(
     )
     grain = int(graph.transmitter[np.argmin(distance[graph.transmitter])])
     _refuse_apart(distance[grain])
-    chain, following = [grain], onward.tolist()
+    chain = [grain]
     while distance[chain[-1]] > 0:
-        chain.append(following[chain[-1]])
+        chain.append(int(onward[chain[-1]]))
     steps = -np.diff(distance[chain])
     cemented = int(np.count_nonzero(np.abs(steps - weights.bond) < np.abs(steps - weights.hertz)))
     return len(steps) - cemented, cemented

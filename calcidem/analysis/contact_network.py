@@ -81,24 +81,38 @@ class ContactNetwork:
         """Current between the walls at a potential difference of one; contacts conduct as the wave has energy there."""
         inside = self.energy > 0.0
         pairs, conductance = self.graph.pairs[inside], np.where(bonded, 1.0, _SAND)[inside] * self.energy[inside]
-        first, second = pairs.T
-        count = self.graph.grain_count
-        between = sparse.coo_array((conductance, (first, second)), shape=(count, count))
-        sums = np.bincount(pairs.ravel(), weights=np.repeat(conductance, 2), minlength=count)
-        potential = (self.side > 0).astype(float)
-        free = (self.side == 0) & (sums > 0.0)
+        sums = np.bincount(pairs.ravel(), weights=np.repeat(conductance, 2), minlength=self.graph.grain_count)
+        potential, (free, *places) = (self.side > 0).astype(float), self._equations
         if not free.any():
             return 0.0
         # A weak earth holds groups of grains that touch no wall.
-        matrix = (sparse.diags_array(sums * (1.0 + 1e-9)) - between - between.T).tocsr()
+        values = np.concatenate([sums * (1.0 + 1e-9), -conductance])
+        matrix, driven = (type(one)((values[one.data], one.indices, one.indptr), one.shape) for one in places)
         factors = splu(
-            matrix[free][:, free].tocsc(),
+            matrix,
             permc_spec="MMD_AT_PLUS_A",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
-        potential[free] = factors.solve(-(matrix @ potential)[free])
+        potential[free] = factors.solve(-np.asarray(driven @ np.ones(driven.shape[1])))
+        first, second = pairs.T
         return float(np.sum(conductance * (potential[second] - potential[first]) ** 2))
+
+    @cached_property
+    def _equations(self) -> tuple[NDArray[np.bool_], sparse.csc_array, sparse.csr_array]:
+        """Grains whose potential is free, and places of the entries of their equations, the same for all samples.
+
+        The second and third are the columns of free grains and of those at the receiver's wall. Their entries number
+        the grains, for the diagonal, and then the contacts inside.
+        """
+        inside, count = self.energy > 0.0, self.graph.grain_count
+        first, second = self.graph.pairs[inside].T
+        grains, contacts = np.arange(count), count + np.arange(len(first))
+        rows, columns = np.concatenate([grains, first, second]), np.concatenate([grains, second, first])
+        numbers = np.concatenate([grains, contacts, contacts])
+        free = (self.side == 0) & (np.bincount(self.graph.pairs[inside].ravel(), minlength=count) > 0)
+        places = sparse.csr_array((numbers, (rows, columns)), shape=(count, count))[free]
+        return free, places[:, free].tocsc(), places[:, self.side > 0]
 
 
 def contact_network(packing: PackingRecord, graph: ContactGraph, boundary_thickness: float) -> ContactNetwork:

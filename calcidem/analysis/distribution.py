@@ -1,7 +1,7 @@
 """Vs at each calcite content: its distribution and normality (sections 2.4 and 3.2 of the paper)."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Self
 
@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES, error_budget
+from calcidem.analysis.error_budget import are_samples, error_budget
 from calcidem.analysis.intervals import (
     Interval,
     mean,
@@ -143,26 +143,43 @@ class ContentDistribution:
 
 
 def describe_contents(
-    vs: xr.DataArray, status: xr.DataArray | None = None, level: float = 0.95
+    vs: xr.DataArray, status: xr.DataArray | None = None, level: float = 0.95, error: xr.DataArray | None = None
 ) -> tuple[ContentDistribution, ...]:
-    """Describe the velocities at every content of a campaign; arguments and errors of `count_outcomes`."""
+    """Describe the velocities of the distinct samples at every content of a campaign.
+
+    Arguments and errors of `count_outcomes`; ``error`` has the relative standard errors of the velocities. That of the
+    one sample without cement gives its interval.
+    """
     counts = count_outcomes(vs, status)
     columns = arrange_matrix(vs).to_numpy().T
+    errors = np.full_like(columns, np.nan) if error is None else arrange_matrix(error).to_numpy().T
     return tuple(
         ContentDistribution(
             content=float(content),
             missing=int(missing),
             failed=int(failed),
-            vs=Distribution.of_sample(column[np.isfinite(column)], level),
+            vs=_describe_content(content, column, of_column, level),
         )
-        for content, missing, failed, column in zip(
+        for content, missing, failed, column, of_column in zip(
             vs["content"].to_numpy(),
             counts["missing"].to_numpy(),
             counts["failed"].to_numpy(),
             columns,
+            errors,
             strict=True,
         )
     )
+
+
+def _describe_content(
+    content: float, vs: NDArray[np.float64], error: NDArray[np.float64], level: float
+) -> Distribution:
+    """Distribution of the distinct samples of a content."""
+    counted = are_samples(vs, content)
+    found = Distribution.of_sample(vs[counted], level)
+    if content > 0.0 or not counted.any():
+        return found
+    return replace(found, mean_interval=Interval.of_velocity(found.mean, float(error[counted][0]), level))
 
 
 def tabulate(distributions: tuple[ContentDistribution, ...]) -> xr.Dataset:
@@ -187,7 +204,7 @@ def tabulate(distributions: tuple[ContentDistribution, ...]) -> xr.Dataset:
 
 def budget_dataset(cells: xr.Dataset) -> xr.Dataset:
     """Arrange the error budgets of the contents of a campaign along content."""
-    budgets = [error_budget({name: cells[name].sel(content=c) for name in BUDGET_QUANTITIES}) for c in cells["content"]]
+    budgets = [error_budget(cells.sel(content=content)) for content in cells["content"]]
     named = {
         "vs_error": ("1", "median relative standard error of vs", [one.total for one in budgets]),
         "reading_error": ("1", "median relative standard error of vs by the reading", [one.reading for one in budgets]),

@@ -5,12 +5,24 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from calcidem.storage.records.error_budget import depends_on_pulse
 
 BUDGET_QUANTITIES = ("vs", "reading_error", "numerical_error", "pulse_effect", "vs_error")
-"""Quantities of each cell that `error_budget` needs."""
+"""Quantities of each cell that `error_budget` needs, besides its content."""
+
+
+def are_samples(vs: ArrayLike, content: ArrayLike) -> NDArray[np.bool_]:
+    """Whether each cell is a distinct sample with a velocity: the population of all numbers about a campaign.
+
+    Without cement all seeds give the same sample, so only the first of them counts. ``content``, percent, broadcasts to
+    the shape of ``vs``; NaN where a cell has no velocity.
+    """
+    found: NDArray[np.bool_] = np.isfinite(np.asarray(vs, dtype=float))
+    bare = found & (np.asarray(content, dtype=float) == 0.0)
+    found[bare] = np.arange(np.count_nonzero(bare)) == 0
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,13 +33,13 @@ class ErrorBudget:
     reading: float
     numerical: float
     pulse: float
-    """Medians of the relative standard error of Vs and of its three parts; NaN if unknown."""
-    scatter: float
-    """Root mean square of the reading errors, m/s: their part of the standard deviation of Vs. NaN if all velocities
-    are equal: seeds without cement are one sample with one reading error.
+    """Medians of the relative standard error of Vs and of its three parts, over the samples of which all are known, so
+    that no part exceeds the whole; NaN if unknown.
     """
+    scatter: float
+    """Root mean square of the reading errors, m/s: their part of the standard deviation of Vs. NaN for one sample."""
     loud: int
-    """Number of velocities that depend on the pulse."""
+    """Number of samples whose velocity depends on the pulse."""
 
     @property
     def texts(self) -> tuple[str, str]:
@@ -45,18 +57,23 @@ class ErrorBudget:
 
 
 def error_budget(cells: Mapping[Any, ArrayLike]) -> ErrorBudget:
-    """Summarise the errors of cells: `BUDGET_QUANTITIES` by name, arrays of one shape with NaN if missing."""
-    vs, reading, numerical, pulse, total = (np.asarray(cells[name], dtype=float) for name in BUDGET_QUANTITIES)
+    """Summarise the errors of the distinct samples with a velocity among cells.
+
+    ``cells`` has content, and `BUDGET_QUANTITIES` in arrays of one shape with NaN if missing.
+    """
+    counted = are_samples(cells["vs"], cells["content"])
+    columns = np.array([np.asarray(cells[name], dtype=float)[counted] for name in BUDGET_QUANTITIES])
+    vs, reading, _, pulse, _ = columns
+    known = columns[:, np.isfinite(columns).all(axis=0)]
+    _, *parts, total = known if known.size else columns
     absolute = (vs * reading)[np.isfinite(vs * reading)]
-    known = vs[np.isfinite(vs)]
-    varies = bool(known.size) and bool(np.ptp(known) > 0.0)
     return ErrorBudget(
         total=median_known(total),
-        reading=median_known(reading),
-        numerical=median_known(numerical),
-        pulse=median_known(pulse),
-        scatter=float(np.sqrt(np.mean(absolute**2))) if varies and absolute.size else np.nan,
-        loud=int((np.isfinite(vs) & depends_on_pulse(pulse)).sum()),
+        reading=median_known(parts[0]),
+        numerical=median_known(parts[1]),
+        pulse=median_known(parts[2]),
+        scatter=float(np.sqrt(np.mean(absolute**2))) if vs.size > 1 and absolute.size else np.nan,
+        loud=int(depends_on_pulse(pulse).sum()),
     )
 
 

@@ -1,8 +1,7 @@
 """Intervals of a mean, a standard deviation or one further sample, and bias of a mean by failed cells.
 
 Every one takes finite and independent values of one sample, shape (n,), in any unit, and is in the same unit. Its
-docstring names its assumption. If an interval is undefined (too few values) both ends are NaN. Equal values (the
-uncemented sample is the same for every seed) give an interval of zero width.
+docstring names its assumption. If an interval is undefined (too few values) both ends are NaN.
 """
 
 import math
@@ -48,6 +47,12 @@ class Interval:
     def of_mean(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
         """Return the confidence interval of the mean by Student's t, exact for normal values."""
         return cls._around_mean(values, level, lambda n: 1 / n)
+
+    @classmethod
+    def of_velocity(cls, vs: float, error: float, level: float = 0.95) -> Self:
+        """Return the interval of one velocity with a relative standard error, for normal errors."""
+        half = NormalDist().inv_cdf((1 + level) / 2) * error * vs
+        return cls(vs - half, vs + half)
 
     @classmethod
     def of_standard_deviation(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:

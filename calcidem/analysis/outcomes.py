@@ -6,12 +6,14 @@ from numpy.typing import NDArray
 
 from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CellStatus
 
+_REPEATED = "repeated"
+
 
 def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.Dataset:
     """Count the cells of each content by outcome.
 
     A cell that was not computed yet carries no information about Vs. A failed cell may, since the arrival of slow
-    samples is hard to pick. The two are therefore never added.
+    samples is hard to pick. The two are therefore never added. Without cement all seeds are one sample and count once.
 
     Both arguments are along (seed, content): Vs in m/s, NaN if missing, and the outcome as text. It is "done" if Vs is
     a number, "" if the cell was not computed, and else the name of the failure. Without `status` every NaN counts as
@@ -21,7 +23,12 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
     vs = arrange_matrix(vs)
     measured = np.isfinite(vs.to_numpy())
     text = np.where(measured, "done", "") if status is None else _check_status(vs, status, measured)
-    names = sorted(set(text.ravel().tolist()) - {"done", ""})
+    for column in np.flatnonzero(vs["content"].to_numpy() == 0.0):
+        best = max(range(len(text)), key=lambda seed: (text[seed, column] == "done", text[seed, column] != ""))
+        text = text.copy()
+        text[np.arange(len(text)) != best, column] = _REPEATED
+        measured[np.arange(len(text)) != best, column] = False
+    names = sorted(set(text.ravel().tolist()) - {"done", "", _REPEATED})
     failures = np.array([(text == name).sum(axis=0) for name in names], dtype=np.int64)
     failures = failures.reshape(len(names), vs.sizes["content"])
     return xr.Dataset(

@@ -3,7 +3,10 @@
 The paper's text names five of them (LP, PLLC, QLLC, C_d and C_d,n); the three counts complete the eight of its figure.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from inspect import getdoc
 from itertools import pairwise
 
 import numpy as np
@@ -124,6 +127,21 @@ class PackingGraph:
                 f"{self.packing.index}; the pattern belongs to another packing"
             )
         return np.asarray(rows, dtype=np.int64)
+
+
+Feature = Callable[[PackingGraph, NDArray[np.uint8]], float]
+"""Feature of a sample, from the graph of its packing and the cement (m,) of its contacts: 0 sand, 1 P, 2 C."""
+
+
+def installed_features() -> dict[str, Feature]:
+    """Features of other packages, the entry points of the group ``calcidem.features``, by name."""
+    return {point.name: point.load() for point in entry_points(group="calcidem.features")}
+
+
+def describe_feature(feature: Feature) -> str:
+    """Definition of a feature: the first line of its docstring, or its name."""
+    told = getdoc(feature) or str(getattr(feature, "__name__", ""))
+    return told.partition("\n")[0].rstrip(".")
 
 
 def packing_graph(

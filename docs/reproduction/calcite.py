@@ -22,7 +22,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("configuration", nargs="?", default="examples/paper.toml")
     configuration = load_configuration(parser.parse_args().configuration, {})
-    experiment = configuration.experiment(provide_packing(configuration, None, lambda _: None, lambda: None))
+    experiment = configuration.experiment(provide_packing(configuration, None))
     rules = (experiment.cement_rule, CementRule())
     print("| nominal, % | calcite, % | cemented contacts | calcite by plain Eq. 2, % | cemented contacts |")
     print("|---|---|---|---|---|")

@@ -27,3 +27,7 @@ def test_each_content_shows_ridge_limit_and_median() -> None:
     levels = [{float(np.asarray(line.get_ydata())[0]) for line in axes.lines} for axes in panels[:2]]
     assert (510.0 in levels[0], 510.0 in levels[1]) == (False, True)
     assert [axes.get_title(loc="left").split(" ", 1)[-1][-11:] for axes in panels[:2]] == 2 * ["(5 samples)"]
+    assert panels[2].get_ylabel().startswith("power of plane waves")
+    low, high = panels[0].get_ylim()
+    ends = found().phase_velocity + np.outer([-1.0, 1.0], found().standard_error)
+    assert low <= ends.min() < ends.max() <= high

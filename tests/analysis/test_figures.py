@@ -12,16 +12,24 @@ from string import ascii_lowercase
 import matplotlib as mpl
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from places import TUTORIAL
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.relations import _law_text, _symbol
-from calcidem.analysis.figures.samples import COLOURS, _round_length, draw_cemented_samples, draw_preferential_paths
+from calcidem.analysis.figures.samples import (
+    COLOURS,
+    _round_length,
+    draw_cemented_samples,
+    draw_measurement,
+    draw_preferential_paths,
+)
 from calcidem.analysis.figures.signals import load_arrival
 from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range, published_velocities
 from calcidem.app.campaign.opened import open_campaign
@@ -107,6 +115,29 @@ def test_the_legend_of_the_range_covers_no_band(analysis: CampaignAnalysis) -> N
     assert figure.axes[0].get_ylim()[0] >= 0.0
 
 
+@pytest.mark.parametrize("seeds", [4, 40])
+def test_the_range_shows_bands_of_many_samples_and_dots_of_few(seeds: int) -> None:
+    """Contents up to 0.66 % have a panel of their own, and the one sample without cement the interval of its error."""
+    contents = np.array([0.0, 0.34, 0.66, 5.0])
+    vs = 200.0 + 200.0 * contents + np.arange(seeds)[:, None] * contents
+    names = {"vs": vs, "vs_error": np.full_like(vs, 0.1), "pulse_effect": np.zeros_like(vs)}
+    coords = {"seed": np.arange(seeds), "content": contents}
+    cells = xr.Dataset({name: (("seed", "content"), values) for name, values in names.items()}, coords)
+    rows = describe_contents(cells["vs"], error=cells["vs_error"])
+    assert (rows[0].vs.n, rows[1].vs.n) == (1, seeds)
+    assert rows[0].vs.mean_interval.half_width == pytest.approx(0.196 * 200.0, rel=1e-3)
+    figure = draw_range(cells, rows)
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["(a) up to 0.66 %", "(b) from 0.66 %"]
+    told = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert ("50 % of the samples" in told) == (seeds == 40)
+    assert ("sample and its 95 % interval" in told) == (seeds == 4)
+
+
+def test_a_measurement_without_signals_is_one_panel(analysis: CampaignAnalysis) -> None:
+    """Nothing is left blank beside the sample."""
+    assert len(draw_measurement(analysis.graphs[0], analysis.config["wave"], None).axes) == 1
+
+
 def test_histograms_are_densities(analysis: CampaignAnalysis) -> None:
     """The bars of each histogram have the area one, so that the normal density fits on them."""
     rows = [row for row in analysis.distributions if row.vs.standard_deviation > 0]
@@ -182,7 +213,7 @@ def test_symbols_are_upright_where_they_are_names() -> None:
     """Names of several letters are upright, single letters are not, indices are kept together."""
     assert _symbol("path_normalized_connectivity") == "$C_{d,n}$"
     assert _symbol("path_longest_bonded_run") == r"$\mathrm{QLLC}$"
-    assert "\N{MINUS SIGN} 338" in _law_text(623.0, -1.01, -338.0)
+    assert "\N{MINUS SIGN} 338" in _law_text("C_{d,n}", 623.0, -1.01, -338.0)
 
 
 def test_colours_differ_in_brightness() -> None:

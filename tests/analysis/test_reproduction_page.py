@@ -14,9 +14,10 @@ from scipy import interpolate, optimize, sparse, spatial, special, stats
 
 import calcidem
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.storage.records import PackingRecord
 
 PAGE = Path(__file__).parents[2] / "docs" / "reproduction.md"
-SCATTER = PAGE.parent / "reproduction" / "scatter.md"
+SCATTER, CONDUCTANCE = (PAGE.parent / "reproduction" / f"{name}.md" for name in ("scatter", "conductance"))
 FEATURES = {
     "N": "path_contacts",
     "N_h": "path_hertz_contacts",
@@ -349,13 +350,15 @@ def test_correlations_of_the_page(cells: xr.Dataset) -> None:
         )
 
 
-def law_errors(x: Array, y: Array, seeds: Array) -> tuple[Array, Array]:
+def law_errors(
+    x: Array, y: Array, seeds: Array, guess: tuple[float, float, float] = (500.0, -1.0, -200.0)
+) -> tuple[Array, Array]:
     """Parameters of a x^b + c by least squares, and errors of each seed from a fit to the others."""
 
     def law(x: Array, a: float, b: float, c: float) -> Array:
         return a * x**b + c
 
-    start, _ = optimize.curve_fit(law, x, y, p0=(500.0, -1.0, -200.0), maxfev=20000)
+    start, _ = optimize.curve_fit(law, x, y, p0=guess, maxfev=20000)
     errors = np.empty(y.size)
     for seed in np.unique(seeds):
         out = seeds == seed
@@ -365,11 +368,13 @@ def law_errors(x: Array, y: Array, seeds: Array) -> tuple[Array, Array]:
 
 
 @pytest.mark.full
-def test_laws_and_predictions_of_the_page(database: Path) -> None:
-    """C_d,n by Dijkstra for each row of the laws, their fits and errors; intervals predicted from shares of cement."""
+def test_laws_of_the_page(database: Path) -> None:
+    """C_d,n by Dijkstra for each row of the laws, their fits and errors; the conductance by another solver."""
     with open_campaign(database) as campaign:
         packing, half = campaign.packing(), campaign.config["wave"]["receiver_half_width"]
-        sending = campaign.config["wave"]["transmitter_half_width"]
+        sending, thickness = (
+            campaign.config["wave"][name] for name in ("transmitter_half_width", "boundary_thickness")
+        )
         samples = [(c.key.seed, c.key.content, c.vs, c.cement) for c in campaign.select(with_arrays=True)]
     assert all(cement is not None for *_, cement in samples)
     centres, radius, count = np.column_stack([packing.x, packing.y]), packing.radius, packing.radius.size
@@ -381,7 +386,6 @@ def test_laws_and_predictions_of_the_page(database: Path) -> None:
     middle = np.abs(packing.y - packing.height / 2)
     left = np.flatnonzero((packing.x < radius) & (middle < sending))
     right = np.flatnonzero((packing.width - packing.x < radius) & (middle < half))
-    column = np.abs(packing.y[pairs].mean(axis=1) - packing.height / 2) < half
     straight = packing.width / (2 * np.median(radius)) - 1
     bonded = np.array([np.isin(keys, np.sort(c.contacts, axis=1) @ [count, 1]) for *_, c in samples])
 
@@ -426,17 +430,99 @@ def test_laws_and_predictions_of_the_page(database: Path) -> None:
         law = re.fullmatch(r"([\d.]+) C\^(\S+) ([+-]\d+)", row[header.index("law")])
         assert law is not None
         assert [float(part) for part in law.groups()] == pytest.approx([a, b, c], rel=0.02, abs=1.0)
-    shares = np.column_stack([bonded[:, column].mean(axis=1), bonded.mean(axis=1)])
-    measured = calcidem.load_paper_campaign().sel(seed=xr.DataArray(seeds), content=xr.DataArray(contents))
-    features = {"column share": shares[:, 0], "cemented share": shares[:, 1]} | {
-        name: measured[variable].to_numpy() for name, variable in MEASURED.items()
-    }
-    check_predictors({name: values[known] for name, values in features.items()}, vs[known], contents[known])
+    chosen = np.linspace(0, len(samples) - 1, 40).astype(int)
+    stored = calcidem.load_paper_campaign()["network_conductance"]
+    strip = packing.height - 2 * float(thickness)
+    for sample in chosen.tolist():
+        found = stored.sel(seed=seeds[sample], content=contents[sample])
+        assert float(found) == pytest.approx(conductance(packing, pairs, bonded[sample], strip), rel=1e-5)
+
+
+def conductance(packing: PackingRecord, pairs: NDArray[np.int64], bonded: NDArray[np.bool_], strip: float) -> float:
+    """G by conjugate gradients: current between the side walls over that if all is cemented."""
+    across = (packing.y[pairs].mean(axis=1) - packing.height / 2) / strip
+    energy = np.where(np.abs(across) < 0.5, np.cos(np.pi * across) ** 2, 0.0)
+    high, low = packing.width - packing.x < packing.radius, packing.x < packing.radius
+    currents = []
+    for kinds in (bonded, np.ones(len(pairs), dtype=bool)):
+        weight = np.where(kinds, 1.0, 0.01) * energy
+        graph = sparse.csr_array((weight, pairs.T), shape=(packing.radius.size,) * 2)
+        laplace = sparse.csgraph.laplacian(graph + graph.T).tocsr()
+        free = ~high & ~low & (laplace.diagonal() > 0)
+        inside = laplace[free][:, free]
+        scale = sparse.diags_array(1 / inside.diagonal())
+        potential = high.astype(float)
+        potential[free], failed = sparse.linalg.cg(inside, -(laplace @ potential)[free], rtol=1e-10, M=scale)
+        assert not failed
+        currents.append(potential @ laplace @ potential)
+    return float(currents[0] / currents[1])
+
+
+SYMBOLS = FEATURES | {
+    "G": "network_conductance",
+    "S": "network_cemented_share",
+    "S_f": "network_strong_share",
+    "Z_b": "network_coordination_number",
+    "A_b": "network_anisotropy",
+    "K": "network_components",
+    "K_max": "network_largest_component",
+    "N_gap": "network_gap_contacts",
+    "static_speed": "static_speed",
+    "static_speed (statics)": "static_speed",
+}
+
+
+def mean_rank_correlation(x: Array, y: Array) -> float:
+    """Mean over contents of Spearman's coefficient within a content."""
+    known = np.isfinite(x) & np.isfinite(y)
+    columns = [column for column in range(x.shape[1]) if np.ptp(x[known[:, column], column]) > 0]
+    return float(np.mean([stats.spearmanr(*(z[known[:, c], c] for z in (x, y))).statistic for c in columns]))
+
+
+def test_correlations_of_the_conductance_page() -> None:
+    """Mean rank correlations within a content of the shipped campaign."""
+    cells = calcidem.load_paper_campaign().sel(content=slice(0.1, None))
+    low = cells["content"].to_numpy() <= 0.66
+    header, rows = table_with("1: Vs", page=CONDUCTANCE)
+    assert {row[0] for row in rows} == set(SYMBOLS) - {"C_d", "static_speed (statics)"}
+    vs, effective = (cells[name].to_numpy() for name in ("vs", "effective_vs"))
+    for row in rows:
+        x = cells[SYMBOLS[row[0]]].to_numpy().astype(float)
+        expected = {
+            "1: Vs": [mean_rank_correlation(x, vs)],
+            "up to 0.66 %": [mean_rank_correlation(x[:, low], vs[:, low])],
+            "above": [mean_rank_correlation(x[:, ~low], vs[:, ~low])],
+        }
+        check(header, row, expected)
+        assert float(row[4]) == pytest.approx(mean_rank_correlation(x, effective), abs=0.006)
+
+
+@pytest.mark.full
+def test_laws_and_predictions_of_the_conductance_page() -> None:
+    """Fits and their errors on seeds left out; intervals of samples from the others of their content."""
+    cells = calcidem.load_paper_campaign().sel(content=slice(0.1, None))
+    vs = cells["vs"].to_numpy()
+    known = np.isfinite(vs)
+    seeds, contents = (
+        np.broadcast_to(one, vs.shape)[known]
+        for one in (cells["seed"].to_numpy()[:, None], cells["content"].to_numpy())
+    )
+    header, rows = table_with("Vs from", page=CONDUCTANCE)
+    for row, guess in zip(rows, ((3000.0, 0.5, 0.0), (500.0, -1.0, -200.0)), strict=False):
+        x = cells[SYMBOLS[row[0]]].to_numpy()[known]
+        (a, b, c), errors = law_errors(x, vs[known], seeds, guess)
+        check(header, row, {"rms error on unseen seeds, m/s": [float(np.sqrt(np.mean(errors**2)))]})
+        law = re.fullmatch(r"([\d.]+) \S+\^(\S+) ([+-]\d+)", row[header.index("law")])
+        assert law is not None
+        assert [float(part) for part in law.groups()] == pytest.approx([a, b, c], rel=0.01, abs=1.0)
+    names = {name: cells[variable].to_numpy() for name, variable in (SYMBOLS | MEASURED).items()}
+    names["log G"] = np.log(names["G"])
+    check_predictors({name: values[known] for name, values in names.items()}, vs[known], contents)
 
 
 def check_predictors(features: dict[str, Array], vs: Array, contents: Array) -> None:
     """The page has score and hits of each set of features."""
-    header, rows = table_with("features", "in interval, %")
+    header, rows = table_with("features", "in interval, %", page=CONDUCTANCE)
     for row in rows:
         names = row[0].replace("C_d,n", "C_dn").removesuffix(" (measured)").removesuffix("content alone").split(", ")
         x = np.array([features[name] for name in names if name]).reshape(-1, vs.size).T

@@ -133,4 +133,4 @@ def test_a_file_that_changes_meanwhile_is_noticed(own: Path, monkeypatch: pytest
     configuration = load_configuration(own / "c.toml")
     os.truncate(own / "disks.csv", 2000)
     with pytest.raises(PackingError, match="changed while"):
-        provide_packing(configuration, None, lambda _: None)
+        provide_packing(configuration, None)

@@ -29,7 +29,7 @@ from calcidem.dem.wave.measurement import measure
 def part_with_velocity(own: OwnSand, seeds: int) -> float:
     """Part of the cells that have a velocity, and check it without cement: the file expects it."""
     configuration = read_configuration(tomllib.loads(own.text()))
-    packing = new_packing(configuration, lambda _: None)
+    packing = new_packing(configuration)
     check_against_packing(configuration, packing)
     experiment = configuration.experiment(packing)
     found = [measure(experiment, content, range(1, seeds + 1)) for content in configuration.campaign.contents]

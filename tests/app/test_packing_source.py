@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calcidem.app.campaign import packing as packing_source
+from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.packing import _cached_name, provide_packing
 from calcidem.app.campaign.stored_packing import (
     DamagedPackingError,
@@ -43,10 +44,12 @@ TINY = Configuration(packing=PackingRule(width=0.02, height=0.02, unbalanced_for
 
 
 @pytest.fixture
-def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
     """Give an empty cache folder, and the list of what the user is told."""
     monkeypatch.setenv("CALCIDEM_CACHE", str(tmp_path / "cache"))
-    return []
+    said: list[str] = []
+    with listening(said.append):
+        yield said
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +57,7 @@ def packing(tmp_path_factory: pytest.TempPathFactory) -> Packing:
     """Give a tiny packing."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CALCIDEM_CACHE", str(tmp_path_factory.mktemp("cache")))
-        return provide_packing(TINY, None, lambda _: None)
+        return provide_packing(TINY, None)
 
 
 def same_bits(first: Packing, second: Packing) -> bool:
@@ -97,8 +100,8 @@ def test_every_damage_of_an_archive_is_noticed(packing: Packing, data: st.DataOb
 
 def test_a_packing_is_made_once(told: list[str], packing: Packing) -> None:
     """The second campaign with the same packing takes it from the cache, which then holds one file."""
-    first = provide_packing(TINY, None, told.append)
-    second = provide_packing(TINY, None, told.append)
+    first = provide_packing(TINY, None)
+    second = provide_packing(TINY, None)
     assert "being made" in told[0]
     assert "taken from the cache" in told[1]
     assert same_bits(first, second)
@@ -109,8 +112,8 @@ def test_a_packing_is_made_once(told: list[str], packing: Packing) -> None:
 
 def test_another_seed_is_another_packing(told: list[str], packing: Packing) -> None:
     """The cache does not mix packings up."""
-    provide_packing(TINY, None, told.append)
-    other = provide_packing(replace(TINY, packing_draw=PackingDraw(seed=2)), None, told.append)
+    provide_packing(TINY, None)
+    other = provide_packing(replace(TINY, packing_draw=PackingDraw(seed=2)), None)
     assert ["being made" in line for line in told] == [True, True]
     assert not np.array_equal(other.x, packing.x)
 
@@ -124,7 +127,7 @@ def test_the_packing_of_a_preset_comes_with_calcidem(
     monkeypatch.setattr(packing_source, "make_packing", lambda *_: pytest.fail(missing))
     (tmp_path / "c.toml").write_text(preset_text(preset), encoding="utf-8")
     configuration = load_configuration(tmp_path / "c.toml")
-    found = provide_packing(configuration, None, told.append)
+    found = provide_packing(configuration, None)
     assert told == ["Packing: comes with calcidem."]
     assert not cache_folder().exists()
     check_against_packing(configuration, found)
@@ -159,26 +162,25 @@ def put_into_cache(packing: Packing) -> None:
 def test_the_database_comes_before_the_cache(store: Store, told: list[str], packing: Packing) -> None:
     """A run goes on with the packing of its database, whatever the cache holds."""
     put_into_cache(replace(packing, x=packing.x * (1.0 + 1e-15)))
-    assert provide_packing(TINY, store, told.append).content_hash == packing.content_hash
+    assert provide_packing(TINY, store).content_hash == packing.content_hash
     assert told == []
 
 
+@pytest.mark.usefixtures("told")
 @pytest.mark.parametrize("column", ["grains", "width", "state"])
-def test_a_stored_packing_that_was_changed_is_refused(
-    store: Store, told: list[str], packing: Packing, column: str
-) -> None:
+def test_a_stored_packing_that_was_changed_is_refused(store: Store, packing: Packing, column: str) -> None:
     """A packing whose row or state was changed is not used, nor replaced: the message names the remedy."""
     with store._connections._engine.begin() as connection:
         connection.exec_driver_sql(f"UPDATE packing SET {column} = '0.5'")  # noqa: S608 - a test's own
     put_into_cache(packing)
     with pytest.raises(DamagedStoreError, match="'calcidem import'"):
-        provide_packing(TINY, store, told.append)
+        provide_packing(TINY, store)
 
 
 @pytest.mark.parametrize("damage", ["cut off", "changed", "emptied", "replaced by a folder"])
 def test_a_damaged_cache_is_said_and_repaired(told: list[str], packing: Packing, damage: str) -> None:
     """A cached packing that is not whole any more is made anew, after a word about it."""
-    provide_packing(TINY, None, told.append)
+    provide_packing(TINY, None)
     path = next(cache_folder().iterdir())
     whole = path.read_bytes()
     path.unlink()
@@ -187,7 +189,7 @@ def test_a_damaged_cache_is_said_and_repaired(told: list[str], packing: Packing,
     else:
         content = {"cut off": whole[:-100], "changed": whole[:-1] + b"?", "emptied": b""}
         path.write_bytes(content[damage])
-    made = provide_packing(TINY, None, told.append)
+    made = provide_packing(TINY, None)
     assert f"{path} is damaged" in told[1]
     assert same_bits(replace(made, report=packing.report), packing)
     if path.is_file():
@@ -199,15 +201,16 @@ def test_an_archive_is_refused_under_another_key(told: list[str], packing: Packi
     other = replace(TINY, packing_draw=PackingDraw(seed=2))
     put_into_cache(packing)
     next(cache_folder().iterdir()).rename(cache_folder() / _cached_name(other.packing_hash))
-    made = provide_packing(other, None, told.append)
+    made = provide_packing(other, None)
     assert "that of another configuration" in told[0]
     assert made.content_hash != packing.content_hash
 
 
-def test_a_stored_packing_is_refused_under_another_key(store: Store, told: list[str]) -> None:
+@pytest.mark.usefixtures("told")
+def test_a_stored_packing_is_refused_under_another_key(store: Store) -> None:
     """A database whose packing belongs to another configuration does not lend it."""
     with pytest.raises(DamagedStoreError, match="that of another configuration"):
-        provide_packing(replace(TINY, packing_draw=PackingDraw(seed=2)), store, told.append)
+        provide_packing(replace(TINY, packing_draw=PackingDraw(seed=2)), store)
 
 
 @pytest.mark.parametrize(
@@ -257,7 +260,7 @@ def test_the_small_packing_is_what_its_configuration_makes(
     small_packing: Packing, small_configuration: Configuration
 ) -> None:
     """The packing of most tests states the key of its configuration, and has the contacts that this makes."""
-    made = packing_source.new_packing(small_configuration, lambda _: None)
+    made = packing_source.new_packing(small_configuration)
     assert np.array_equal(made.pairs, small_packing.pairs)
     assert made.content_hash == small_packing.content_hash
 
@@ -267,7 +270,7 @@ def test_a_cache_that_cannot_be_written_costs_only_time(
 ) -> None:
     """Without a folder for the cache the packing is made all the same, with advice."""
     monkeypatch.setenv("CALCIDEM_CACHE", "/proc/none")
-    made = provide_packing(TINY, None, told.append)
+    made = provide_packing(TINY, None)
     assert "set CALCIDEM_CACHE to a folder that works" in told[-1]
     assert same_bits(replace(made, report=packing.report), packing)
 

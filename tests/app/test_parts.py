@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calcidem.app.campaign.merge import merge_databases
-from calcidem.app.campaign.parts import planned_batches
+from calcidem.app.campaign.parts import planned_batches, planned_cells
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration, RunOptions
@@ -30,6 +30,14 @@ def test_parts_are_disjoint_complete_and_balanced(parts: int) -> None:
     cells = [cell for share in batches for batch in share for cell in batch.cells]
     assert len(cells) == len(set(cells))
     assert set(cells) == {cell for batch in planned_batches(whole) for cell in batch.cells}
+    own = [
+        planned_cells(share) for share in shares
+    ]  # with all seeds of the sample without cement, which is in one part
+    assert (
+        sum(map(len, own))
+        == len(planned_cells(whole))
+        == len(whole.campaign.seed_numbers) * len(whole.campaign.contents)
+    )
     efforts = [sum(batch.cost for batch in share) for share in batches]
     longest = max(batch.cost for share in batches for batch in share)
     assert max(efforts) - min(efforts) <= longest * (1.0 + 1e-9)
@@ -50,7 +58,7 @@ def test_a_part_that_is_none_is_refused(tmp_path: Path, part: str) -> None:
 
 @pytest.mark.full
 def test_eight_parts_merged_equal_one_run(workshop: "Workshop", expected: "Cells") -> None:
-    """The six batches in eight parts, two of them empty; the merged file has every bit; a part left out is named."""
+    """The five batches in eight parts, three of them empty; the merged file has every bit; a part left out is named."""
     workshop.configure()
     for number in range(1, 9):
         done = workshop.run("run", "c.toml", "--part", f"{number}/8", "--db", f"part-{number}.db")

@@ -9,10 +9,10 @@ import pytest
 from calcidem.app.campaign import preview
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.parts import planned_batches
-from calcidem.app.campaign.preview import _waves
+from calcidem.app.campaign.preview import _chosen_frequencies, wave_doubts
 from calcidem.app.config.checks import _longest_step, check_against_packing
 from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.schema import Bonding, Configuration, Excitation
+from calcidem.app.config.schema import Bonding, CampaignPlan, Configuration, Excitation
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.propagation import prepare_recorder
@@ -64,7 +64,7 @@ def test_costs_are_those_of_cells_that_were_computed(
 ) -> None:
     """Steps, and bytes of the database, within a factor of two; speeds are those of the samples."""
     monkeypatch.setattr(preview, "_seconds_of_arithmetic", lambda: preview.SECONDS_WHERE_MEASURED)
-    speeds = preview._expected_speeds(small_configuration, small_packing)
+    speeds = preview._expected_speeds(small_configuration, small_packing, small_configuration.campaign.contents)
     with open_campaign(str(small_database)) as campaign:
         done = [result for result in campaign.select() if result.vs is not None]
     for result in done:
@@ -88,17 +88,18 @@ def test_contents_that_are_hard_to_read_are_named(small_configuration: Configura
     told = {}
     for frequency in (5e3, 30e3):
         chosen = replace(small_configuration, excitation=Excitation(frequency))
-        told[frequency] = "\n".join(_waves(chosen, small_packing, speeds))
-    assert "9 %: 0.1 wavelengths on the path" in told[5e3]
-    assert "Hard to read: 0 %: 0." in told[5e3]
+        told[frequency] = "\n".join(wave_doubts(chosen, small_packing, speeds))
+    assert "hard to read at 9 %: 0.1 wavelengths on the path" in told[5e3]
+    assert "hard to read at 0 %: 0." in told[5e3]
     assert "0 %: 2.6 grains in a wavelength" in told[30e3]
     assert "wave.frequency = " in told[30e3]
 
 
 def test_frequencies_that_are_chosen_are_told(small_configuration: Configuration, small_packing: Packing) -> None:
     """Those of the cells, content by content."""
-    automatic = replace(small_configuration, excitation=Excitation("auto"))
-    told = next(_waves(automatic, small_packing, {2.55: 1000.0, 0.0: 200.0}))
+    plan = CampaignPlan(contents=(2.55, 0.0))
+    automatic = replace(small_configuration, campaign=plan, excitation=Excitation("auto"))
+    (told,) = _chosen_frequencies(automatic, small_packing)
     found = [automatic.experiment(small_packing).frequency(content) / 1e3 for content in (0.0, 2.55)]
     assert told == f'Frequency: {found[0]:g} kHz at 0 %, {found[1]:g} kHz at 2.55 %, by wave.frequency = "auto".'
 

@@ -22,7 +22,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report import cell_data
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
-from calcidem.app.report.page import _MEANINGS, _explained_terms, _write_files, unnamed_page, write_report
+from calcidem.app.report.page import _MEANINGS, _as_numbers, _explained_terms, _write_files, unnamed_page, write_report
 from calcidem.app.report.results import _growth_table, _outcome_table, _velocity_table
 from calcidem.app.report.sections import (
     TABLES,
@@ -31,7 +31,7 @@ from calcidem.app.report.sections import (
     _published_table,
     make_or_explain,
 )
-from calcidem.app.report.wording import decimal, probability, significant
+from calcidem.app.report.wording import ABSENT, Table, decimal, probability, significant
 from calcidem.app.studies.frequency_and_damping import run_studies
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
 from calcidem.storage.records import CellKey, CellResult, CellStatus
@@ -271,6 +271,9 @@ def test_a_folder_has_figures_tables_and_numbers(
     assert [row["content (%)"] for row in rows] == ["0", "0.34", "0.66", "2.55", "5", "9"]
     assert all(float(row["skewness"] or 0.0) for row in rows[1:])  # with the minus that programs read
     assert not rows[0]["skewness"]  # all samples of 0 % are the same
+    row = rows[2]
+    assert float(row["mean (m/s), low"]) < float(row["mean (m/s)"]) < float(row["mean (m/s), high"])
+    assert float(row["95 % of new samples (m/s), low"]) < float(row["95 % of new samples (m/s), high"])
     with (
         xr.open_dataset(folder / "distributions.nc") as numbers,
         open_campaign(small_database) as campaign,
@@ -278,6 +281,19 @@ def test_a_folder_has_figures_tables_and_numbers(
         assert float(numbers["mean"].sel(content=0.66)) == pytest.approx(
             float(campaign.vs().sel(content=0.66).mean()), rel=1e-14
         )
+
+
+def test_numbers_of_tables_are_bare_for_programs() -> None:
+    """Intervals have columns of their own, minus signs and powers are those of programs; texts stay as they are."""
+    rows = (
+        ("5", "\N{MINUS SIGN}42 (\N{MINUS SIGN}50 to 13)", "1.2 \N{MULTIPLICATION SIGN} 10⁻⁵", "7 %", "m²"),
+        ("9", f"{ABSENT} ({ABSENT})", "3", ABSENT, "5"),
+    )
+    assert _as_numbers(Table("", ("content (%)", "mean", "p", "share", "text"), rows)) == [
+        ["content (%)", "mean", "mean, low", "mean, high", "p", "share (%)", "text"],
+        ["5", "-42", "-50", "13", "1.2e-5", "7", "m²"],
+        ["9", "", "", "", "3", "", "5"],
+    ]
 
 
 def test_no_table_of_the_folder_holds_a_formula(

@@ -1,18 +1,24 @@
 """The sink of a run: what other processes do to the database costs time, and no result."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from calcidem.app.campaign.notices import listening
+from calcidem.app.campaign.parts import batches_of
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.app.cli.exit_codes import _exit_code_of
+from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, CellStatus, PackedResult
 from calcidem.storage.records.canonical import canonical_hash
 from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch
 from calcidem.sweep.outcome import BatchOutcome, Place
 from calcidem.sweep.sweep_end import EXIT_RESUMABLE
@@ -38,9 +44,10 @@ def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.Monke
     told: list[tuple[str, bool]] = []
     with OftenLockedStore(tmp_path / "one.db") as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1,), datetime.now(UTC)))
-        sink = StoreSink(store, [CellKey(1, 5.0)], lambda text: told.append((text, sink.busy.locked())))
+        sink = StoreSink(store, [CellKey(1, 5.0)])
         store.locked = 3
-        sink.mark([Batch(0, ((1, 5.0),), 1.0)])
+        with listening(lambda text: told.append((text, sink.busy.locked()))):
+            sink.mark([Batch(0, ((1, 5.0),), 1.0)])
         assert store.attempt_counts([CellKey(1, 5.0)])[CellKey(1, 5.0)] == AttemptCount(1, 0)
         assert len(told) == 3
         assert "Waiting for another process that has locked the database" in told[0][0]
@@ -94,3 +101,38 @@ def test_a_run_that_was_stopped_blames_no_cell(tmp_path: Path, cut_off: bool) ->
         store.begin_run(describe_run(3))
         counts = store.attempt_counts(KEYS)
         assert counts == {KEYS[0]: AttemptCount(1, 0), KEYS[1]: AttemptCount(1, 1) if cut_off else AttemptCount(0, 0)}
+
+
+def test_the_sample_without_cement_is_computed_once(tmp_path: Path) -> None:
+    """One batch has it; all seeds get its outcome, those of a later run too, and SQL tells which were not computed."""
+    configuration = Configuration()
+    assert batches_of(configuration, [(seed, 0.0) for seed in (3, 1, 2)])[0].cells == ((1, 0.0),)
+    bare = [CellKey(seed, 0.0) for seed in (1, 2, 3)]
+    with Store(tmp_path / "one.db") as store:
+        store.begin_campaign(replace(PLAN, contents=(0.0, 5.0)))
+        store.begin_run(describe_run(3))
+        sink = StoreSink(store, [*bare[:2], *KEYS])
+        assert sink.repeat_stored() == set()
+        sink.store([outcome_of(bare[0])])
+        store.plan([bare[2]])
+        assert StoreSink(store, [bare[2], *KEYS]).repeat_stored() == {bare[2]}
+        found = list(store.results(Selection(contents=0.0)))
+        assert [(cell.vs, cell.steps, cell.attempt) for cell in found] == 3 * [(900.0, 9, 1)]
+        rows = store.table(("host", "seconds", "reason"), Selection(contents=0.0))
+        assert rows["host"].tolist() == ["here", None, None]
+        assert np.isfinite(rows["seconds"].astype(float)).tolist() == [False, False, False]
+        assert rows["reason"][1:].tolist() == 2 * ["without cement all seeds are one sample, computed as seed 1"]
+
+
+@pytest.mark.parametrize("failed", [CellStatus.FAILED, CellStatus.NO_ARRIVAL])
+def test_a_sample_without_cement_that_fails_fails_for_all_seeds(tmp_path: Path, failed: CellStatus) -> None:
+    """No other seed of it is tried; after a retry it is computed again, unless physics decided the outcome."""
+    bare = [CellKey(seed, 0.0) for seed in (1, 2)]
+    with Store(tmp_path / "one.db") as store:
+        store.begin_campaign(replace(PLAN, contents=(0.0,)))
+        store.begin_run(describe_run(3))
+        outcome = CellResult(bare[0], failed, "an error", **NUMBERS).packed()
+        StoreSink(store, bare).store([replace(outcome_of(bare[0]), results=(outcome,))])
+        assert {cell.status for cell in store.results()} == {failed}
+        store.retry([failed], [bare[1]])
+        assert StoreSink(store, bare[1:]).repeat_stored() == ({bare[1]} - ({bare[1]} if failed == "failed" else set()))

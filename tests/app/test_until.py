@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.run import CampaignRun
@@ -162,7 +163,7 @@ def test_a_cell_that_is_given_up_at_a_start_counts_at_that_start(tmp_path: Path)
     path.write_text(UNTIL.format(seeds=8, until="{ mean = 0.02 }"))
     configuration = load_configuration(path, {"database": str(tmp_path / "c.db"), "output": str(tmp_path)})
     said: list[str] = []
-    with CampaignRun(configuration, said.append) as work:
+    with listening(said.append), CampaignRun(configuration) as work:
         for _ in range(3):  # deaths
             work.store.begin_run(describe_run(2))
             work.store.record_running([CellKey(8, 0.66)])

@@ -100,7 +100,7 @@ def test_a_waveform_is_the_inverse_transform(travel: float) -> None:
     """Without frequencies above three times that of the pulse, which has 2 % of its height there."""
     time = np.linspace(0.0, travel + 1.5, 300)
     strip = StripWave(DISTANCE * FREQUENCY / travel, 0.0, 1.0, CLAMP)
-    found = waveform(strip, FREQUENCY, DISTANCE, time / FREQUENCY)
+    (found,) = waveform(strip, FREQUENCY, (DISTANCE,), time[None] / FREQUENCY)
     np.testing.assert_allclose(0.5 * found, guided(travel, HELD)(1.0, time), rtol=0.0, atol=0.02)
 
 

@@ -145,6 +145,6 @@ def test_samples_are_prepared_only_where_their_steps_or_forces_matter(monkeypatc
     for installation, share, expected in cases:
         given = replace(experiment, installation=installation, frequencies=((0.0, 9.0), (share * limit, share * limit)))
         prepared.clear()
-        propagation.refuse_unfit_samples(given, 9.0, orderings, 1)
+        propagation.refuse_unfit_samples(given, 9.0, lambda: orderings, 1)
         assert [flags for flags, _ in prepared] == [flags for flags, _ in expected]
         assert [frequency for _, frequency in prepared] == pytest.approx([frequency for _, frequency in expected])

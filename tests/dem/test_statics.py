@@ -13,7 +13,7 @@ from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.material import Cement
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import start
-from calcidem.dem.engine.statics import ShearedPart, sheared_motion, sheared_triangles
+from calcidem.dem.engine.statics import ShearedPart, sheared_motion, sheared_triangles, triangulate
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave import static_speed as static
@@ -30,7 +30,7 @@ def rim_of(x: Floats, y: Floats, *, ends: bool = True) -> Flags:
 
 def part_of(state: State, rim: Flags, disks: Flags) -> ShearedPart:
     """Part of a sheared sample whose triangles have all corners among some disks."""
-    triangles = sheared_triangles(state, sheared_motion(state, rim))
+    triangles = sheared_triangles(state, sheared_motion(state, rim), triangulate(state.scene.x, state.scene.y))
     return triangles.weighted(disks[triangles.corners].all(axis=1).astype(float))
 
 

@@ -1,9 +1,11 @@
 """The tables are those that are declared, on either backend, and take quantities that are added."""
 
+import io
 import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 from sqlalchemy import CheckConstraint, inspect, text
 
@@ -40,9 +42,24 @@ def test_a_view_has_whole_cells(store: Store, records: "Records") -> None:
         ("quick", 2, CellStatus.FAILED, None),
         ("quick", 3, CellStatus.PENDING, None),
     ]
-    stored = [name for name, quantity in QUANTITY_BY_NAME.items() if quantity.formula is None]
-    assert list(found[0].keys()) == ["campaign", *stored]
+    assert list(found[0].keys()) == ["campaign", *QUANTITY_BY_NAME]
+    assert found[1]["vs_error"] == pytest.approx(records.done(1).vs_error)
     assert (found[1]["path_contacts"], found[1]["host"]) == (3, "node7")
+
+
+def test_the_database_explains_itself(store: Store, records: "Records") -> None:
+    """Each column of the view, and each array of a stored blob, has a row with its unit and meaning."""
+    store.record_results([records.with_arrays(1, 5.0)])
+    with store._connections._engine.connect() as connection:
+        told = {row.name: row for row in connection.execute(text("SELECT * FROM quantities"))}
+        columns = connection.execute(text("SELECT * FROM cells")).keys()
+        blobs = connection.execute(text("SELECT name, content FROM arrays")).all()
+    assert set(columns) == {name for name in told if "." not in name}
+    assert (told["vs"].unit, told["vs"].meaning) == ("m s-1", "shear-wave velocity")
+    assert len(blobs) == 3
+    arrays = {f"{name}.{array}" for name, blob in blobs for array in np.load(io.BytesIO(blob)).files}
+    assert arrays == {name for name in told if "." in name}
+    assert told["section.across"].meaning == "velocity across the path, counts; sample x station"
 
 
 def test_tables_with_other_quantities_are_refused(

@@ -94,9 +94,9 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "vs_range",
         "Vs against calcite content",
-        "Dots are samples, bars the 95 % intervals of their velocities (reading, simulation, pulse). Rings mark "
-        "samples whose Vs depends on the pulse. The line joins the means. Dark band: 95 % confidence "
-        "interval of the mean. Pale band: interval of 95 % of new samples if Vs is normal at each content.",
+        "The bands hold 95 % and 50 % of the samples; of fewer than 20 each is a dot with the 95 % interval of its "
+        "velocity. The line joins the means, with their 95 % intervals for further seeds of the packing. Rings mark "
+        "contents at which velocities depend on the pulse.",
         lambda analysis: draw_range(
             analysis.cells, analysis.distributions, published_velocities(analysis), analysis.measured
         ),

@@ -26,6 +26,7 @@ from calcidem.analysis.figures.style import (
     apply_style,
     letter_panels,
     new_figure,
+    new_panel,
     strip_axes,
 )
 from calcidem.analysis.packing_graph import PackingGraph
@@ -153,8 +154,11 @@ def draw_measurement(graph: PackingGraph, wave: Mapping[str, Any], arrival: Arri
     width, height = packing.width * MM, packing.height * MM
     transmitter, receiver = float(wave["transmitter_half_width"]), float(wave["receiver_half_width"])
     layer = float(wave.get("boundary_thickness", 0.0)) * MM
-    figure = new_figure(height=4.4)
-    scene, signals = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
+    if arrival is None:
+        figure, scene, _ = new_panel(height=4.4, width=3.4)
+    else:
+        figure = new_figure(height=4.4)
+        scene, signals = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
     _draw_grains(scene, graph)
     for bottom in (0.0, height - layer):
         scene.add_patch(Rectangle((0, bottom), width, layer, facecolor=GREY, alpha=0.45, linewidth=0, zorder=3))
@@ -171,14 +175,12 @@ def draw_measurement(graph: PackingGraph, wave: Mapping[str, Any], arrival: Arri
     path = width if arrival is None else arrival.distance * MM
     ends = [((width + side * path) / 2, 0.33 * height) for side in (1.0, -1.0)]
     arrow = {"arrowstyle": "<->", "color": BLACK, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
-    scene.annotate("", *ends, arrowprops=arrow, zorder=9)
+    scene.annotate("", ends[0], ends[1], arrowprops=arrow, zorder=9)
     label = f"width {width:.3g} mm" if arrival is None else f"L = {path:.3g} mm"
     box = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 1.5}
     scene.text(width / 2, 0.335 * height, label, ha="center", va="bottom", zorder=9, bbox=box)
     _draw_scale(scene, 0.0, 0.0, width)
-    if arrival is None:
-        signals.set_axis_off()
-    else:
+    if arrival is not None:
         draw_signal_pair(signals, arrival)
         signals.set_title(f"seed {arrival.seed} at {arrival.content:g} %")
         letter_panels((scene, signals))

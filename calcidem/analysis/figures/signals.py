@@ -155,6 +155,8 @@ def draw_dispersion(contents: Sequence[ContentDispersion]) -> Figure:
     panels = figure.subplots(lines, 2, squeeze=False).ravel()
     for axes, shown in zip(panels, contents, strict=False):
         _draw_content_dispersion(axes, shown)
+    label = "power of plane waves (1: all stations in phase)"
+    figure.colorbar(panels[0].collections[0], ax=panels.tolist(), label=label, aspect=40, pad=0.01)
     letter_panels(panels[: len(contents)])
     for axes in panels[len(contents) :]:
         axes.set_axis_off()
@@ -197,7 +199,8 @@ def _draw_content_dispersion(axes: Axes, shown: ContentDispersion) -> None:
     axes.axhline(shown.vs, color=VERMILION, linewidth=0.9, linestyle=":", label="median Vs")
     if np.isfinite(shown.static):
         axes.axhline(shown.static, color=GREEN, linewidth=0.9, linestyle="--", label="static speed (median)")
-    reached = [*found.phase_velocity, found.long_wave, shown.vs]
-    axes.set_ylim(min(0.45 * shown.vs, 0.9 * min(reached)), max(2.2 * shown.vs, 1.1 * max(reached)))
+    ends = found.phase_velocity + np.outer([-1.0, 1.0], found.standard_error)
+    reached = [*ends[np.isfinite(ends)], found.long_wave, shown.vs]
+    axes.set_ylim(max(0.0, min(0.45 * shown.vs, 0.9 * min(reached))), max(2.2 * shown.vs, 1.1 * max(reached)))
     axes.set_xlim(0.0, found.frequency[-1] * KHZ)
     axes.set_title(f"{shown.content:g} % ({found.samples} samples)")

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import ContentDistribution, Distribution
+from calcidem.analysis.error_budget import are_samples
 from calcidem.analysis.figures.signals import METHOD_STYLES
 from calcidem.analysis.figures.style import (
     BLACK,
@@ -59,26 +60,35 @@ def draw_range(
     no content has a velocity.
     """
     rows = _rows_with_velocity(distributions)
-    figure, axes, placed = new_panel(height=4.6)
-    close = 0.7  # %; contents up to this are so close together that they are also drawn enlarged
+    figure, axes, placed = new_panel(height=4.4)
+    close = 0.7  # %; contents up to this are so close together that they have a panel of their own
     low = [row for row in rows if row.content <= close]
-    enlarged = not placed and len(low) > 2 and rows[-1].content > 4 * close  # fewer need no second picture
-    _draw_range(axes, cells, rows, [row for row in published if not enlarged or row[0] > close])
-    _draw_measured(axes, measured)
-    axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))  # velocities are positive even if a band is not
-    axes.set_xlabel(CONTENT_LABEL)
+    parts = [(axes, rows)]
+    if not placed and len(low) > 2 and rows[-1].content > 4 * close:  # fewer need no second picture
+        axes.remove()
+        left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.6])
+        parts = [(left, low), (right, [low[-1], *rows[len(low) :]])]
+        left.set_title(f"up to {low[-1].content:g} %")
+        right.set_title(f"from {low[-1].content:g} %")
+        letter_panels((left, right))
+        axes = left
+    for panel, shown in parts:
+        _draw_range(panel, cells, shown, published)
+        _draw_measured(panel, [one for one in measured if len(parts) == 1 or _is_within(one.content, shown)])
+        panel.set_ylim(bottom=max(0.0, panel.get_ylim()[0]))  # velocities are positive even if a band is not
+        panel.set_xlabel(CONTENT_LABEL if panel is parts[-1][0] else "calcite content (%)")
     axes.set_ylabel(VS_LABEL)
     if placed:  # other elements of the figure have their own legend
         axes.legend(fontsize=7)
-    else:
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3 if published else 2)
-    if enlarged:
-        inset = axes.inset_axes((0.08, 0.58, 0.36, 0.4))
-        _draw_range(inset, cells, low, [row for row in published if row[0] <= close])
-        _draw_measured(inset, [target for target in measured if target.content <= close])
-        inset.set_title(f"up to {low[-1].content:g} %", fontsize=8, fontweight="normal")
-        inset.tick_params(labelsize=7)
+        return figure
+    pairs = [pair for panel, _ in parts for pair in zip(*panel.get_legend_handles_labels(), strict=True)]
+    legend = {label: handle for handle, label in pairs}
+    figure.legend([*legend.values()], [*legend], loc="outside lower center", ncols=3)
     return figure
+
+
+def _is_within(content: float, rows: Sequence[ContentDistribution]) -> bool:
+    return rows[0].content - 1e-6 <= content <= rows[-1].content + 1e-6
 
 
 def _rows_with_velocity(distributions: Sequence[ContentDistribution]) -> list[ContentDistribution]:
@@ -93,45 +103,44 @@ def _draw_range(
     rows: Sequence[ContentDistribution],
     published: Sequence[tuple[float, PublishedVelocity]],
 ) -> None:
-    content = np.array([row.content for row in rows])
-    for intervals, label, colour, alpha in (
-        ([row.vs.prediction_interval for row in rows], "95 % of new samples", SKY, 0.25),
-        ([row.vs.mean_interval for row in rows], "95 % interval of the mean", BLUE, 0.45),
-    ):
-        low, high = np.array([(interval.low, interval.high) for interval in intervals]).T
-        axes.fill_between(content, low, high, color=colour, alpha=alpha, linewidth=0, label=label)
-    abreast = 0.006 * (content[-1] - content[0])  # so that bars of samples are visible
-    apart: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
-    label = "one sample and its\n95 % interval" if bool(cells["vs_error"].notnull().any()) else "one sample"
-    for row in rows:
-        of_content = cells.sel(content=row.content)
-        values, error = (of_content[name].to_numpy() for name in ("vs", "vs_error"))
-        at = row.content + abreast * np.linspace(-1.0, 1.0, values.size)
+    content, means = np.array([(row.content, row.vs.mean) for row in rows]).T
+    names = ["vs", "vs_error", "pulse_effect"]
+    samples = cells[names].where(xr.DataArray(are_samples(cells["vs"], cells["content"]), cells["vs"].coords))
+    columns = [samples.sel(content=at).dropna("seed", subset=["vs"]) for at in content]
+    values, errors, effects = ([column[name].to_numpy() for column in columns] for name in names)
+    if max(map(len, values)) >= 20:  # of fewer samples quantiles have no meaning
+        for share, alpha in ((0.95, 0.3), (0.5, 0.6)):
+            ends = (0.5 - share / 2, 0.5 + share / 2)
+            low, high = np.array([np.quantile(of_content, ends) for of_content in values]).T
+            label = f"{100 * share:g} % of the samples"
+            axes.fill_between(content, low, high, color=SKY, alpha=alpha, linewidth=0, label=label)
+    else:
+        speeds, error = np.concatenate(values), np.concatenate(errors)
         axes.errorbar(
-            *(at, values),
-            yerr=NORMAL_95 * error * values,
+            np.repeat(content, [len(of_content) for of_content in values]),
+            speeds,
+            yerr=NORMAL_95 * error * speeds,
             fmt="o",
-            color=BLACK,
-            alpha=0.4,
-            markersize=2.4,
-            markeredgewidth=0,
-            elinewidth=0.4,
-            label=label if row is rows[0] else None,
-            rasterized=values.size > 30,  # which keeps vector files small
+            color=GREY,
+            markersize=3,
+            elinewidth=0.6,
+            label="sample and its 95 % interval" if np.isfinite(error).any() else "sample",
         )
-        loud = depends_on_pulse(of_content["pulse_effect"].to_numpy())
-        apart.append((at[loud], values[loud]))
-    marked, speeds = (np.concatenate(parts) for parts in zip(*apart, strict=True))
-    if marked.size:
-        label = "depends on the pulse"
-        axes.plot(marked, speeds, "o", markersize=5.5, markerfacecolor="none", color=ORANGE, label=label)
-    axes.plot(content, [row.vs.mean for row in rows], color=BLUE, marker="o", markersize=3, label="mean")
-    if published:
-        aside = 0.012 * (content[-1] - content[0])  # so that neither hides the other
+    axes.plot(content, means, color=BLUE, marker="o", markersize=3.5, label="mean")
+    limits = np.array([(row.vs.mean_interval.low, row.vs.mean_interval.high) for row in rows]).T
+    label = "95 % interval of the mean"
+    axes.errorbar(content, means, abs(limits - means), fmt="none", color=BLUE, capsize=3, label=label)
+    loud = [bool(depends_on_pulse(effect).any()) for effect in effects]
+    if any(loud):
+        at, label = content[loud], "depends on the pulse"
+        axes.plot(at, means[loud], "o", markersize=8, markerfacecolor="none", color=ORANGE, label=label)
+    here = [(at, row) for at, row in published if _is_within(at, rows)]
+    if here:
+        aside = 0.015 * (content[-1] - content[0])  # so that neither hides the other
         axes.errorbar(
-            [at + aside for at, _ in published],
-            [row.mean for _, row in published],
-            yerr=[row.standard_deviation for _, row in published],
+            [at + aside for at, _ in here],
+            [row.mean for _, row in here],
+            yerr=[row.standard_deviation for _, row in here],
             fmt="D",
             markersize=4,
             markerfacecolor="white",
@@ -139,7 +148,7 @@ def _draw_range(
             elinewidth=0.9,
             capsize=2,
             zorder=4,
-            label="published mean and standard\ndeviation (set off to the right)",
+            label="published mean, standard deviation",
         )
 
 

@@ -1,9 +1,13 @@
 """Checks that a stored campaign is the expected one, with cells of this program's physics."""
 
+from typing import TYPE_CHECKING
+
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.storage.errors import CampaignMismatchError
 from calcidem.storage.records import CampaignRecord
-from calcidem.storage.sql.store import Store
+
+if TYPE_CHECKING:
+    from calcidem.storage.sql.store import Store  # which the ranks do not need
 
 
 def physics_version(record: CampaignRecord) -> object:
@@ -28,7 +32,7 @@ def refuse_other_physics(record: CampaignRecord, configuration: Configuration | 
         record.refuse_other(configuration.record())
 
 
-def choose_campaign(store: Store, configuration: Configuration) -> bool:
+def choose_campaign(store: "Store", configuration: Configuration) -> bool:
     """Choose the configuration's campaign in a store; return whether the store has it.
 
     `CampaignMismatchError` if it has another campaign of that name, or this campaign under another name.

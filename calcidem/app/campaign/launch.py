@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
+from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.run import RunView, prepared_store, read_own_status
 from calcidem.app.config.schema import Configuration
@@ -81,14 +82,14 @@ class Launch:
             reporter = ProgressReporter(display)
             try:
                 configuration = load()
-                with prepared_store(configuration, view.say, stop.check, reporter.on_packing) as (_, packing):
+                with prepared_store(configuration, stop.check, reporter.on_packing) as (_, packing):
                     view.begin(configuration, packing)
                 code = self._start_until_complete(mpirun, configuration, stop, display)
                 display.show(RunProgress(RunStage.WRITING, "tables and files"))
                 with read_campaign(configuration.database, configuration.campaign.name) as store:
                     view.finish(store, configuration, code, in_haste=stop.hurry())
             except SweepInterrupted:
-                view.say("Ended by a signal before the ranks began; the same command starts again.")
+                tell("Ended by a signal before the ranks began; the same command starts again.")
                 return EXIT_RESUMABLE
             except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
                 return view.refuse(error)

@@ -5,7 +5,7 @@ The numbers of the paper's campaign, which the package contains, can be loaded w
 
 import os
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,8 +24,9 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_
 from calcidem.analysis.dispersion import Dispersion
 from calcidem.analysis.distribution import budget_dataset, describe_contents, tabulate
 from calcidem.analysis.error_budget import BUDGET_QUANTITIES
+from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
 from calcidem.analysis.outcomes import name_outcomes
-from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.analysis.packing_graph import Feature, PackingGraph, installed_features
 from calcidem.analysis.predictor import Prediction
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.identity import refuse_other_physics
@@ -326,13 +327,19 @@ class Campaign(Closable):
         found = found.rename(columns={"mean": "mean, m/s", "standard_deviation": "sd, m/s"}).rename_axis("content, %")
         return head + found.to_html(float_format=lambda value: f"{value:.1f}")
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Advice about the velocities, such as waves too short for the grains, a sentence each; empty without any."""
+        return tuple(notes_on(self.store.table(NOTE_QUANTITIES)))
+
     def summary(self, level: float = 0.95) -> xr.Dataset:
         """Return the distribution of Vs at each content, with intervals at a level.
 
         Along content, intervals also along bound: n, missing, failed, mean, standard deviation (m/s), skewness,
-        kurtosis, Jarque-Bera test, confidence and prediction intervals. Errors of the velocities are medians of the
-        relative standard errors, and the standard deviation by reading errors alone (m/s), see
-        `calcidem.analysis.error_budget`.
+        kurtosis, Jarque-Bera test, confidence and prediction intervals. They are over distinct samples with a velocity:
+        without cement all seeds are one sample, and the interval is that of its error. Intervals cover the seeds of one
+        packing. Errors of the velocities are medians of the relative standard errors, and the standard deviation by
+        reading errors alone (m/s), see `calcidem.analysis.error_budget`.
 
         Examples
         --------
@@ -345,7 +352,7 @@ class Campaign(Closable):
         """
         # In a large campaign these are a small part of the data of `to_xarray`.
         cells = self.to_xarray((*BUDGET_QUANTITIES, "status"))
-        described = tabulate(describe_contents(cells["vs"], name_outcomes(cells["status"]), level))
+        described = tabulate(describe_contents(cells["vs"], name_outcomes(cells["status"]), level, cells["vs_error"]))
         return described.assign(budget_dataset(cells).data_vars)
 
     def small_strain_modulus(self, density: float | None = None) -> xr.DataArray:
@@ -491,12 +498,15 @@ class Campaign(Closable):
 
         return CampaignPlots(self.analyse(), self.cemented)
 
-    def analyse(self, most_samples: int | None = None) -> CampaignAnalysis:
+    def analyse(
+        self, most_samples: int | None = None, features: Mapping[str, Feature] | None = None
+    ) -> CampaignAnalysis:
         """Return the analysis of the campaign in its present state; each part is computed at its first use.
 
-        With more cells than ``most_samples``, paths are analysed only for the samples of the first seeds.
+        With more cells than ``most_samples``, paths are analysed only for the samples of the first seeds. ``features``
+        are functions of your own by name, beside those of installed packages; `own_table` has their values.
         """
-        return CampaignAnalysis(self.store, most_samples, with_patterns)
+        return CampaignAnalysis(self.store, most_samples, with_patterns, installed_features() | dict(features or {}))
 
     @cached_property
     def _graphs(self) -> tuple[PackingGraph, ...]:

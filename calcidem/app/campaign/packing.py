@@ -4,6 +4,7 @@ from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
+from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.stored_packing import (
     CACHE_VARIABLE,
     DamagedPackingError,
@@ -23,13 +24,10 @@ from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.sql.store import Store
 
-Tell = Callable[[str], None]
-
 
 def provide_packing(
     configuration: Configuration,
     store: Store | None,
-    tell: Tell,
     check: Callable[[], None] = lambda: None,
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
@@ -41,16 +39,15 @@ def provide_packing(
     """
     if store is not None and 0 in store.packing_indices():
         return stored_packing(store.packing(), configuration.packing_hash)
-    kept = kept_packing(configuration.packing_hash, tell)
-    packing = kept or new_packing(configuration, tell, check, watch)
+    kept = kept_packing(configuration.packing_hash)
+    packing = kept or new_packing(configuration, check, watch)
     if kept is None:
-        _write_cache(packing, configuration.packing_hash, tell)
+        _write_cache(packing, configuration.packing_hash)
     return packing
 
 
 def new_packing(
     configuration: Configuration,
-    tell: Tell,
     check: Callable[[], None] = lambda: None,
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
@@ -67,7 +64,7 @@ def new_packing(
     return make_packing(configuration.packing, configuration.sand, generator, check, watch)
 
 
-def kept_packing(packing_hash: str, tell: Tell) -> Packing | None:
+def kept_packing(packing_hash: str) -> Packing | None:
     """Packing from calcidem itself or the cache; None if neither has it."""
     archive = preset_packings().get(packing_hash[:32])
     if archive is not None:
@@ -89,7 +86,7 @@ def _cached_name(packing_hash: str) -> str:
     return f"packing-{PACKING_METHOD}-{packing_hash[:32]}.npz"
 
 
-def _write_cache(packing: Packing, packing_hash: str, tell: Tell) -> None:
+def _write_cache(packing: Packing, packing_hash: str) -> None:
     """Put a packing into the cache atomically; a cache that cannot be written only costs time later."""
     path = cache_folder() / _cached_name(packing_hash)
     try:

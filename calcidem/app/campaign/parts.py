@@ -1,6 +1,6 @@
 """Batches of a campaign's cells: of all, or of one of several parts of about equal effort."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from itertools import product
 
 from calcidem.app.config.schema import Configuration
@@ -15,7 +15,7 @@ def planned_batches(configuration: Configuration) -> tuple[Batch[Cell], ...]:
     effort so far (Graham 1969, doi:10.1137/0117039).
     """
     plan = configuration.campaign
-    batches = batches_of(configuration, product(plan.seed_numbers, plan.contents))
+    batches = batches_of(configuration, [*product(plan.seed_numbers, plan.contents)])
     if configuration.run.part is None:
         return batches
     number, parts = configuration.run.part_numbers
@@ -29,17 +29,31 @@ def planned_batches(configuration: Configuration) -> tuple[Batch[Cell], ...]:
     return tuple(batch for batch in batches if batch.identifier in own)
 
 
+def planned_cells(configuration: Configuration) -> set[Cell]:
+    """All cells of a campaign's plan, or of its part; those without cement are in one part."""
+    found = {cell for batch in planned_batches(configuration) for cell in batch.cells}
+    if any(content == 0.0 for _, content in found):
+        found |= {(seed, 0.0) for seed in configuration.campaign.seed_numbers}
+    return found
+
+
 def batches_of(
-    configuration: Configuration, cells: Iterable[Cell], losses: Mapping[Cell, int] | None = None
+    configuration: Configuration, cells: Collection[Cell], losses: Mapping[Cell, int] | None = None
 ) -> tuple[Batch[Cell], ...]:
-    """Batches of cells of a campaign, some of which may have lost workers."""
+    """Batches of cells of a campaign, some of which may have lost workers.
+
+    Without cement all seeds give the same sample: it is computed for the first of them alone, and the sink stores the
+    outcome for the others.
+    """
+    first = min((cell for cell in cells if cell[1] == 0.0), default=None)
+    distinct = [cell for cell in cells if cell[1] > 0.0 or cell == first]
 
     def rough_effort(content: float) -> float:
         # In steps; only ratios matter, and measured times replace them. Cement shortens the stable step by a factor of
         # about ten. The velocity increases from 200 m/s to 2100 m/s at 9 %.
         return (10.0 if content > 0.0 else 1.0) * time_of_wave(configuration, content, 200.0 + 210.0 * content)
 
-    return plan_batches(cells, configuration.run.lanes, rough_effort, losses)
+    return plan_batches(distinct, configuration.run.lanes, rough_effort, losses)
 
 
 def time_of_wave(configuration: Configuration, content: float, velocity: float) -> float:

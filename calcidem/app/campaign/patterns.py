@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields, replace
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from calcidem.app.campaign.identity import physics_version
 from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.sample.cement import CementCapacityError, PlacedCement
+from calcidem.dem.sample.own_pattern import UnknownPatternError
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.reading import PickRule, Reading, read_section
@@ -19,16 +21,18 @@ from calcidem.dem.wave.strip_wave import clamp_of_strip
 from calcidem.ends import Verdict
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import CellResult, CementPattern, RecordedSection
-from calcidem.storage.sql.store import Store
+
+if TYPE_CHECKING:
+    from calcidem.storage.sql.store import Store  # which the ranks do not need
 
 
-def stored_experiment(store: Store, packing_index: int = 0) -> Experiment:
+def stored_experiment(store: "Store", packing_index: int = 0) -> Experiment:
     """Experiment of the cells of a packing, as `calcidem.Campaign.experiment`, for modules that `Campaign` imports."""
     packing = stored_packing(store.packing(packing_index))
     return Configuration.from_physics(store.record.parameters).experiment(packing)
 
 
-def with_patterns(store: Store, outcomes: Iterable[CellResult]) -> Iterator[CellResult]:
+def with_patterns(store: "Store", outcomes: Iterable[CellResult]) -> Iterator[CellResult]:
     """Yield outcomes of a store; cement that is not stored is drawn again from the seed.
 
     An outcome has no cement if it was never drawn, or would differ now: with another physics version, or without the
@@ -43,7 +47,7 @@ def with_patterns(store: Store, outcomes: Iterable[CellResult]) -> Iterator[Cell
             continue
         try:
             cement = ordering(outcome.packing_index, outcome.key.seed).at(outcome.key.content)
-        except (StoreError, CementCapacityError):
+        except (StoreError, CementCapacityError, UnknownPatternError):
             yield outcome
             continue
         drawn = cement.content_reached, cement.p_contacts, cement.c_contacts, cement.clusters
@@ -84,7 +88,7 @@ def section_of(stored: RecordedSection) -> Section:
     )
 
 
-def section_reader(store: Store) -> Callable[[CellResult], Reading | Verdict]:
+def section_reader(store: "Store") -> Callable[[CellResult], Reading | Verdict]:
     """Return a function that reads the stored section of a cell again, with the configuration of its campaign.
 
     It raises a `ValueError` without a section, and takes each packing from the store once.

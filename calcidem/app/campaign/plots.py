@@ -166,7 +166,7 @@ class CampaignPlots:
         cell = self.analysis.cell(seed, content)
         if cell.section is None:
             raise UnavailableError(f"no section is stored for seed {seed} at {content:g} %")
-        said = f"{cell.key}: {cell.reason or f'Vs = {cell.vs:.0f} m/s'}"
+        said = f"{cell.key}: {cell.reason if cell.vs is None else f'Vs = {cell.vs:.0f} m/s'}"
         with drawn_in(ax):
             return _draw_section(section_of(cell.section), section_reader(self.analysis.store)(cell), said)
 

@@ -4,18 +4,20 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from time import thread_time
 
 import numpy as np
 
+from calcidem.analysis.notes import FEWEST_GRAINS
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
+from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.packing import kept_packing
-from calcidem.app.campaign.parts import planned_batches, time_of_wave
+from calcidem.app.campaign.parts import batches_of, planned_cells, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
 from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder, stored_packing
 from calcidem.app.config.checks import (
@@ -71,8 +73,7 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
     """
     plan, address = configuration.campaign, Address.parse(configuration.database)
     is_new = address.path is not None and not address.path.exists()
-    batches = planned_batches(configuration)
-    own = [CellKey(*cell) for batch in batches for cell in batch.cells]
+    own = [CellKey(*cell) for cell in planned_cells(configuration)]
     part = "" if configuration.run.part is None else f", {len(own)} of them in part {configuration.run.part}"
     part += "" if plan.until is None else f" to begin with (up to {plan.most_seeds} seeds each)"
     packing, settled, widths = None, set[CellKey](), dict[float, float]()
@@ -83,12 +84,13 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
             widths = _expected_half_widths(store, configuration)
             if store.packing_indices():
                 packing = stored_packing(store.packing(), configuration.packing_hash)
-    packing = packing or kept_packing(configuration.packing_hash, lambda _: None)
+    with listening(lambda _: None):  # a check has its own sentence on the packing
+        packing = packing or kept_packing(configuration.packing_hash)
+    left = batches_of(configuration, [(key.seed, key.content) for key in own if key not in settled])
     cells = len(plan.seed_numbers) * len(plan.contents)
     yield (
-        f"Campaign {plan.name}: {len(plan.seed_numbers)} seeds x {len(plan.contents)} contents = {cells} cells{part}, "
-        f"{len(settled)} of them settled; {len(own) - len(settled)} would be computed, "
-        f"{configuration.run.lanes} side by side."
+        f"Campaign {plan.name}: {len(plan.seed_numbers)} seeds x {len(plan.contents)} contents = {cells} cells{part}; "
+        f"{len(settled)} are finished, {sum(len(batch.cells) for batch in left)} samples are to be computed."
     )
     if widths:
         best, worst = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
@@ -100,9 +102,7 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
     if note := calibration_note(configuration):
         yield note
     doubts = [] if packing is None else check_against_packing(configuration, packing)
-    speeds = _expected_speeds(configuration, packing)
-    kept = [(batch, [cell for cell in batch.cells if CellKey(*cell) not in settled]) for batch in batches]
-    left = [replace(batch, cells=tuple(cells)) for batch, cells in kept if cells]
+    speeds = _expected_speeds(configuration, packing, plan.contents)
     yield from _cost_lines(configuration, speeds, left, is_packed=packing is not None)
     yield from _machine_warnings(address.path)
     if ranks is not None and ranks != 1:
@@ -116,7 +116,9 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
     for doubt in doubts:
         yield f"Warning: {doubt}."
     yield f"Packing: {len(packing.radius)} disks; they hold these contents and this wave."
-    yield from _waves(configuration, packing, speeds)
+    yield from _chosen_frequencies(configuration, packing)
+    for doubt in wave_doubts(configuration, packing, speeds):
+        yield f"Warning: {doubt}."
 
 
 def _expected_half_widths(store: Store, configuration: Configuration) -> dict[float, float]:
@@ -151,7 +153,7 @@ def _cost_lines(
     of_disk = "" if free is None else f", {free / 1e9:.1f} GB are free"
     yield (
         f"Memory: about {cost.memory / 1e9:.2f} GB a process{of_memory}. "
-        f"Disk: about {cost.disk / 1e6:.1f} MB{of_disk}. Good to a factor of two."
+        f"Disk: about {cost.disk / 1e6:.1f} MB{of_disk}. These are right within a factor of two."
     )
     if memory is not None and cost.memory > memory:
         yield "Warning: packing.width: one process needs more memory than there is; make the box smaller."
@@ -214,30 +216,43 @@ def _describe_ranks(ranks: int) -> str:
     return f"Ranks: {mpirun} starts {ranks}, and they communicate ({mpi_library_version()})."
 
 
-def _waves(configuration: Configuration, packing: Packing, speeds: Mapping[float, float]) -> Iterator[str]:
-    """Chosen frequencies, and contents whose wavelength does not suit the path or the grains."""
-    experiment, diameter = configuration.experiment(packing), 2.0 * float(np.mean(packing.radius))
+def _chosen_frequencies(configuration: Configuration, packing: Packing) -> Iterator[str]:
+    """Frequencies that `wave.frequency = "auto"` chooses."""
     if configuration.excitation.table is None:
-        chosen = (f"{experiment.frequency(content) / 1e3:g} kHz at {content:g} %" for content in sorted(speeds))
+        experiment, contents = configuration.experiment(packing), sorted(configuration.campaign.contents)
+        chosen = (f"{experiment.frequency(content) / 1e3:g} kHz at {content:g} %" for content in contents)
         yield f'Frequency: {", ".join(chosen)}, by wave.frequency = "auto".'
+
+
+def wave_doubts(
+    configuration: Configuration, packing: Packing, speeds: Mapping[float, float] | None = None
+) -> Iterator[str]:
+    """Contents whose wavelength does not suit the path or the grains.
+
+    ``speeds`` are the expected ones, m/s, by content; without them only the least and the largest content are judged.
+    """
+    experiment, diameter = configuration.experiment(packing), 2.0 * float(np.mean(packing.radius))
+    if speeds is None:
+        ends = {min(configuration.campaign.contents), max(configuration.campaign.contents)}
+        speeds = _expected_speeds(configuration, packing, ends)
     for content, speed in sorted(speeds.items()):
         frequency = experiment.frequency(content)
         waves, grains = frequency * experiment.distance / speed, speed / (frequency * diameter)
         # On a path of less than one wavelength P and S wave arrive as one; shorter waves than six grains are scattered.
-        if waves >= 1.0 and grains >= 6.0:
+        if waves >= 1.0 and grains >= FEWEST_GRAINS:
             continue
         why = (
             f"{waves:.1f} wavelengths on the path, so that P and S wave arrive as one"
             if waves < 1.0
             else f"{grains:.1f} grains in a wavelength, which samples scatter"
         )
-        longest = speed / (6.0 * diameter)
+        longest = speed / (FEWEST_GRAINS * diameter)
         cure = (
             f"wave.frequency = {min(WAVELENGTHS * speed / experiment.distance, longest):.2g}"
             if configuration.excitation.table is not None
             else "a wider packing"
         )
-        yield f"Hard to read: {content:g} %: {why}; {cure} is better."
+        yield f"hard to read at {content:g} %: {why}; {cure} is better"
 
 
 def _available_memory() -> float | None:
@@ -258,13 +273,14 @@ def _free_space(configuration: Configuration) -> float | None:
     return float(shutil.disk_usage(folder).free)
 
 
-def _expected_speeds(configuration: Configuration, packing: Packing | None) -> dict[float, float]:
-    """Expected shear-wave velocity at each content of a plan, m/s.
+def _expected_speeds(
+    configuration: Configuration, packing: Packing | None, contents: Collection[float]
+) -> dict[float, float]:
+    """Expected shear-wave velocity at each content, m/s.
 
     It is the static speed of one sample. Without a packing, or for a large one, it is half of that of the hexagonal
     lattice, increased linearly with the calcite content; with cement this is correct within a factor of two.
     """
-    contents = configuration.campaign.contents
     lattice = np.pi * float(np.mean(configuration.packing.diameter)) * cutoff_estimate(configuration, cemented=False)
     rough = {content: 0.5 * float(lattice) * (1.0 + content) for content in contents}
     if packing is None or len(packing.radius) > 20_000:  # whose static stiffness takes a second or two

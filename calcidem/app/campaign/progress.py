@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Self
@@ -14,6 +14,7 @@ from rich.progress import Progress as Bars
 from rich.table import Column
 from rich.text import Text
 
+from calcidem.app.campaign.notices import listening, printable, tell
 from calcidem.app.campaign.status import CampaignStatus
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.storage.errors import StoreError
@@ -101,6 +102,8 @@ class ProgressDisplay:
         Receives the progress instead; its exceptions end the run.
     shows_progress
         Whether the console shows more than sentences.
+    with_advice
+        Whether these contain advice, which Python's warnings show, too.
     """
 
     def __init__(
@@ -109,6 +112,7 @@ class ProgressDisplay:
         callback: Callable[[RunProgress], object] | None = None,
         *,
         shows_progress: bool = True,
+        with_advice: bool = True,
     ) -> None:
         self._console, self._callback = console, callback
         self._shows_progress = (shows_progress and console is not None) or callback is not None
@@ -122,6 +126,7 @@ class ProgressDisplay:
             ]
             self._bars = Bars(*columns, console=console, transient=True, refresh_per_second=4)
             self._task = self._bars.add_task("", total=None, text="", visible=False)
+        self._listening = nullcontext() if console is None else listening(self._note, with_advice=with_advice)
         self._stage: RunStage | None = None
         self._began = self._next = time.monotonic()
         self._pause = 0.0
@@ -158,13 +163,12 @@ class ProgressDisplay:
             self._next = now + self._pause
             self._pause = min(1.5 * self._pause, 600.0)
             left = "" if progress.seconds_left is None else f", {duration(progress.seconds_left)} left"
-            self.note(f"{progress.stage}: {progress.detail}{left}")
+            self._note(f"{time.strftime('%H:%M:%S')} {progress.stage}: {progress.detail}{left}")
 
-    def note(self, text: str) -> None:
-        """Write a sentence that remains visible, in a log with its time."""
+    def _note(self, text: str) -> None:
+        """Write a sentence that remains visible."""
         if self._console is not None:
-            moment = "" if self._bars is not None else f"{time.strftime('%H:%M:%S')} "
-            self._console.print(f"{moment}{text}", markup=False, highlight=False, soft_wrap=True)
+            self._console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
     def write(self, line: str) -> None:
         """Write a line of another program unchanged, with its colours; a closed terminal is not an error."""
@@ -174,12 +178,14 @@ class ProgressDisplay:
 
     def __enter__(self) -> Self:
         """Begin."""
+        self._listening.__enter__()
         if self._bars is not None:
             self._bars.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
         """Clear the display."""
+        self._listening.__exit__(None, None, None)
         if self._bars is not None:
             with suppress(OSError):
                 self._bars.stop()
@@ -208,6 +214,7 @@ class ProgressReporter(Progress):
         """Report the progress of the packing."""
         step, steps = packing.expansion_step, packing.expansion_steps
         part = f"radius step {step} of {steps}" if step <= steps else "pressed by the lid"
+        part = part if packing.steps else "kernels are compiled or loaded"
         self._display.show(RunProgress(RunStage.PACKING, part, packing.fraction or None))
 
     def on_compiling(self, kernel: str, function: str, functions: int) -> None:
@@ -220,7 +227,7 @@ class ProgressReporter(Progress):
         total = pluralize(sum(len(batch.cells) for batch in batches), "cell")
         where = pluralize(workers, "worker") if workers else "the workers of the executor"
         parts = f"{pluralize(len(batches), 'batch', 'batches')} on {where}"
-        self._display.note(f"{total} in {parts}" if batches else "Nothing to compute: every cell has an outcome.")
+        tell(f"{total} in {parts}" if batches else "Nothing to compute: every cell has an outcome.")
         self.show_cells(at_once=True)
 
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
@@ -228,7 +235,7 @@ class ProgressReporter(Progress):
         if outcome.failure is not None:
             cells = ", ".join(f"seed {seed}, {content:g} %" for seed, content in outcome.batch.cells)
             place = f"rank {outcome.place.rank} ({outcome.place.host})"
-            self._display.note(f"{outcome.failure.kind}: {cells} on {place}: {outcome.failure.message}")
+            tell(f"{outcome.failure.kind}: {cells} on {place}: {outcome.failure.message}")
 
     def on_heartbeat(self) -> None:
         """Report the progress of the cells if it is due."""
@@ -246,7 +253,7 @@ class ProgressReporter(Progress):
             f"{tally.quarantined} quarantined" if tally.quarantined else "",
             end.detail,
         ]
-        self._display.note(", ".join(part for part in parts if part))
+        tell(", ".join(part for part in parts if part))
 
     def show_cells(self, *, at_once: bool = False) -> None:
         """Read and show the progress of the cells; reading takes a twentieth of the time at most."""
@@ -264,4 +271,5 @@ def choose_display(progress: Callable[[RunProgress], object] | bool | None) -> P
         return ProgressDisplay(callback=progress)
     console = Console(highlight=False)
     is_watched = console.is_jupyter or (console.is_terminal and launcher() is None)
-    return ProgressDisplay(console if progress or (progress is None and is_watched) else None)
+    shown = console if progress or (progress is None and is_watched) else None
+    return ProgressDisplay(shown, with_advice=False)

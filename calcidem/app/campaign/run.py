@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Protocol, Self
 import numpy as np
 
 from calcidem.app.campaign.identity import choose_campaign
-from calcidem.app.campaign.packing import Tell, provide_packing
-from calcidem.app.campaign.parts import batches_of, planned_batches
+from calcidem.app.campaign.notices import advise, tell
+from calcidem.app.campaign.packing import provide_packing
+from calcidem.app.campaign.parts import batches_of, planned_cells
 from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage, choose_display
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
@@ -23,6 +24,7 @@ from calcidem.app.campaign.stored_packing import packing_record, stored_packing
 from calcidem.app.campaign.task import CellComputation, kernel_compilations
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.own_pattern import Pattern, give_patterns
 from calcidem.dem.sample.packing import Packing, PackingStage
 from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError, StoreUnavailableError
 from calcidem.storage.records import CellKey, CellResult, CellStatus, PackedResult
@@ -31,7 +33,7 @@ from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 from calcidem.sweep.attempt import SweepInterrupted
 from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.environment import refuse_singletons
+from calcidem.sweep.environment import COMMAND_VARIABLE, refuse_singletons
 from calcidem.sweep.outcome import BatchOutcome
 from calcidem.sweep.processes import keep_freed_memory
 from calcidem.sweep.run import run_sweep
@@ -52,6 +54,7 @@ def run(
     set: Mapping[str, object] | None = None,  # noqa: A002 - reads as what it does: run(..., set={"wave.damping": 0.2})
     progress: Callable[[RunProgress], object] | bool | None = None,
     executor: Executor | None = None,
+    patterns: Mapping[str, Pattern] | None = None,
 ) -> "Campaign":
     """Compute a campaign, or its missing cells, in this process or on the workers of an executor.
 
@@ -78,11 +81,14 @@ def run(
         Executor whose workers compute: a ``concurrent.futures.ProcessPoolExecutor``, an
         ``mpi4py.futures.MPIPoolExecutor``, ``Client.get_executor()`` of Dask, or any other. The workers need this
         version of calcidem, but not the database. The executor stays open.
+    patterns
+        Patterns of cement by the names that ``pattern.drawn_by`` may have, beside those of installed packages
+        (docs/how-to/extend.md). A name stands for one function, since it is part of the campaign's identity.
 
     Returns
     -------
     Campaign
-        Opened for reading; close it after use.
+        Opened for reading; close it after use. Its `notes` have what the run has warned of (`CampaignWarning`).
 
     Examples
     --------
@@ -98,6 +104,7 @@ def run(
     from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - as above
     from calcidem.app.config.reader import change_configuration  # noqa: PLC0415 - the reader, which workers do not need
 
+    give_patterns(patterns or {})
     values = dict(set or {})
     values |= {"run.database": os.fspath(db)} if db is not None else {}
     values |= {"run.output": os.fspath(output)} if output is not None else {}
@@ -106,21 +113,21 @@ def run(
     keep_freed_memory()
     with choose_display(progress) as display:
         reporter = ProgressReporter(display)
-        with CampaignRun(configuration, display.note, watch=reporter.on_packing) as work:
+        with CampaignRun(configuration, watch=reporter.on_packing) as work:
             # Not set by signals: an interrupt goes to the caller.
             end = work.compute(executor, reporter, StopRequest())
             if end.state is not SweepState.COMPLETE:
                 raise WorkersLostError(f"{end.detail} (everything stored is safe)")
             for line in work.demand.lines() if work.demand else ():
-                display.note(line)
-    return open_campaign(configuration.database, configuration.campaign.name)
+                tell(line)
+    campaign = open_campaign(configuration.database, configuration.campaign.name)
+    for note in campaign.notes:
+        advise(note)
+    return campaign
 
 
 class RunView(Protocol):
-    """Messages and progress of a run."""
-
-    def say(self, text: str) -> None:
-        """Write a sentence."""
+    """Output and progress of a run; its sentences are log records (`calcidem.app.campaign.notices`)."""
 
     def display(self) -> ProgressDisplay:
         """Receiver of the progress."""
@@ -146,7 +153,7 @@ def run_command_line(
         try:
             if executor is None:
                 refuse_singletons()
-            work = CampaignRun(load(), view.say, stop_request.check, reporter.on_packing)
+            work = CampaignRun(load(), stop_request.check, reporter.on_packing)
             with work:
                 view.begin(work.configuration, work.packing)
                 end = work.compute(executor, reporter, stop_request)
@@ -154,7 +161,7 @@ def run_command_line(
                 view.finish(work.store, work.configuration, end.exit_code, in_haste=stop_request.hurry())
                 return end.exit_code
         except SweepInterrupted:
-            view.say(f"{stop_request.explanation}: ended before the cells; run it again to continue.")
+            tell(f"{stop_request.explanation}: ended before the cells; run it again to continue.")
             return EXIT_RESUMABLE
         except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
             code = view.refuse(error)
@@ -189,7 +196,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
 
 @contextmanager
 def prepared_store(
-    configuration: Configuration, tell: Tell, check: Callable[[], None], watch: Callable[[PackingStage], None]
+    configuration: Configuration, check: Callable[[], None], watch: Callable[[PackingStage], None]
 ) -> Iterator[tuple[Store, Packing]]:
     """Store of a campaign with its packing and its planned cells, of which this process is the only writer.
 
@@ -198,12 +205,16 @@ def prepared_store(
     """
     _refuse_before_writing(configuration)
     configuration.output.mkdir(parents=True, exist_ok=True)  # before hours of computation
-    store = _become_master(configuration, tell, check) if _exists(configuration.database) else None
+    store = _become_master(configuration, check) if _exists(configuration.database) else None
     try:
-        packing = provide_packing(configuration, store, tell, check, watch)
-        for warning in check_against_packing(configuration, packing):
-            tell(f"Warning: {warning}.")
-        store = store or _become_master(configuration, tell, check)
+        packing = provide_packing(configuration, store, check, watch)
+        doubts = check_against_packing(configuration, packing)
+        if COMMAND_VARIABLE not in os.environ:  # which has said it before it started the ranks
+            from calcidem.app.campaign.preview import wave_doubts  # noqa: PLC0415 - which loads the launcher
+
+            for doubt in (*doubts, *wave_doubts(configuration, packing)):
+                advise(f"{doubt}.")
+        store = store or _become_master(configuration, check)
         store.save_packing(packing_record(packing, index=0, packing_hash=configuration.packing_hash))
         store.extend(configuration.campaign.seed_numbers, configuration.campaign.contents)
         yield store, packing
@@ -222,8 +233,6 @@ class CampaignRun:
     ----------
     configuration
         Configuration to compute.
-    tell
-        Receives sentences for the user.
     check
         Called every fraction of a second while the packing is made; may raise to end it.
     watch
@@ -242,15 +251,13 @@ class CampaignRun:
     def __init__(
         self,
         configuration: Configuration,
-        tell: Tell,
         check: Callable[[], None] = lambda: None,
         watch: Callable[[PackingStage], None] = lambda _: None,
     ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
         self.demand: SeedDemand | None = None
-        self._tell = tell
-        self._closing = prepared_store(configuration, tell, check, watch)
+        self._closing = prepared_store(configuration, check, watch)
         self.store, self.packing = self._closing.__enter__()
 
     def compute(self, executor: Executor | None, reporter: ProgressReporter, stop_request: StopRequest) -> SweepEnd:
@@ -292,7 +299,7 @@ class CampaignRun:
         plan = self.configuration.campaign
         self._quarantine_deadly()  # first, since the number of seeds depends on the outcomes
         if plan.until is None:
-            own = {cell for batch in planned_batches(self.configuration) for cell in batch.cells}
+            own = planned_cells(self.configuration)
         else:
             from calcidem.app.campaign.until import SeedDemand  # noqa: PLC0415 - statistics
 
@@ -301,19 +308,24 @@ class CampaignRun:
             self.store.plan(starmap(CellKey, own))
         self.store.use_campaign(plan.name)  # with the whole plan
         pending = [key for key in self.store.pending(contents=plan.contents) if (key.seed, key.content) in own]
-        self._sink = StoreSink(self.store, pending, self._tell)
+        self._sink = StoreSink(self.store, pending)
         self._losses = self._sink.losses
+        if stored := self._sink.repeat_stored():
+            pending = [key for key in pending if key not in stored]
         return batches_of(self.configuration, {(key.seed, key.content) for key in pending}, self._losses)
 
     def _quarantine_deadly(self) -> None:
         """Store an outcome of the cells that were being computed at too many deaths."""
         counts = self.store.attempt_counts()
         if deadly := {key for key, count in counts.items() if count.losses >= LOSSES_BEFORE_QUARANTINE}:
-            deadly &= set(self.store.pending(contents=self.configuration.campaign.contents))
+            pending = set(self.store.pending(contents=self.configuration.campaign.contents))
+            deadly &= pending
+            if any(key.content == 0.0 for key in deadly):  # which are the same sample
+                deadly |= {key for key in pending if key.content == 0.0}
         reason = f"{LOSSES_BEFORE_QUARANTINE} runs died while it was computed, so it is not tried again"
         self.store.record_results(CellResult(key, CellStatus.QUARANTINED, reason) for key in deadly)
         for key in sorted(deadly):
-            self._tell(f"quarantined: {key}: {reason}")
+            tell(f"quarantined: {key}: {reason}")
 
     def _more(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> tuple[Batch[Cell], ...]:
         """Further batches that the outcomes require, if the configuration has `until`."""
@@ -345,14 +357,14 @@ def read_own_status(configuration: Configuration) -> CampaignStatus:
     with read_campaign(configuration.database, plan.name) as store:
         columns = store.table(STATUS_QUANTITIES, Selection(seeds, plan.contents))
         if configuration.run.part is not None:
-            own = {cell for batch in planned_batches(configuration) for cell in batch.cells}
+            own = planned_cells(configuration)
             cells = zip(columns["seed"].tolist(), columns["content"].tolist(), strict=True)
             chosen = np.array([cell in own for cell in cells], dtype=bool)
             columns = {name: values[chosen] for name, values in columns.items()}
         return CampaignStatus.of(store, columns, ())
 
 
-def _become_master(configuration: Configuration, tell: Tell, check: Callable[[], None]) -> Store:
+def _become_master(configuration: Configuration, check: Callable[[], None]) -> Store:
     """Open the database and become the only writer of this campaign."""
     path = Address.parse(configuration.database).path
     if path is not None:
@@ -360,7 +372,7 @@ def _become_master(configuration: Configuration, tell: Tell, check: Callable[[],
     store = Store(configuration.database)
     try:
         store.begin_campaign(configuration.record())
-        for sentence in _acquire_lease(store, tell, check):
+        for sentence in _acquire_lease(store, check):
             tell(sentence)
     except BaseException:
         store.close()
@@ -368,7 +380,7 @@ def _become_master(configuration: Configuration, tell: Tell, check: Callable[[],
     return store
 
 
-def _acquire_lease(store: Store, tell: Tell, check: Callable[[], None]) -> tuple[str, ...]:
+def _acquire_lease(store: Store, check: Callable[[], None]) -> tuple[str, ...]:
     """Acquire the lease; wait until the lease of a silent master on another machine ends.
 
     `LeaseHeldError` if another master lives: on this machine, or with a new heartbeat meanwhile.

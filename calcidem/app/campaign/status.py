@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, error_budget
+from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, are_samples, error_budget
 from calcidem.analysis.intervals import Interval
 from calcidem.storage.passwords import hide_passwords
 from calcidem.storage.records import CellKey, CellStatus, RunRecord
@@ -54,12 +54,12 @@ class ContentStatus:
     counts: Mapping[CellStatus, int]
     """Number of cells by status."""
     vs: NDArray[np.float64]
-    """Velocities of the done cells, m/s."""
+    """Velocities of its distinct samples, m/s."""
     mean: float
     deviation: float
     """Mean and standard deviation of these, m/s; NaN with too few."""
     interval: Interval
-    """Half-width of the 95 % interval of the mean, m/s (Student's t)."""
+    """95 % interval of the mean for further seeds of the packing, m/s, by Student's t; without cement by the error."""
     budget: ErrorBudget
     """Errors of its velocities."""
     seconds_per_cell: float
@@ -225,8 +225,9 @@ def _content_status(
     names = columns["status"].tolist()
     found = dict(zip(columns["seed"].astype(int).tolist(), map(_STATUS_BY_NAME.__getitem__, names), strict=True))
     counts = Counter({_STATUS_BY_NAME[name]: count for name, count in Counter(names).items()})
-    vs = columns["vs"].astype(float)
-    vs = vs[np.isfinite(vs)]
+    counted = are_samples(columns["vs"], content)
+    vs = columns["vs"][counted].astype(float)
+    is_one = content == 0.0  # without cement all seeds are the same sample
     pending = counts[CellStatus.PENDING]
     return ContentStatus(
         content=content,
@@ -235,10 +236,12 @@ def _content_status(
         vs=vs,
         mean=_mean_or_nan(vs),
         deviation=float(np.std(vs, ddof=1)) if vs.size > 1 else np.nan,
-        interval=Interval.of_mean(vs),
+        interval=Interval.of_velocity(vs[0], columns["vs_error"][counted][0])
+        if is_one and vs.size
+        else Interval.of_mean(vs),
         budget=error_budget(columns),
         seconds_per_cell=measured,
-        seconds_left=pending * expected if pending else 0.0,
+        seconds_left=(1 if is_one else pending) * expected if pending else 0.0,
     )
 
 

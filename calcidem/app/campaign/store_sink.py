@@ -8,10 +8,12 @@ from dataclasses import replace
 from threading import Lock
 from typing import TypeVar
 
-from calcidem.app.campaign.packing import Tell
+from calcidem.app.campaign.notices import tell
+from calcidem.ends import DECIDED_BY_PHYSICS
 from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, PackedResult
 from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.outcome import BatchOutcome
 
@@ -27,18 +29,17 @@ class StoreSink:
         Store with the campaign chosen.
     keys
         Cells that will be computed.
-    tell
-        Takes sentences for the user.
     """
 
-    def __init__(self, store: Store, keys: Sequence[CellKey], tell: Tell = lambda _: None) -> None:
-        self._store, self._tell = store, tell
+    def __init__(self, store: Store, keys: Sequence[CellKey]) -> None:
+        self._store = store
         self.busy = Lock()
         """Lock held while a thread uses the store."""
         self.patience = 600.0
         """Longest wait for a lock of another process, s."""
         self._next_renewal = 0.0
         self._counts = store.attempt_counts(keys) if keys else {}
+        self._bare = [key for key in keys if key.content == 0.0]
         self._running: set[CellKey] = set()
         self._unplanned: deque[CellKey] = deque()
 
@@ -50,6 +51,16 @@ class StoreSink:
     def plan(self, keys: Iterable[CellKey]) -> None:
         """Plan cells in the transaction of the next stored outcomes; does not wait."""
         self._unplanned.extend(keys)
+
+    def repeat_stored(self) -> set[CellKey]:
+        """Store cells without cement as an earlier run computed their common sample; return them."""
+        if self._bare:
+            done = Selection(contents=0.0, statuses=DECIDED_BY_PHYSICS)
+            computed = next(self._store.results(done, with_arrays=True), None)
+            repeated = [] if computed is None else self._repetitions(computed.packed())
+            self._store.record_results(repeated)
+            return {result.key for result in repeated}
+        return set()
 
     def mark(self, batches: Sequence[Batch[Cell]], /) -> None:
         """Begin an attempt for each cell of these batches; a batch that is computed again is marked already."""
@@ -95,7 +106,7 @@ class StoreSink:
                 except StoreLockedError as error:  # after half a minute in which SQLite itself has waited
                     if time.monotonic() > deadline:
                         raise
-                    self._tell(f"Waiting for another process that has locked the database ({error.problem})")
+                    tell(f"Waiting for another process that has locked the database ({error.problem})")
                     time.sleep(1.0)
 
     def _results(self, outcome: BatchOutcome[Cell, PackedResult]) -> list[PackedResult]:
@@ -106,9 +117,28 @@ class StoreSink:
             keys = [CellKey(*cell) for cell in outcome.batch.cells]
             found = [CellResult(key, outcome.failure.kind, reason, seconds=seconds).packed() for key in keys]
         origin = {"rank": outcome.place.rank, "host": outcome.place.host}
-        return [
+        found = [
             replace(result, columns=result.columns | origin | {"attempt": self._attempt_of(result.key)})
             for result in found
+        ]
+        return found + [
+            repeated for result in found if result.key.content == 0.0 for repeated in self._repetitions(result)
+        ]
+
+    def _repetitions(self, computed: PackedResult) -> list[PackedResult]:
+        """Outcome of a sample without cement for the other seeds to be stored, which are the same sample.
+
+        They have no computing time, rank or host, and a velocity with the reason that it is that of another seed.
+        """
+        told = (
+            computed.columns["reason"]
+            or f"without cement all seeds are one sample, computed as seed {computed.key.seed}"
+        )
+        changed = {"reason": told, "seconds": None, "rank": None, "host": None}
+        return [
+            replace(computed, key=key, columns=computed.columns | changed | {"attempt": self._attempt_of(key)})
+            for key in self._bare
+            if key != computed.key
         ]
 
     def _attempt_of(self, key: CellKey) -> int:

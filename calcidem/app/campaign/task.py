@@ -5,7 +5,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from calcidem.app.campaign.stored_packing import cache_folder, packing_record
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
 from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
+from calcidem.dem.sample.own_pattern import GIVEN, Pattern, give_patterns
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import Check, check_content, kernels_of
 from calcidem.dem.wave.experiment import Experiment
@@ -85,7 +86,7 @@ class CellComputation:
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle for preparation in another process, without the URL of the database, which may have a password."""
         told = replace(self.configuration, run=replace(self.configuration.run, database=None))
-        return _prepared_computation, (told, self.packing, _version())
+        return _prepared_computation, (told, self.packing, _version(), {**GIVEN})
 
     @cached_property
     def _experiment(self) -> Experiment:
@@ -124,8 +125,11 @@ def _version() -> str:
     return f"calcidem {__version__} with physics version {PHYSICS_VERSION}"
 
 
-def _prepared_computation(configuration: Configuration, packing: Packing, version: str) -> CellComputation:
+def _prepared_computation(
+    configuration: Configuration, packing: Packing, version: str, patterns: Mapping[str, Pattern]
+) -> CellComputation:
     """Computation in a process of an executor, with compiled kernels."""
+    give_patterns(patterns)
     if _version() != version:
         raise LaunchError(f"a worker has {_version()}, the program that stores the campaign has {version}")
     keep_freed_memory()

@@ -23,7 +23,8 @@ class SeedDemand:
     """
 
     def __init__(self, plan: CampaignPlan, known: Mapping[Cell, float]) -> None:
-        self._plan, self._known = plan, dict(known)
+        self._plan, self._known = plan, dict[Cell, float]()
+        self._learn(known)
         self._counts = {canonical_content(content): len(plan.seed_numbers) for content in plan.contents}
         for content in self._counts:
             self._advance(content)
@@ -40,7 +41,7 @@ class SeedDemand:
             for place, cell in enumerate(outcome.batch.cells):
                 vs = None if outcome.results is None else outcome.results[place].columns.get("vs")
                 known[cell] = np.nan if vs is None else float(vs)
-        self._known |= known
+        self._learn(known)
         found: list[Cell] = []
         for content in sorted({content for _, content in known} & self._counts.keys()):
             before = self._counts[content]
@@ -62,6 +63,12 @@ class SeedDemand:
             elif self._next(content, 2 * self._plan.most_seeds):
                 yield f"{content:g} %: intervals are wider than campaign.until; campaign.most_seeds is {count}."
 
+    def _learn(self, known: Mapping[Cell, float]) -> None:
+        self._known |= known
+        for cell, vs in known.items():
+            if cell[1] == 0.0:  # without cement all seeds are the same sample
+                self._known |= {(seed, 0.0): vs for seed in self._plan.seed_numbers}
+
     def _advance(self, content: float) -> None:
         while count := self._next(content, self._plan.most_seeds):
             self._counts[content] = count
@@ -70,7 +77,7 @@ class SeedDemand:
         """Next number of seeds; 0 while an outcome is missing, or if there are enough."""
         until, count = self._plan.until, self._counts[content]
         cells = [(seed, content) for seed in range(1, count + 1)]
-        if until is None or not all(cell in self._known for cell in cells):
+        if until is None or content == 0.0 or not all(cell in self._known for cell in cells):
             return 0
         found = next_seed_count([self._known[cell] for cell in cells], most, mean=until.mean, sd=until.sd)
         return found if found > count else 0

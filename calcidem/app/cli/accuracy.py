@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from calcidem.app.campaign.notices import tell
 from calcidem.app.cli.arguments import (
     DEFAULT_CONFIGURATION,
     SEEDS_AT_ONCE,
@@ -13,7 +14,6 @@ from calcidem.app.cli.arguments import (
     StudyFolder,
 )
 from calcidem.app.cli.formats import Format, FormatOption, tell_study
-from calcidem.app.cli.terminal import tell
 
 
 def accuracy_command(

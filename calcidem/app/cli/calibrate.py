@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calcidem.app.campaign.notices import tell
 from calcidem.app.cli.arguments import (
     HIGHEST_SEED,
     SEEDS_AT_ONCE,
@@ -15,7 +16,6 @@ from calcidem.app.cli.arguments import (
     number_parser,
     parse_percentage,
 )
-from calcidem.app.cli.terminal import tell
 from calcidem.sweep.environment import available_cores
 from calcidem.sweep.sweep_end import EXIT_ERROR
 
@@ -79,7 +79,7 @@ def calibrate_command(
         raise typer.BadParameter(
             "has one content under several confining stresses; give the rows of one of them", param_hint="--target"
         )
-    packing = provide_packing(loaded, None, tell)
+    packing = provide_packing(loaded, None)
     ranges = [ParameterRange.parse(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
     chosen = range(first_seed, first_seed + seeds)
     plan = FitPlan(targets, ranges, chosen, tuple(dict.fromkeys(predict or ())), tolerance)

@@ -10,7 +10,8 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from calcidem.app.cli.terminal import IS_VERBOSE, printable
+from calcidem.app.campaign.notices import printable
+from calcidem.app.cli.terminal import IS_VERBOSE
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.dem.engine.fields import FieldError
 from calcidem.dem.sample.packing import PackingError, PackingFileError

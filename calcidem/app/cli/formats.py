@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calcidem.app.cli.terminal import printable
+from calcidem.app.campaign.notices import printable
 
 if TYPE_CHECKING:  # loaded by the commands of studies themselves
     from calcidem.app.studies.results import StudyResult

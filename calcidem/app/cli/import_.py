@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.arguments import number_parser, refuse_options
-from calcidem.app.cli.terminal import printable
 
 _RAISED_BY_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
 """Exceptions of the NetCDF library and its callers for changed bytes of a file."""

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, refuse_options
-from calcidem.app.config.presets import PRESETS, preset_text
+from calcidem.app.config.presets import PRESETS, preset_text, slurm_job
 
 Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})  # type: ignore[misc]  # not literal
 
@@ -54,8 +54,20 @@ def init_command(
     contents: Annotated[
         str | None, typer.Option(metavar="PERCENT,...", help="Its calcite contents; 0,1,2,4 if not given.")
     ] = None,
+    slurm: Annotated[
+        bool,
+        typer.Option("--slurm", help="Also write its Slurm job, FILE.sbatch; a configuration that exists is kept."),
+    ] = False,
 ) -> None:
     """Write a configuration to start from: an example, or one for your own sand."""
+    if not file.name:
+        raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file")
+    if slurm:
+        job = file.with_suffix(".sbatch")
+        _write_new(job, slurm_job(file.name), "submit it, or remove it first")
+        typer.echo(f"Wrote {job}. Edit its first lines, then: sbatch {job}")
+        if file.exists():
+            return
     chosen = preset or next(iter(Preset))
     sizes = {"--grain-size": grain_size, "--grading": grading, "--disks": disks}
     given = [name for name, value in sizes.items() if value is not None]
@@ -78,15 +90,18 @@ def init_command(
         size = disks or grain_size or ",".join(f"{d!r}m" for d in read_grading(grading or Path()))
         own = OwnSand.of_words(size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent)
         text = own.text()
+    other = file.with_stem(f"{file.stem}-{chosen}")
+    another = "give another name" if given else f"write another with 'calcidem init {other} --preset {chosen}'"
+    _write_new(file, text, f"run it with 'calcidem run {file}', or {another}")
+    typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
+
+
+def _write_new(file: Path, text: str, remedy: str) -> None:
+    """Write a file that must not exist yet."""
     try:
         with file.open("x", encoding="utf-8") as target:
             target.write(text)
     except FileExistsError:
         if not file.is_file():
             raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file") from None
-        problem = f"{file} exists and was left unchanged; run it with 'calcidem run {file}', or "
-        if given:
-            raise typer.BadParameter(f"{problem}give another name") from None
-        other = file.with_stem(f"{file.stem}-{chosen}")
-        raise typer.BadParameter(f"{problem}write another with 'calcidem init {other} --preset {chosen}'") from None
-    typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
+        raise typer.BadParameter(f"{file} exists and was left unchanged; {remedy}") from None

@@ -8,6 +8,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from importlib import import_module
 from io import TextIOWrapper
 from typing import Annotated, Any
@@ -15,7 +16,8 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable
+from calcidem.app.campaign.notices import CampaignWarning, listening, printable
+from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, write_notice
 from calcidem.storage.passwords import keep_passwords_back
 from calcidem.sweep.environment import THREAD_VARIABLES, launcher, whole_number
 from calcidem.version import __version__
@@ -159,9 +161,11 @@ def _with_common_options(name: str, function: Callable[..., None]) -> Callable[.
     def command(*, quiet: bool, verbose: bool, **given: Any) -> None:  # noqa: ANN401 - what the function takes
         IS_QUIET.set(quiet)
         IS_VERBOSE.set(verbose)
+        warnings.simplefilter("ignore", CampaignWarning)  # which are written as sentences
         begin = time.perf_counter()
         try:
-            function(**given)
+            with nullcontext() if quiet else listening(write_notice):
+                function(**given)
         finally:
             if verbose:
                 seconds = f"{time.perf_counter() - begin:.2f} s, {time.process_time():.2f} s of CPU"

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.arguments import CampaignName
-from calcidem.app.cli.terminal import printable
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.campaign.merge import Merged

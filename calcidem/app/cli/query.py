@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
 from calcidem.app.cli.formats import Format, FormatOption, RecordRows, tell_rows
-from calcidem.app.cli.terminal import printable
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection

@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
+from calcidem.app.campaign.notices import tell
 from calcidem.app.cli.arguments import CampaignName, Database
-from calcidem.app.cli.terminal import progress_bar, tell
+from calcidem.app.cli.terminal import progress_bar
 
 
 def report_command(

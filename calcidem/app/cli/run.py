@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calcidem.app.campaign.notices import advise, printable, tell
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, number_parser, refuse_options
-from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, printable, tell
+from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE
 from calcidem.sweep.progress import first_of, pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
+    from concurrent.futures import Executor
+
     from calcidem.app.config.schema import Configuration
 
 _parse_timeout = number_parser(1.0, 1e6, "is not a number of seconds from 1 to 1,000,000")
@@ -90,14 +93,13 @@ def run_command(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )
     with _live_page(configuration, overrides) if serve else nullcontext():
-        from calcidem.app.campaign.run import dask_executor, run_command_line
-        from calcidem.app.cli.run_view import TerminalView
         from calcidem.sweep.ranks import run_on_ranks
         from calcidem.sweep.signals import StopRequest
 
         load = partial(_read_overridden, configuration, overrides, retry or ())
         if ranks is not None and ranks != 1:
             from calcidem.app.campaign.launch import Launch
+            from calcidem.app.cli.run_view import TerminalView
 
             options = {"--db": database, "--output": output, "--part": part}
             arguments = ["run", str(configuration)]
@@ -108,29 +110,38 @@ def run_command(
             launch = Launch(arguments, ranks, 3 if restarts is None else restarts, start_timeout)
             code = launch.run(load, TerminalView(with_report=with_report, cores_used=True))
         elif dask is not None:
+            from calcidem.app.campaign.run import dask_executor, run_command_line
+            from calcidem.app.cli.run_view import TerminalView
+
             view = TerminalView(with_report=with_report, cores_used=True)
             with dask_executor(dask) as executor, StopRequest() as stop:
                 code = run_command_line(load, view, executor, stop)
         else:
-            # A view is made on rank 0 alone, since it loads libraries that the others do not need.
-            code = run_on_ranks(
-                lambda executor, stop: run_command_line(
-                    load, TerminalView(with_report=with_report, cores_used=False), executor, stop
-                )
-            )
+            import calcidem.app.campaign.task  # noqa: F401 - what every rank needs, while rank 0 prepares
+
+            def lead(executor: "Executor | None", stop: StopRequest) -> int:
+                """Run the command on rank 0, which alone needs the database and a view."""
+                from calcidem.app.campaign.run import run_command_line
+                from calcidem.app.cli.run_view import TerminalView
+
+                view = TerminalView(with_report=with_report, cores_used=False)
+                return run_command_line(load, view, executor, stop)
+
+            code = run_on_ranks(lead)
         raise typer.Exit(code)
 
 
 def _make_packing_alone(configuration: "Configuration") -> None:
     """Make the packing alone, and report on it."""
     from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.campaign.preview import wave_doubts
     from calcidem.app.cli.run_view import packing_lines
     from calcidem.app.config.checks import check_against_packing
 
-    packing = provide_packing(configuration, None, tell)
+    packing = provide_packing(configuration, None)
     typer.echo("\n".join(packing_lines(packing)))
-    for warning in check_against_packing(configuration, packing):
-        typer.echo(f"Warning: {warning}.")
+    for warning in (*check_against_packing(configuration, packing), *wave_doubts(configuration, packing)):
+        advise(f"{warning}.")
 
 
 def _live_page(configuration: Path, overrides: dict[str, str | None]) -> AbstractContextManager[None]:
@@ -143,7 +154,7 @@ def _live_page(configuration: Path, overrides: dict[str, str | None]) -> Abstrac
             f"leave it out under {launcher()}: 'calcidem serve DB --wait' beside the run does it", param_hint="--serve"
         )
     wanted = _read_overridden(configuration, overrides)
-    return page_beside_run(wanted.database, wanted.campaign.name, lambda text: typer.echo(printable(text)))
+    return page_beside_run(wanted.database, wanted.campaign.name, tell)
 
 
 def _read_overridden(
@@ -163,5 +174,5 @@ def _read_overridden(
 
         pending = retry_cells(loaded, [CellStatus(outcome.value) for outcome in retry])
         head = f"{pluralize(len(pending), 'cell')} to compute again:" if pending else "There is nothing to retry."
-        typer.echo("\n  ".join([head, *first_of(list(map(str, pending)))]))
+        tell("\n  ".join([head, *first_of(list(map(str, pending)))]))
     return loaded

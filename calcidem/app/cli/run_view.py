@@ -7,13 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 from rich.table import Table
 
-from calcidem.analysis.error_budget import median_known
+from calcidem.analysis.error_budget import are_samples, median_known
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
+from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.progress import ProgressDisplay
 from calcidem.app.campaign.status import STATUS_QUANTITIES, UNREAD, CampaignStatus
 from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.tables import format_number, make_console, make_table, marks_of, remarks_on
-from calcidem.app.cli.terminal import IS_QUIET, printable
+from calcidem.app.cli.terminal import IS_QUIET
 from calcidem.app.config.reference import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
@@ -37,11 +38,6 @@ class TerminalView:
         self.cores_used = cores_used or launcher() is not None
         self.with_report = with_report
 
-    def say(self, text: str) -> None:
-        """Write a line unchanged, unless only results are wanted."""
-        if not self.quiet:
-            self.console.print(printable(text), markup=False, soft_wrap=True)
-
     def display(self) -> ProgressDisplay:
         """Display of the progress, unless only results are wanted."""
         return ProgressDisplay(None if self.quiet else self.console, shows_progress=not self.is_told_by_command)
@@ -51,11 +47,11 @@ class TerminalView:
         if self.is_told_by_command:
             return
         for line in packing_lines(packing):
-            self.say(line)
+            tell(line)
         if note := calibration_note(configuration):
-            self.say(note)
+            tell(note)
         if not self.cores_used and sys.platform == "linux" and (cores := available_cores()) > 1:
-            self.say(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
+            tell(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
 
     def finish(self, store: Store, configuration: Configuration, code: int, *, in_haste: bool) -> None:
         """Show the velocities, export them and write the report if requested; in haste show them only."""
@@ -69,21 +65,21 @@ class TerminalView:
             from calcidem.app.campaign.until import SeedDemand
 
             for line in SeedDemand.of_store(store, plan).lines():
-                self.say(line)
+                tell(line)
         address = Address.parse(configuration.database)
-        self.say(f"Database: {address}")
+        tell(f"Database: {address}")
         netcdf = configuration.netcdf
         if belongs_to_another(netcdf, store.record.hash):  # two campaigns of one database, or with one name
             netcdf = netcdf.with_stem(f"{netcdf.stem}-{store.record.hash[:8]}")
         if in_haste:
-            self.say(f"NetCDF:   not written, to end quickly; calcidem export {address} OUT.nc does it")
+            tell(f"NetCDF:   not written, to end quickly; calcidem export {address} OUT.nc does it")
         else:
-            self.say(f"Wrote {export_netcdf(store, netcdf)}")
+            tell(f"Wrote {export_netcdf(store, netcdf)}")
         if self.with_report and code == 0:
             from calcidem.app.report.page import write_report
 
             page = write_report(configuration.database, netcdf.with_suffix(".html").absolute())
-            self.say(f"Wrote {page}")
+            tell(f"Wrote {page}")
 
     def refuse(self, error: Exception) -> int:
         """Report an error, and return its exit code."""
@@ -121,9 +117,9 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     velocities = ("mean m/s", "sd m/s", "reading m/s", "effective m/s", "its sd m/s")
     table = make_table("Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda"))
     table.add_column("other cells")
-    marks, is_near = [], False
+    marks, is_near, counted = [], False, are_samples(columns["vs"], columns["content"])
     for one in found.contents:
-        here = columns["content"] == one.content
+        here = (columns["content"] == one.content) & counted
         marks.append(marks_of(one.counts, one.budget.loud))
         median = median_known(columns["wavelengths_on_path"][here])
         is_near |= (near := median < FEWEST_WAVELENGTHS)
@@ -134,13 +130,13 @@ def _vs_table(store: Store, selection: Selection) -> Table:
         others = one.counts.keys() - {CellStatus.DONE}
         table.add_row(
             f"{one.content:g}",
-            f"{one.vs.size}/{len(one.statuses)}{marks[-1]}",
+            f"{one.counts.get(CellStatus.DONE, 0)}/{len(one.statuses)}{marks[-1]}",
             *map(format_number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
             format_number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, "{:.4g}"),
             format_number(median, "{:.2f}") + (" *" if near else ""),
             ", ".join(f"{one.counts[status]} {status.words}" for status in CellStatus if status in others),
         )
-    remarks = [f"standard error of Vs: {found.budget}; reading m/s: sd that errors of the readings alone would give"]
+    remarks = [f"standard error of Vs: {found.budget}; reading m/s: sd of Vs by reading errors alone"]
     if is_near:
         remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
     remarks += remarks_on(marks, found.budget.loud)

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
+from calcidem.app.campaign.notices import tell
 from calcidem.app.cli.arguments import CampaignName, OnlyContents, StudyCores, refuse_options
-from calcidem.app.cli.terminal import tell
 from calcidem.sweep.environment import available_cores
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.cli.terminal import printable
+from calcidem.app.campaign.notices import printable
 
 
 def serve_command(

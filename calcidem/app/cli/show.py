@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.text import Text
 
+from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.arguments import HIGHEST_SEED, CampaignName, Database, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
-from calcidem.app.cli.terminal import printable, progress_bar
+from calcidem.app.cli.terminal import progress_bar
 from calcidem.ends import Verdict
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
@@ -75,7 +76,9 @@ def _cell_rows(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if quantity.kind == "text":
             text = str(value or "")
         else:
-            text = decimal(value) if quantity.kind == "whole" else significant(value, 6)
+            is_share = quantity.meaning.startswith("relative")
+            text = decimal(value) if quantity.kind == "whole" else significant(100 * value if is_share else value, 4)
+            text += " %" if is_share and text != ABSENT else ""
         if text in {"", ABSENT} or (name in EXCEPTIONAL and not value):
             continue
         yield quantity.meaning, text if quantity.kind == "text" else f"{text} {readable_unit(quantity.unit)}".rstrip()

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
+from calcidem.app.campaign.notices import tell
 from calcidem.app.cli.arguments import JudgedDatabase, StudyFolder, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_study
-from calcidem.app.cli.terminal import tell
 from calcidem.sweep.sweep_end import EXIT_ERROR
 
 

@@ -8,9 +8,9 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.text import Text
 
+from calcidem.app.campaign.notices import printable
 from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, URGENCY, CampaignStatus, ContentStatus, Trouble
 from calcidem.app.cli.tables import WholeTable, format_number, marks_of, remarks_on
-from calcidem.app.cli.terminal import printable
 from calcidem.ends import Verdict
 from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, first_of, pluralize
@@ -173,6 +173,9 @@ def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
     """Seeds and time for a half-width in m/s at each content."""
     yield f"\nSeeds for a mean of +- {half_width:g} m/s (95 %):"
     for content in status.contents:
+        if content.content == 0.0:
+            yield "  0 %: all seeds are the same sample"
+            continue
         plan = _plan_of(content, half_width)
         if plan is None:
             yield f"  {content.content:g} %: not known before {FEWEST_TO_PLAN} seeds have a velocity"

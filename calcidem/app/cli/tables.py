@@ -98,7 +98,8 @@ def remarks_on(marks: Iterable[str], loud: int) -> Iterator[str]:
     if any("!" in mark for mark in marks):
         yield "! possible selection bias: cells without velocity may shift the mean by more than its standard error"
     if loud:
+        samples = pluralize(loud, "sample")
         yield (
-            f"~ {pluralize(loud, 'velocity', 'velocities')} depend on the pulse by more than {MOST_PULSE_EFFECT:.0%}: "
+            f"~ Vs of {samples} depends on the pulse by more than {100 * MOST_PULSE_EFFECT:g} %: "
             "a smaller wave.amplitude measures the sample"
         )

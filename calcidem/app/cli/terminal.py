@@ -5,9 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-_ESCAPES = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
-"""Control characters (Unicode category Cc, ECMA-48), which move the cursor, colour, or make a terminal respond."""
-
+from calcidem.app.campaign.notices import printable
 
 IS_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
 """Whether only results and errors are written; each command sets it."""
@@ -16,11 +14,10 @@ IS_VERBOSE: ContextVar[bool] = ContextVar("verbose", default=False)
 """Whether tracebacks of errors and the time of a command are wanted, too."""
 
 
-def tell(text: str) -> None:
-    """Write the progress to standard error, separate from the result."""
-    if not IS_QUIET.get():
-        sys.stderr.write(printable(f"{text}\n"))
-        sys.stderr.flush()
+def write_notice(text: str) -> None:
+    """Write a sentence to standard error, separate from the result."""
+    sys.stderr.write(printable(f"{text}\n"))
+    sys.stderr.flush()
 
 
 @contextmanager
@@ -33,8 +30,3 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     with Progress(console=console, transient=True, disable=IS_QUIET.get() or not console.is_terminal) as progress:
         task = progress.add_task(title)
         yield lambda done, total: progress.update(task, completed=done, total=total)
-
-
-def printable(text: object) -> str:
-    """Text with control characters, except line feed and tab, as escapes, so that it cannot control a terminal."""
-    return str(text).translate(_ESCAPES)

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
-from calcidem.app.cli.terminal import printable
 from calcidem.sweep.progress import pluralize
 from calcidem.sweep.sweep_end import EXIT_ERROR
 

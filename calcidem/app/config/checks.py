@@ -3,6 +3,7 @@
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.fields import quote
 from calcidem.dem.sample.judgement import expected_overlap, judge_disks, judge_stress
+from calcidem.dem.sample.own_pattern import UnknownPatternError, find_pattern
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import refuse_unfit_pulse, refuse_unfit_samples
@@ -23,7 +25,7 @@ from calcidem.storage.sql.engine import Address
 
 def cross_check(configuration: Configuration) -> list[Problem]:
     """All contradictions of a configuration."""
-    checks = (_geometry_problems, _rest_problems, _frequency_problems, _file_problems)
+    checks = (_pattern_problems, _geometry_problems, _rest_problems, _frequency_problems, _file_problems)
     return [problem for check in checks for problem in check(configuration)]
 
 
@@ -33,6 +35,15 @@ def disks_in_box(configuration: Configuration) -> float:
     smallest, largest = rule.diameter
     area = np.pi / 12.0 * (smallest**2 + smallest * largest + largest**2)
     return float((1.0 - rule.porosity) * rule.width * rule.height / area)
+
+
+def _pattern_problems(configuration: Configuration) -> Iterator[Problem]:
+    """A pattern that no package has."""
+    if configuration.pattern.drawn_by is not None:
+        try:
+            find_pattern(configuration.pattern.drawn_by)
+        except UnknownPatternError as error:
+            yield Problem(f"pattern.{error}", ("pattern.drawn_by",))
 
 
 def _geometry_problems(configuration: Configuration) -> Iterator[Problem]:
@@ -225,7 +236,7 @@ def can_make_files(folder: Path) -> bool:
 
 
 def check_against_packing(configuration: Configuration, packing: Packing) -> list[str]:
-    """Refuse a plan that the packing cannot hold; return warnings about the packing and its waves, a sentence each.
+    """Refuse a plan that the packing cannot hold; return warnings about the packing and its pulse, a sentence each.
 
     `ConfigurationError` with all problems.
     """
@@ -262,20 +273,13 @@ def check_against_packing(configuration: Configuration, packing: Packing) -> lis
             f"{stroke / packing.report.mean_overlap:.2g} mean overlaps of the contacts, so Vs may depend on the pulse; "
             f"give {float(f'{configuration.wave.amplitude * packing.report.mean_overlap / stroke:.1g}'):g} m/s or less"
         )
-    cutoff = cutoff_estimate(configuration, cemented=False)
-    frequency = experiment.frequency(0.0) if 0.0 in plan.contents else 0.0
-    if frequency > 0.5 * cutoff:  # there a chain propagates waves at sin(x) / x = 0.95 of the long-wave velocity
-        doubts.append(
-            f"wave.frequency = {frequency:g}: at 0 % a wavelength has fewer than 6 grains, "
-            f"and dispersion slows the wave by 4 % and more; give at most {0.5 * cutoff:.2g} Hz"
-        )
     return doubts
 
 
 def _sample_problems(configuration: Configuration, experiment: Experiment) -> list[Problem]:
     """Problems of samples of the first seeds that would be refused before their wave."""
     plan, lanes = configuration.campaign, configuration.run.lanes
-    orderings = [experiment.ordering(seed) for seed in plan.seed_numbers[:lanes]]
+    orderings = cache(lambda: [experiment.ordering(seed) for seed in plan.seed_numbers[:lanes]])
     for content in sorted(plan.contents):
         try:
             refuse_unfit_samples(experiment, content, orderings, lanes)

@@ -28,7 +28,6 @@ from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import LARGEST_SEED, CampaignRecord, canonical_content
 from calcidem.storage.records.canonical import canonical_hash, canonical_json
-from calcidem.storage.sql.engine import Address
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
@@ -415,6 +414,8 @@ class Configuration:
     @property
     def netcdf(self) -> Path:
         """File name of the export: beside the database, or in the output folder for a database on a server."""
+        from calcidem.storage.sql.engine import Address  # noqa: PLC0415 - ranks need no database
+
         path = Address.parse(self.database).path
         return self.output / f"{self.campaign.name}.nc" if path is None else path.with_suffix(".nc")
 

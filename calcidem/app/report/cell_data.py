@@ -21,6 +21,7 @@ from calcidem.ends import Verdict
 from calcidem.storage.records import QUANTITY_BY_NAME, CellResult, RecordedSection
 from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT, NORMAL_95
 from calcidem.storage.store import ALL_CELLS, Selection
+from calcidem.sweep.progress import pluralize
 
 MOST_FULL_RECORDS = 10_000
 SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")
@@ -69,13 +70,13 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> tuple[dict[str, s
     if len(shown) < analysis.vs.sizes["seed"]:
         remarks.append(
             f"Signals and samples of {len(shown)} of {analysis.vs.sizes['seed']:,} seeds are in this page; "
-            "“calcidem show DB --seed S --content C --out DIR” draws every one."
+            "'calcidem show DB --seed S --content C --out DIR' draws every one."
         )
     if drawn < len(shown):
-        remarks.append(
-            f"Space-time sections of {f'the first {drawn}' if drawn else 'no'} seeds are in this page; "
-            "“calcidem show DB --seed S --content C --out DIR” draws every one."
+        those = (
+            f"Space-time sections of the first {pluralize(drawn, 'seed')} are" if drawn else "No space-time section is"
         )
+        remarks.append(f"{those} in this page; 'calcidem show DB --seed S --content C --out DIR' draws every one.")
     return blocks, remarks
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -18,11 +19,11 @@ from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render, save
-from calcidem.analysis.intervals import is_in_doubt
 from calcidem.analysis.measured import Target
+from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
+from calcidem.analysis.packing_graph import installed_features
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
-from calcidem.app.report.results import near_field_rows
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.wording import ABSENT, Table, decimal
 from calcidem.input_file import open_input
@@ -30,7 +31,7 @@ from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
 from calcidem.storage.netcdf.export import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.sweep.progress import duration, pluralize
+from calcidem.sweep.progress import duration
 
 _MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",
@@ -124,7 +125,7 @@ def write_report(
     target = Path(out)
     with read_campaign(database, campaign_name) as store:
         # Paths are analysed for the samples of the first seeds; 5,000 take a minute.
-        analysis = CampaignAnalysis(store, 5000, with_patterns, measured)
+        analysis = CampaignAnalysis(store, 5000, with_patterns, installed_features(), measured)
         write_text_atomically(target, _render_page(analysis, studies or {}, watch))
         if files is not None:
             _write_files(analysis, files)
@@ -231,32 +232,19 @@ def _make_section(plan: SectionPlan, analysis: CampaignAnalysis) -> _PageSection
 
 
 def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
-    """Return warnings about few samples, missing cement or long waves."""
+    """Return remarks on few samples and missing cement, and the advice on the velocities."""
     remarks = []
-    measured = [row.vs.n for row in analysis.distributions if row.vs.n]
+    measured = [row.vs.n for row in analysis.distributions if row.vs.n and row.content > 0]
     if measured and min(measured) < 30:  # of these the moments have little meaning
         remarks.append(
             f"With only {min(measured)} samples at a content, skewness and kurtosis have wide errors, and a test that "
             "does not reject normality is weak."
         )
-    doubtful = [row for row in analysis.distributions if is_in_doubt(row.vs.n, row.failed)]
-    if doubtful:
-        shares = ", ".join(f"{row.content:g} % ({row.failed} of {row.failed + row.vs.n})" for row in doubtful)
+    if any(row.content == 0 for row in analysis.distributions) and analysis.vs.sizes["seed"] > 1:
         remarks.append(
-            f"Possible selection bias at {shares}: cells without velocity may shift the mean by more than its standard "
-            "error. The table of cells without a velocity names reasons and remedies."
+            "Without cement all seeds are the same sample. It counts once, and its interval is that of its error."
         )
-    broken = analysis.cells["broken_bonds"].to_numpy()
-    if count := int(np.sum(broken > 0)):
-        remarks.append(f"The pulse broke bonds in {pluralize(count, 'cell')}, at most {np.nanmax(broken):.0f} in one.")
-    if any(row.content == 0 and row.vs.n > 1 for row in analysis.distributions):
-        remarks.append("Without cement the seeds of one packing are the same sample, so there is no scatter at 0 %.")
-    if near := near_field_rows(analysis):
-        remarks.append(
-            f"At {len(near)} of {len(analysis.distributions)} contents fewer than two wavelengths lie between "
-            "transmitter and receiver: near field and shear wave arrive together there."
-        )
-    return remarks
+    return remarks + notes_on(analysis.store.table(NOTE_QUANTITIES))
 
 
 def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture:
@@ -292,6 +280,24 @@ def _explained_terms(table: Table) -> tuple[tuple[str, str], ...]:
     return tuple((word, _MEANINGS[word]) for word in found if word in _MEANINGS)
 
 
+def _as_numbers(table: Table) -> list[list[str]]:
+    """Header and rows for programs: bare numbers, ends of intervals in columns of their own, empty if missing."""
+    number, signs = r"(-?\d+(?:\.\d+)?(?:e-?\d+)?)", str.maketrans("\N{MINUS SIGN}⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "--0123456789")
+    forms = re.compile(rf"{number}(?: %)?|{number} \((?:{number} to {number}|{ABSENT})\)|{number} to {number}")
+    columns: list[list[str]] = []
+    for name, *texts in zip(table.header, *table.rows, strict=True):
+        read = [forms.fullmatch(text.translate(signs).replace(" \N{MULTIPLICATION SIGN} 10", "e")) for text in texts]
+        if not all(found or text in {ABSENT, f"{ABSENT} ({ABSENT})"} for found, text in zip(read, texts, strict=True)):
+            columns.append([name, *("" if text == ABSENT else text for text in texts)])
+            continue
+        full = name + " (%)" * any(text.endswith(" %") for text in texts)
+        for head, groups in ((full, (1, 2)), (f"{name}, low", (3, 5)), (f"{name}, high", (4, 6))):
+            values = [next((found[group] for group in groups if found and found[group]), "") for found in read]
+            if any(values) or (head == full and not any(read)):
+                columns.append([head, *values])
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
 def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
     """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
@@ -310,11 +316,7 @@ def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dic
         table, reasons[f"table_{name}"] = make_or_explain(make, analysis)
         if table is not None:
             with (folder / f"table_{name}.csv").open("w", newline="", encoding="utf-8") as stream:
-                writer = csv.writer(stream)
-                writer.writerow(table.header)
-                for row in table.rows:  # for programs with an ASCII minus, and empty where a number is missing
-                    read = ("" if text == ABSENT else text.replace("\N{MINUS SIGN}", "-") for text in row)
-                    writer.writerow(map(spreadsheet_value, read))
+                csv.writer(stream).writerows(map(spreadsheet_value, row) for row in _as_numbers(table))
     exact: dict[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
         "distributions": lambda analysis: tabulate(analysis.distributions),
         "features": lambda analysis: analysis.table,

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.contact_network import NETWORK_FEATURES
-from calcidem.analysis.correlation import Correlations
+from calcidem.analysis.correlation import Correlations, correlate, seed_permutation_test
 from calcidem.analysis.error_budget import median_known
-from calcidem.analysis.packing_graph import FEATURES
+from calcidem.analysis.packing_graph import FEATURES, describe_feature
 from calcidem.analysis.published import published_study
 from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, damping_ratio, small_strain_modulus
 from calcidem.app.report.wording import (
@@ -47,10 +47,11 @@ def _velocity_table(analysis: CampaignAnalysis) -> Table:
         for row, budget in zip(analysis.distributions, analysis.budgets, strict=True)
     ]
     return Table(
-        "Shear-wave velocity at each content. Brackets hold 95 % intervals: of the mean by Student's t, of the "
+        "Shear-wave velocity at each content. Brackets hold 95 % intervals for further seeds of the same packing: of "
+        "the mean by Student's t (without cement, where all seeds are one sample, by its error), of the "
         "standard deviation by chi-square (fewer than 8 samples) or by Bonett's formula, which corrects for "
         "kurtosis. Reading error is the standard deviation that errors of the readings alone would give, their "
-        "root mean square; it is left out where all samples are the same. The range of new samples holds for "
+        "root mean square. The range of new samples holds for "
         "normal velocities. p is that of the Jarque-Bera test simulated for this number of samples. Cells not "
         "computed yet and cells without a velocity have separate columns; the other columns exclude them. Marked "
         "rows have such cells.",
@@ -74,10 +75,10 @@ def _velocity_table(analysis: CampaignAnalysis) -> Table:
 
 def _meaning_table(analysis: CampaignAnalysis) -> Table:
     """Quantities of the velocities: modulus, wavelengths, calcite and, where computed, static speed."""
-    cells, static = analysis.cells, bool(np.isfinite(analysis.cells["static_speed"]).any())
+    static = bool(np.isfinite(analysis.cells["static_speed"]).any())
     rows = []
     for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
-        column = cells.sel(content=row.content)
+        column = analysis.distinct.sel(content=row.content)
         rows.append(
             (
                 f"{row.content:g}",
@@ -124,7 +125,8 @@ def _meaning_table(analysis: CampaignAnalysis) -> Table:
 def near_field_rows(analysis: CampaignAnalysis) -> list[int]:
     """Indices of contents at which at least half of the cells have too few wavelengths on the path."""
     found = (
-        median_known(analysis.cells["wavelengths_on_path"].sel(content=row.content)) for row in analysis.distributions
+        median_known(analysis.distinct["wavelengths_on_path"].sel(content=row.content))
+        for row in analysis.distributions
     )
     return [place for place, number in enumerate(found) if number < FEWEST_WAVELENGTHS]
 
@@ -196,6 +198,15 @@ def _network_table(analysis: CampaignAnalysis) -> Table:
     return _correlation_table(
         "the cement as a network", NETWORK_FEATURES, analysis.network_correlations, analysis.network_tests
     )
+
+
+def _own_table(analysis: CampaignAnalysis) -> Table | None:
+    """Features of other packages, likewise; None without any."""
+    if not analysis.features:
+        return None
+    table = analysis.own_table
+    told = {name: (name.replace("_", " "), describe_feature(feature)) for name, feature in analysis.features.items()}
+    return _correlation_table("other packages", told, correlate(table), seed_permutation_test(table, "vs"))
 
 
 def _correlation_table(
@@ -281,10 +292,9 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
 
 def _cost_table(analysis: CampaignAnalysis) -> Table:
     """Numerical and statistical errors, and run times."""
-    cells = analysis.cells
     rows = []
     for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
-        column = cells.sel(content=row.content)
+        column = analysis.distinct.sel(content=row.content)
         relative = 100 * row.vs.standard_deviation / (row.vs.mean * math.sqrt(row.vs.n)) if row.vs.n > 1 else math.nan
         rows.append(
             (
@@ -326,12 +336,12 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
 
 def _two_velocities_table(analysis: CampaignAnalysis) -> Table | None:
     """Both velocities, their ratio and its known bias, and the pulse's effect; None if no cell has both."""
-    cells = analysis.cells
+    cells = analysis.distinct
     if not bool((cells["vs"] * cells["effective_vs"]).notnull().any()):
         return None
     rows, loud = [], set()
     for place, (row, budget) in enumerate(zip(analysis.distributions, analysis.budgets, strict=True)):
-        column = cells.sel(content=row.content)
+        column = analysis.distinct.sel(content=row.content)
         effective = column["effective_vs"]
         if budget.loud:
             loud.add(place)
@@ -374,6 +384,7 @@ RESULT_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "growth": _growth_table,
     "features": _feature_table,
     "network_features": _network_table,
+    "own_features": _own_table,
     "laws": _law_table,
     "errors_and_cost": _cost_table,
     "two_velocities": _two_velocities_table,

@@ -329,8 +329,8 @@ PAGE_SECTIONS = (
     SectionPlan(
         "paths",
         "Preferential paths and connectivity",
-        ("paths", "correlations", "weight_scan", "laws"),
-        ("features", "laws"),
+        ("paths", "correlations", "weight_scan", "laws", "network_correlations", "conductance"),
+        ("features", "network_features", "own_features", "laws"),
     ),
     SectionPlan("errors", "Errors and run time", ("narrowing",), ("errors_and_cost", "two_velocities")),
     SectionPlan("published", "The published study", (), ("published",)),

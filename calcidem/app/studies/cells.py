@@ -56,7 +56,7 @@ class Cells:
         """
         contents, velocities = sorted(configuration.campaign.contents), None
         if database is None:
-            packing = provide_packing(configuration, None, progress)
+            packing = provide_packing(configuration, None)
         else:
             with open_campaign_of(configuration, database) as campaign:
                 packing, vs = campaign.experiment().packing, campaign.vs()

@@ -16,16 +16,14 @@ from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.campaign.task import cell_result
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
+from calcidem.ends import DECIDED_BY_PHYSICS
 from calcidem.storage.errors import UnknownCellError
-from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, CellStatus, CementPattern, RecordedSection
+from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, CementPattern, RecordedSection
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
 ExperimentOf = Callable[[int], Experiment]
 """Function that returns the common experiment of a packing's cells by the packing's index."""
-
-_REPEATABLE = (CellStatus.DONE, CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
-"""Outcomes decided by physics; the others depend on the machine."""
 
 _SHARES = ("coherence", "reading_error", "effective_error", "vs_bias", "numerical_error", "pulse_effect")
 """Numbers that are already relative, so their absolute difference counts."""
@@ -72,7 +70,7 @@ def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[C
 
     ``choice`` is the seed of the choice; None varies it each time. `UnknownCellError` if no cell can be recomputed.
     """
-    keys = [result.key for result in store.results(Selection(statuses=_REPEATABLE))]
+    keys = [result.key for result in store.results(Selection(statuses=DECIDED_BY_PHYSICS))]
     if not keys:
         raise UnknownCellError(
             "The campaign has no cell that could be computed again.", "Run it first ('calcidem run')."

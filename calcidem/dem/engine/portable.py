@@ -45,10 +45,11 @@ def root(value: Floats, degree: int) -> Floats:
 
 def _horner(coefficients: Sequence[float], x: Floats) -> Floats:
     """Polynomial in x, coefficients in ascending order of powers."""
-    total = np.full_like(x, coefficients[-1])
-    for coefficient in coefficients[-2::-1]:
-        total = total * x + coefficient
-    return total
+    total = x * coefficients[-1]
+    for coefficient in coefficients[-2:0:-1]:
+        total += coefficient
+        total *= x
+    return np.asarray(total + coefficients[0])
 
 
 def sine_of_turns(turns: npt.ArrayLike) -> Floats:

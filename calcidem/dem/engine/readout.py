@@ -239,17 +239,17 @@ def net_forces(state: State, lane: int = 0) -> Floats:
 
     They follow from the change of velocities in one kernel step on a copy; zero for held disks.
     """
-    return _net_forces(state, _look_undamped(state), lane)
+    return net_forces_from(state, look_undamped(state), lane)
 
 
-def _look_undamped(state: State) -> State:
+def look_undamped(state: State) -> State:
     """Result of `look_ahead` without damping."""
     undamped = state.assembly.grains._replace(damping=np.zeros_like(state.assembly.grains.damping))
     return look_ahead(replace(state, assembly=replace(state.assembly, grains=undamped)))
 
 
-def _net_forces(state: State, ahead: State, lane: int) -> Floats:
-    """(N, 3) net force and moment on the disks; ``ahead`` is the result of `_look_undamped`."""
+def net_forces_from(state: State, ahead: State, lane: int) -> Floats:
+    """`net_forces`, where ``ahead`` is the result of `look_undamped`, the same for all lanes."""
     before = state.motion.velocity[:, :, lane] if state.steps else 0.0
     # Convert to double precision: NumPy 1 would divide single-precision arrays by a double in single precision.
     change = (ahead.motion.velocity[:, :, lane] - before).astype(float) / state.time_step[lane]
@@ -260,8 +260,8 @@ def _net_forces(state: State, ahead: State, lane: int) -> Floats:
 def unbalanced_ratio(state: State, lane: int = 0) -> float:
     """Sum of the net forces on the disks over the sum of their contact forces (PFC 'mech-ratio-average')."""
     _refuse_linear(state)
-    ahead = _look_undamped(state)
-    net = _net_forces(state, ahead, lane)
+    ahead = look_undamped(state)
+    net = net_forces_from(state, ahead, lane)
     contacts = _contact_forces(state, ahead, lane)
     magnitude = 2.0 * float(length(contacts.normal, contacts.shear).sum())
     magnitude += float(np.abs(ahead.assembly.walls.reaction[:, :STIFFNESS, lane].astype(float)).sum())

@@ -26,8 +26,6 @@ from calcidem.dem.kernels.layout import (
 
 _Entry = tuple[int, int]
 
-_UPPER = ((X, X), (X, Y), (Y, Y), (X, ROTATION), (Y, ROTATION), (ROTATION, ROTATION))  # entries of a symmetric matrix
-
 _RING_INERTIA = 2.0  # moment of inertia of a ring over a disk's
 _ROUNDED_UP = 1.0 + 1e-12  # covers the rounding of a bound
 
@@ -52,18 +50,18 @@ class _Springs(NamedTuple):
         return np.asarray(self.normal + self.shear * (1.0 + 2.0 * (self.arm * self.arm)) + self.twist)
 
     @property
-    def entries(self) -> Floats:
-        """(M, L, 6) entries `_UPPER` of each contact's term in its disk's matrix."""
+    def entries(self) -> dict[_Entry, Floats]:
+        """Upper triangle, each entry (M, L), of each contact's term in its disk's matrix."""
         n_x, n_y = self.n[:, X, None], self.n[:, Y, None]
         normal, shear, turned = self.normal, self.shear, -np.sqrt(2.0) * self.arm
-        entries = np.empty((*turned.shape, len(_UPPER)))
-        entries[..., 0] = normal * (n_x * n_x) + shear * (n_y * n_y)
-        entries[..., 1] = normal * (n_x * n_y) + shear * (-n_y * n_x)
-        entries[..., 2] = normal * (n_y * n_y) + shear * (n_x * n_x)
-        entries[..., 3] = shear * (-n_y * turned)
-        entries[..., 4] = shear * (n_x * turned)
-        entries[..., 5] = shear * (turned * turned) + self.twist
-        return entries
+        return {
+            (X, X): normal * (n_x * n_x) + shear * (n_y * n_y),
+            (X, Y): normal * (n_x * n_y) + shear * (-n_y * n_x),
+            (Y, Y): normal * (n_y * n_y) + shear * (n_x * n_x),
+            (X, ROTATION): shear * (-n_y * turned),
+            (Y, ROTATION): shear * (n_x * turned),
+            (ROTATION, ROTATION): shear * (turned * turned) + self.twist,
+        }
 
 
 def critical_time_step(
@@ -203,7 +201,7 @@ def _squares_of_stiffest(
     """Disks (K,), at least those whose part in the bound reaches a share of the largest, and their parts (K, L)."""
     factor = 2.0 * _inverse_masses(assembly)
     # The trace bounds an eigenvalue, so few disks can exceed the disk with the largest trace.
-    most = factor * sum(_sum_over_disks(side.disk, side.trace, len(factor)) for side in springs)
+    most = factor * sum(_sums(side.disk, len(factor)) @ side.trace for side in springs)
     tops = np.unique(most.argmax(axis=0))
     least = (factor[tops] * _largest_eigenvalue(_contact_matrices(springs, tops, features))).max(axis=0)
     near = np.flatnonzero((1.000001 * most >= share * least).any(axis=1))
@@ -230,39 +228,39 @@ def _sums(disk: Integers, count: int) -> csr_array:
     return csr_array((np.ones(len(disk)), (disk, np.arange(len(disk)))), shape=(count, len(disk)))
 
 
-def _sum_over_disks(disk: Integers, values: Floats, count: int) -> Floats:
-    """Sums (count, ...) of values (M, ...) over disks (M,), in order."""
-    sums: Floats = _sums(disk, count) @ values.reshape(len(disk), int(np.prod(values.shape[1:])))
-    return sums.reshape(count, *values.shape[1:])
-
-
-def _contact_matrices(springs: Sequence[_Springs], disks: Integers, features: Features) -> Floats:
-    """Matrices (K, L, 3, 3) of `critical_time_step_of_disks` for increasing disks (K,)."""
+def _contact_matrices(springs: Sequence[_Springs], disks: Integers, features: Features) -> dict[_Entry, Floats]:
+    """Upper triangle, each entry (K, L), of the matrices of `critical_time_step_of_disks` for increasing disks (K,)."""
     number = np.full(max(values.max(initial=-1) for values in (disks, *(side.disk for side in springs))) + 1, -1)
     number[disks] = np.arange(len(disks))
     chosen = [np.flatnonzero(number[side.disk] >= 0) for side in springs]
-    parts = [[values[rows] for values in side] for side, rows in zip(springs, chosen, strict=True)]
-    part = _Springs(*(np.concatenate(values) for values in zip(*parts, strict=True)))
-    entries = _sum_over_disks(number[part.disk], part.entries, len(disks))
-    matrices = np.zeros((*entries.shape[:2], 3, 3))
-    for entry, (row, column) in enumerate(_UPPER):
-        if features.rotation or ROTATION not in (row, column):
-            matrices[..., row, column] = matrices[..., column, row] = entries[..., entry]
+    parts = [
+        side if len(rows) == len(side.disk) else _Springs._make(values[rows] for values in side)
+        for side, rows in zip(springs, chosen, strict=True)
+    ]
+    over_disks = _sums(number[np.concatenate([part.disk for part in parts])], len(disks))
+    terms = [part.entries for part in parts]
+    matrices = {entry: over_disks @ np.concatenate([term[entry] for term in terms]) for entry in terms[0]}
+    if not features.rotation:
+        matrices |= {entry: np.zeros_like(matrices[X, X]) for entry in matrices if ROTATION in entry}
     return matrices
 
 
-def _largest_eigenvalue(matrices: Floats) -> Floats:
-    """Upper bound (...) of the eigenvalues of positive semidefinite matrices (..., 3, 3), accurate to 1e-12.
+def _largest_eigenvalue(matrices: dict[_Entry, Floats]) -> Floats:
+    """Upper bound (...) of the eigenvalues of positive semidefinite matrices, accurate to 1e-12.
 
-    Jacobi rotations in a fixed order use only ``+ - * /`` and square roots, since LAPACK's last bits depend on the
-    processor. Gershgorin's circles cover the tiny off-diagonal rest; the last factor covers rounding.
+    ``matrices`` holds the upper triangle, each entry (...). Jacobi rotations in a fixed order use only ``+ - * /`` and
+    square roots, since LAPACK's last bits depend on the processor. Gershgorin's circles cover the tiny off-diagonal
+    rest; the last factor covers rounding.
     """
-    scale = matrices[..., 0, 0] + matrices[..., 1, 1] + matrices[..., 2, 2]
-    scaled = matrices / np.where(scale > 0.0, scale, 1.0)[..., None, None]
-    entry: dict[_Entry, Floats] = {(i, j): scaled[..., i, j] for i in range(3) for j in range(i, 3)}
+    scale = matrices[X, X] + matrices[Y, Y] + matrices[ROTATION, ROTATION]
+    size = np.where(scale > 0.0, scale, 1.0)
+    entry: dict[_Entry, Floats] = {place: values / size for place, values in matrices.items()}
     for _ in range(6):  # sweeps converge quadratically
         for p, q, r in ((0, 1, 2), (0, 2, 1), (1, 2, 0)):
             _rotate(entry, (p, q), (min(p, r), max(p, r)), (min(q, r), max(q, r)))
+        # The largest of three eigenvalues with the sum 1 is above 1/3, so less than this changes no bit of it.
+        if all(np.abs(entry[place]).max(initial=0.0) < 1e-18 for place in ((0, 1), (0, 2), (1, 2))):
+            break
     off = [np.abs(entry[place]) for place in ((0, 1), (0, 2), (1, 2))]
     rims = (
         entry[0, 0] + (off[0] + off[1]),

@@ -89,7 +89,13 @@ class ShearedTriangles(NamedTuple):
         return ShearedPart(stress / strain, solid / area)
 
 
-def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTriangles:
+def triangulate(x: Floats, y: Floats) -> Integers:
+    """(K, 3) corners of the Delaunay triangles between points (N,)."""
+    corners: Integers = Delaunay(np.column_stack([x, y])).simplices
+    return corners
+
+
+def sheared_triangles(state: State, motion: Floats, corners: Integers, lane: int = 0) -> ShearedTriangles:
     """Strain and stress of each triangle of a sheared sample.
 
     The stress of a part is ``sum(branch f) / area`` over its contacts (Love 1927). Each of the two triangles that share
@@ -99,6 +105,8 @@ def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTri
     ----------
     state, motion, lane
         See `sheared_motion`.
+    corners
+        Those of `triangulate` for the disks' centres, the same for all samples of a packing.
     """
     order, pairs = state.assembly.order, state.assembly.pairs
     centres = np.column_stack([state.scene.x, state.scene.y])
@@ -106,7 +114,6 @@ def sheared_triangles(state: State, motion: Floats, lane: int = 0) -> ShearedTri
     ends = order[np.column_stack([pairs.first, pairs.second])]
     force, branch = _force_changes(state, motion, lane), centres[ends[:, 1]] - centres[ends[:, 0]]
     moments = 0.5 * (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])
-    corners = Delaunay(centres).simplices
     sides = centres[np.roll(corners, 1, axis=1)] - centres[np.roll(corners, -1, axis=1)]  # opposite to each corner
     double = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]  # area, negative if clockwise
     # A linear function has the gradient sum(value times normal of the opposite side) over twice the area.

@@ -21,6 +21,7 @@ from pydantic import AllowInfNan
 from calcidem.dem.engine.fields import NotNegative, Positive, checked
 from calcidem.dem.engine.portable import arc_sine, length
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
+from calcidem.dem.sample.own_pattern import draw_order
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 
@@ -113,6 +114,8 @@ class CementRule:
         Calcite of a cluster, m^2; None takes the sum of Eq. 2 over its contacts.
     p_patch_diameter
         Diameter of the patches of P contacts, m; 0 for single contacts.
+    drawn_by
+        Name of another package's pattern of P contacts: an entry point of the group ``calcidem.patterns``.
     sand_density, calcite_density
         Densities of grains and calcite, kg/m^3.
     """
@@ -125,6 +128,7 @@ class CementRule:
     p_share: Positive = 1.0
     cluster_area: Annotated[Positive, Unit("m^2")] | None = None
     p_patch_diameter: Annotated[NotNegative, Unit("m"), "0 for single contacts, or a diameter in m"] = 0.0
+    drawn_by: str | None = None
     sand_density: Annotated[Positive, Unit("kg/m^3")] = 2650.0
     calcite_density: Annotated[Positive, Unit("kg/m^3")] = 2600.0
 
@@ -245,7 +249,8 @@ def _nearest_count(content: Floats, wanted: float) -> int:
 def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int) -> CementOrdering:
     """Draw the order in which the contacts and clusters of one seed are cemented.
 
-    `ValueError` if a seed is negative, the cement is wider than a disk, or the box is smaller than its disks.
+    `ValueError` if a seed is negative, the cement is wider than a disk, the box is smaller than its disks, or a pattern
+    of another package is unknown or gives no permutation.
 
     Parameters
     ----------
@@ -339,6 +344,8 @@ def _draw_p(
 
     Patches are drawn up to the threshold; contacts beyond it are never cemented with P.
     """
+    if rule.drawn_by is not None:
+        return draw_order(rule.drawn_by, points, generator)
     if rule.p_patch_diameter == 0.0:
         return generator.permutation(len(points))
     never = np.iinfo(np.int64).max

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self, TypeVar, TypeVarTuple
+from typing import Any, TypeVar, TypeVarTuple
 
 import numpy as np
 
@@ -80,9 +80,9 @@ class Experiment:
         """K of the strip between the damped layers, 1/m, see `strip_wave`."""
         return clamp_of_strip(self.packing.height - 2.0 * self.wave.boundary_thickness)
 
-    def with_wave(self, **changes: Any) -> Self:  # noqa: ANN401 - fields of several types
-        """The experiment with changed fields of its `WaveRule`."""
-        return replace(self, wave=replace(self.wave, **changes))
+    def with_wave(self, **changes: Any) -> "Experiment":  # noqa: ANN401 - fields of several types
+        """The experiment with changed fields of its `WaveRule`; the same one for the same fields."""
+        return self.once(_with_rule, replace(self.wave, **changes))
 
     def once(
         self,
@@ -142,6 +142,10 @@ class Experiment:
         report = replace(self.packing.report, wall_stress=stress)
         sand = replace(self.sand, shear_modulus=self.sand.shear_modulus * factor)
         return replace(self.packing, preload=preload, report=report), sand
+
+
+def _with_rule(experiment: Experiment, wave: WaveRule) -> Experiment:
+    return replace(experiment, wave=wave)
 
 
 def suitable_frequency(experiment: Experiment, content: float) -> float:

@@ -14,7 +14,7 @@ from calcidem.dem.engine.assembly import lanes_of_bits
 from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.portable import length
-from calcidem.dem.engine.readout import net_forces, overlaps, wall_overlaps
+from calcidem.dem.engine.readout import look_undamped, net_forces_from, overlaps, wall_overlaps
 from calcidem.dem.engine.stability import critical_time_step, hertz_tangent
 from calcidem.dem.kernels.layout import Floats, Integers
 
@@ -108,12 +108,13 @@ def unbalanced_speed(state: State, amplitude: float) -> Floats:
     lanes = state.features.lanes
     if state.features.linear:
         return np.zeros(lanes)
-    pressed = replace(state.features, bonds=False, breakage=False, linear_group=False)
-    swing = critical_time_step(state.scene, state.assembly, pressed) / 2.0
-    speed = np.empty(lanes)
+    # Without bonds all lanes have the same limit.
+    pressed = replace(state.features, lanes=1, bonds=False, breakage=False, linear_group=False)
+    swing = float(critical_time_step(state.scene, state.assembly, pressed)[0]) / 2.0
+    speed, ahead = np.empty(lanes), look_undamped(state)
     for lane in range(lanes):
-        force = length(*net_forces(state, lane)[:, :2].T)
-        speed[lane] = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * float(swing[lane])
+        force = length(*net_forces_from(state, ahead, lane)[:, :2].T)
+        speed[lane] = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * swing
     require(
         bool(np.all(speed <= 1e-3 * amplitude)),
         "amplitude",

@@ -91,7 +91,7 @@ def measure(
         found = checked(content) if checked else experiment.once(check_content, content, lanes, check=check)
     else:
         found = Check(experiment.wave.regime, experiment.wave.step_fraction)
-    settings = experiment.once(with_check, found)
+    settings = with_check(experiment, found)
     began = perf_counter() - seconds_compiling()
     sections = send_waves(
         settings,

@@ -13,7 +13,7 @@ from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.readout import net_forces
 from calcidem.dem.engine.scene import Bonds, Scene
-from calcidem.dem.engine.state import SKIN, choose_features, start
+from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.sample.cement import CementOrdering
@@ -93,8 +93,9 @@ def prepare_recorder(
     domain, bare = experiment.domain, experiment.bare_scene
     packing, driven = domain.packing, driven_disks(domain.packing, rule)
     bonds = lane_bonds(packing, experiment.cement, [flags[domain.pairs] for flags in bonded], lanes, installation)
-    # Gap of listed pairs, in mean radii. If a disk moves further than ten strokes, pairs are listed again.
-    skin = min(SKIN, 2.0 * 10.0 * pulse.stroke / float(packing.radius.mean())) if rule.regime == "finite" else 0.0
+    # Gap of listed pairs, in mean radii: no bit depends on it. If a disk moves further than ten strokes, pairs are
+    # listed again; after a loud pulse with 0.2 so often that lists take a third as long as the kernel.
+    skin = min(0.4, 2.0 * 10.0 * pulse.stroke / float(packing.radius.mean())) if rule.regime == "finite" else 0.0
     features = _wave_features(bare, experiment, lanes)
     single, scene = experiment.once(_bare_sample, features, skin)
     scene = replace(scene, bonds=bonds)
@@ -161,7 +162,7 @@ def refuse_unfit_pulse(experiment: Experiment, frequency: float, *, cemented: bo
 
 
 def refuse_unfit_samples(
-    experiment: Experiment, content: float, orderings: Sequence[CementOrdering], lanes: int
+    experiment: Experiment, content: float, orderings: Callable[[], Sequence[CementOrdering]], lanes: int
 ) -> None:
     """Raise a `ValueError` if the pulse does not suit one of several samples, as `send_waves` would.
 
@@ -176,7 +177,7 @@ def refuse_unfit_samples(
     content
         Percent of the sand's mass.
     orderings
-        Cement of each sample, at most ``lanes``.
+        Returns the cement of each sample, at most ``lanes``; called if it matters, since drawing it takes long.
     lanes
         Width of the kernel.
     """
@@ -186,7 +187,7 @@ def refuse_unfit_samples(
         bare = np.zeros(len(experiment.packing.pairs), dtype=bool)
         prepare_recorder(experiment, [bare], min(frequency, 0.5 / (longest * FEWEST_SAMPLES)), lanes, lambda: None)
     elif longest * frequency * FEWEST_SAMPLES > 1.0:
-        bonded = [cement.at(content).bonded for cement in orderings]
+        bonded = [cement.at(content).bonded for cement in orderings()]
         prepare_recorder(experiment, bonded, frequency, lanes, lambda: None)
 
 

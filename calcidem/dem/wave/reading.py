@@ -16,7 +16,7 @@ from calcidem.dem.engine.fields import PositivePart, checked
 from calcidem.dem.engine.portable import arc_sine, find_maxima, parabola_vertex, sliding_products
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.section import RESOLUTION, Section
-from calcidem.dem.wave.strip_wave import P_OVER_S, StripWave, far_stations, fit_wave, waveform
+from calcidem.dem.wave.strip_wave import P_OVER_S, StripWave, far_stations, fit_velocity, fit_wave, waveform
 from calcidem.ends import Verdict
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
@@ -104,9 +104,12 @@ def is_settled(section: Section, clamp: float, remaining_speed: float) -> bool:
     if _largest(section) < SILENCE:
         is_sent = section.times[-1] > 1.0 / section.frequency  # until then the pulse adds motion
         return bool(is_sent) and remaining_speed < SILENCE * section.amplitude
-    wave = fit_wave(section, clamp)
+    velocity = fit_velocity(section, clamp)
+    if velocity is None or not _is_decided(section, velocity):
+        return False
     # Before the S wave comes, its forerunners fit any fast wave, none of them well: their errors mostly 0.3 and more.
-    return wave is not None and wave.error < 0.15 and _is_decided(section, wave)
+    wave = fit_wave(section, clamp)
+    return wave is not None and wave.error < 0.15
 
 
 def _largest(section: Section) -> float:
@@ -114,9 +117,9 @@ def _largest(section: Section) -> float:
     return float(np.abs(section.across[:, -1]).max(initial=0)) * RESOLUTION
 
 
-def _is_decided(section: Section, wave: StripWave) -> bool:
-    """Whether the record is long enough for a wave."""
-    return bool(section.times[-1] >= record_duration(section.distance, wave.velocity, section.frequency))
+def _is_decided(section: Section, velocity: float) -> bool:
+    """Whether the record is long enough for a wave of this velocity, m/s."""
+    return bool(section.times[-1] >= record_duration(section.distance, velocity, section.frequency))
 
 
 def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) -> Reading | Verdict:
@@ -136,11 +139,11 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     wave = fit_wave(section, clamp)
     if wave is None:
         return Verdict.SILENT
-    if not _is_decided(section, wave):
+    if not _is_decided(section, wave.velocity):
         return Verdict.TOO_SHORT
     far = far_stations(section.places)
     smoothed = smooth(section.across[:, -len(far) :] * RESOLUTION, rule.smoothing * section.period)
-    signal, expected = smoothed[:, -1], [_peak_of_wave(section, wave, place) for place in far]
+    signal, expected = smoothed[:, -1], _peaks_of_wave(section, wave, far)
     late = [_peak_near(smoothed[:, one], when, section.period) - when for one, when in enumerate(expected)]
     travel = (expected[-1] - section.transmitted_peak) * section.sampling_interval
     bias = section.distance / (travel * wave.velocity) - 1.0
@@ -161,14 +164,20 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     return replace(found, peak=section.distance / travel, first_arrival=first, cross_correlation=correlated)
 
 
-def _peak_of_wave(section: Section, wave: StripWave, place: float) -> float:
-    """Sample of the peak of a wave at a place, m."""
+def _peaks_of_wave(section: Section, wave: StripWave, places: tuple[float, ...]) -> list[float]:
+    """Samples of the peak of a wave at places, m."""
     # In a strip a peak is early, by less than a period.
-    soon = (place / wave.velocity - 0.5 / section.frequency - section.start_time) / section.sampling_interval
-    sample = np.arange(int(soon), int(soon + 1.5 * section.period) + 2)
-    motion = waveform(wave, section.frequency, place, section.start_time + section.sampling_interval * sample)
-    highest = int(motion[1:-1].argmax()) + 1
-    return float(sample[highest]) + parabola_vertex(motion, highest)
+    soon = [
+        (place / wave.velocity - 0.5 / section.frequency - section.start_time) / section.sampling_interval
+        for place in places
+    ]
+    begin, end = np.array([(int(one), int(one + 1.5 * section.period) + 2) for one in soon]).T
+    sample = begin[:, None] + np.arange((end - begin).max())
+    motion = waveform(wave, section.frequency, places, section.start_time + section.sampling_interval * sample)
+    highest = [int(one[1:count].argmax()) + 1 for one, count in zip(motion, end - begin - 1, strict=True)]
+    return [
+        float(first + top) + parabola_vertex(one, top) for first, top, one in zip(begin, highest, motion, strict=True)
+    ]
 
 
 def _peak_near(signal: Floats, when: float, period: float) -> float:

@@ -7,8 +7,8 @@ import numpy as np
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds
 from calcidem.dem.engine.state import start
-from calcidem.dem.engine.statics import sheared_motion, sheared_triangles
-from calcidem.dem.kernels.layout import Flags
+from calcidem.dem.engine.statics import sheared_motion, sheared_triangles, triangulate
+from calcidem.dem.kernels.layout import Flags, Integers
 from calcidem.dem.sample.settling import settle
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
@@ -59,13 +59,13 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
     itself is slower, since local damping reduces each force that moves a disk. docs/velocity.md compares the two.
     """
     packing, sand = experiment.stiffen()
-    state = _state_at_rest(experiment, bonded)
+    state, corners = _state_at_rest(experiment, bonded), experiment.once(_corners)
     x, y, radius = (np.asarray(values, dtype=float) for values in (packing.x, packing.y, packing.radius))
     from_sides, from_ends = np.minimum(x, packing.width - x), np.minimum(y, packing.height - y)
     strip = packing.height - 2.0 * experiment.wave.boundary_thickness
     speeds = np.empty((2, len(_MARGINS)))
     for row, held in enumerate((np.minimum(from_sides, from_ends) < radius, from_sides < radius)):
-        triangles = sheared_triangles(state, sheared_motion(state, held))
+        triangles = sheared_triangles(state, sheared_motion(state, held), corners)
         from_sides_here = np.minimum(triangles.middle[:, 0], packing.width - triangles.middle[:, 0])
         across = (triangles.middle[:, 1] - 0.5 * packing.height) / strip
         energy = np.where(np.abs(across) < 0.5, np.cos(np.pi * across) ** 2, 0.0)
@@ -79,6 +79,10 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
         raise ValueError("bonded: the inner part of the sample carries no shear: give more cement, or a denser packing")
     spread = np.hypot(0.5 * abs(clamped - free), 0.5 * np.ptp(speeds.mean(axis=0)))
     return StaticSpeed(speed, float(spread / speed))
+
+
+def _corners(experiment: Experiment) -> Integers:
+    return triangulate(experiment.packing.x, experiment.packing.y)
 
 
 def _state_at_rest(experiment: Experiment, bonded: Flags) -> State:

@@ -74,25 +74,36 @@ def fit_wave(section: Section, clamp: float) -> StripWave | None:
     clamp
         K of the strip, 1/m; 0 for a plane wave.
     """
-    far = far_stations(section.places)
-    motion = _transform(section, len(far))
-    if motion is None:
+    fit, stiffer = _fit(section, clamp), fit_velocity(section, 1.15 * clamp)
+    if fit is None or stiffer is None:
         return None
-    speeds, misfits = [], []
-    for held in (clamp, 1.15 * clamp):
-        velocities, wave = _waves_of_velocities(section.frequency, section.places[-1], far, held)
-        misfits.append(1.0 - _squared_correlation(motion, wave))
-        speeds.append(_least(velocities, misfits[-1].sum(axis=1)))
-    velocity, misfit = speeds[0], misfits[0]
-    total, count = misfit.sum(axis=1), len(far)
+    velocity, velocities, misfit = fit
+    total, count = misfit.sum(axis=1), misfit.shape[1]
     coherence = 1.0 - float(total.min()) / count
     if count < 3 or not 0 < total.argmin() < len(total) - 1:
         return StripWave(velocity, 1.0, coherence, clamp)
     left_out = np.array([_least(velocities, total - misfit[:, one]) for one in range(count)]) / velocity - 1.0
     apart = left_out - left_out.mean()
     jackknife = (count - 1) / count * float((apart * apart).sum())
-    held = speeds[1] / velocity - 1.0
+    held = stiffer / velocity - 1.0
     return StripWave(velocity, float(np.sqrt(jackknife + held * held)), coherence, clamp)
+
+
+def fit_velocity(section: Section, clamp: float) -> float | None:
+    """Velocity of `fit_wave`, m/s, without its error, in a third of the time."""
+    found = _fit(section, clamp)
+    return None if found is None else found[0]
+
+
+def _fit(section: Section, clamp: float) -> tuple[float, Floats, Floats] | None:
+    """Best velocity, velocities (V,), all m/s, and their misfits (V, X) at the far stations; None as for `fit_wave`."""
+    far = far_stations(section.places)
+    motion = _transform(section, len(far))
+    if motion is None:
+        return None
+    velocities, wave = _waves_of_velocities(section.frequency, section.places[-1], far, clamp)
+    misfit = 1.0 - _squared_correlation(motion, wave)
+    return _least(velocities, misfit.sum(axis=1)), velocities, misfit
 
 
 def fitness(section: Section, clamp: float, velocities: Floats) -> Floats:
@@ -105,13 +116,14 @@ def fitness(section: Section, clamp: float, velocities: Floats) -> Floats:
     return np.asarray(found.mean(axis=1))
 
 
-def waveform(wave: StripWave, frequency: float, place: float, times: Floats) -> Floats:
-    """Motion (T,) of a wave at a place, m, over v0, at times, s, after the pulse began: the inverse transform."""
-    real, imaginary = _wave(frequency, np.array([wave.velocity]), (place,), wave.clamp, _TERMS)[:, 0, :, 0]
-    turns = frequency * np.outer(times, (np.arange(_TERMS) + 0.5) / _SPACING)
+def waveform(wave: StripWave, frequency: float, places: tuple[float, ...], times: Floats) -> Floats:
+    """Motion (X, T) of a wave at places, m, over v0, at times (X, T), s, after the pulse: the inverse transform."""
+    real, imaginary = _wave(frequency, np.array([wave.velocity]), places, wave.clamp, _TERMS)[:, 0].swapaxes(1, 2)
+    turns = frequency * (times[:, :, None] * ((np.arange(_TERMS) + 0.5) / _SPACING))
     cosine, sine = cosine_and_sine(turns)
     growth = exponential(_DAMPING * frequency * times)
-    return np.asarray(2.0 * frequency / _SPACING * growth * (real * cosine - imaginary * sine).sum(axis=1))
+    motion = (real[:, None] * cosine - imaginary[:, None] * sine).sum(axis=2)
+    return np.asarray(2.0 * frequency / _SPACING * growth * motion)
 
 
 def _transform(section: Section, count: int) -> Floats | None:
@@ -122,11 +134,20 @@ def _transform(section: Section, count: int) -> Floats | None:
     motion = np.ascontiguousarray((section.across[:, -count:] * RESOLUTION).T)
     if not motion.any(axis=1).all():
         return None
-    times = section.times
-    decay = exponential(-_DAMPING * section.frequency * times) * section.sampling_interval
-    cosine, sine = cosine_and_sine(section.frequency * np.outer((np.arange(_SPACING) + 0.5) / _SPACING, times))
-    kernel = np.stack([cosine, -sine]) * decay
-    return np.asarray((kernel[:, :, None, :] * motion).sum(axis=3))
+    samples = motion.shape[1]
+    kernel = _laplace_kernel(
+        section.frequency, section.start_time, section.sampling_interval, samples + -samples % 256
+    )[:, :, None, :samples]
+    return np.asarray((kernel * motion).sum(axis=3))
+
+
+@lru_cache(maxsize=64)  # the looks at one record, some of each lane, and its reading need the same
+def _laplace_kernel(frequency: float, start_time: float, sampling_interval: float, samples: int) -> Floats:
+    """(2, S, T) factors of the samples of a section in its transforms, s."""
+    times = start_time + sampling_interval * np.arange(samples)
+    decay = exponential(-_DAMPING * frequency * times) * sampling_interval
+    cosine, sine = cosine_and_sine(frequency * np.outer((np.arange(_SPACING) + 0.5) / _SPACING, times))
+    return np.asarray(np.stack([cosine, -sine]) * decay)
 
 
 def _squared_correlation(motion: Floats, wave: Floats) -> Floats:

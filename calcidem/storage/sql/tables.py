@@ -4,7 +4,7 @@
 id, with arrays in `ARRAYS`. A cell without a result is pending. `ATTEMPT` keeps the history.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from datetime import UTC, datetime
 from types import NoneType, UnionType
@@ -218,6 +218,13 @@ ARRAYS = sa.Table(
 )
 """Arrays of an outcome, each a blob by the name of its field in `CellResult` (`ARRAY_RECORDS`)."""
 
+QUANTITIES = sa.Table(
+    "quantities",
+    _METADATA,
+    *(sa.Column(name, sa.Text, primary_key=name == "name", nullable=False) for name in ("name", "unit", "meaning")),
+)
+"""Columns of the view `cells` and the arrays of the blobs in `arrays`, explained for those who read the database."""
+
 STATUS = sa.func.coalesce(RESULT.c.status, sa.literal_column(repr(CellStatus.PENDING.value)))
 """A planned cell without a result is pending.
 
@@ -261,6 +268,7 @@ def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bo
         _METADATA.create_all(connection)
         connection.execute(sa.insert(_VERSION).values(version=_SCHEMA))
         _create_view(connection)
+        connection.execute(sa.insert(QUANTITIES), list(_described()))
         return
     if _VERSION.name not in tables:
         raise ForeignDatabaseError(
@@ -282,11 +290,22 @@ def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bo
 def _create_view(connection: sa.Connection) -> None:
     """Make the view of cells, one row each, for direct queries of the database.
 
-    Its columns are the campaign's name and all stored quantities.
+    Its columns are the campaign's name and all quantities.
     """
-    stored: list[Any] = [
-        EXPRESSIONS[name].label(name) for name, quantity in QUANTITY_BY_NAME.items() if quantity.formula is None
-    ]
-    statement = join_results(sa.select(CAMPAIGN.c.name.label("campaign"), *stored))
+    quantities: list[Any] = [EXPRESSIONS[name].label(name) for name in QUANTITY_BY_NAME]
+    statement = join_results(sa.select(CAMPAIGN.c.name.label("campaign"), *quantities))
     statement = statement.join(CAMPAIGN, CAMPAIGN.c.id == CELL.c.campaign_id)
     connection.execute(sa.text(f"CREATE VIEW cells AS {statement.compile(dialect=connection.dialect)}"))
+
+
+def _described() -> Iterator[dict[str, str]]:
+    """Rows of `QUANTITIES`."""
+    yield {"name": "campaign", "unit": "", "meaning": "name of the campaign"}
+    for quantity in QUANTITY_BY_NAME.values():
+        yield {"name": quantity.name, "unit": quantity.unit, "meaning": quantity.meaning}
+    for record, kind in ARRAY_RECORDS.items():
+        for quantity in kind.quantities():
+            yield {"name": f"{record}.{quantity.name}", "unit": quantity.unit, "meaning": quantity.meaning}
+        for name, along in kind.arrays().items():
+            rows = " x ".join(filter(None, (along.dimension, along.columns or str(along.width or ""))))
+            yield {"name": f"{record}.{name}", "unit": along.unit, "meaning": f"{along.meaning}; {rows}"}

@@ -64,8 +64,8 @@ def test_what_cannot_be_predicted_is_refused(campaign: Campaign) -> None:
     with pytest.raises(QueryError, match="do not touch"):
         campaign.predict(content=5.0, pattern=strange)
     few = campaign.analyse()
-    few.vs[4:] = np.nan  # eight samples with four velocities
-    with pytest.raises(QueryError, match="Compute at least 6 seeds"):
+    few.vs[4:] = np.nan  # of eight velocities
+    with pytest.raises(QueryError, match="Compute at least 5 seeds"):
         predict_velocity(few, 5.0, campaign.cell(seed=2, content=5.0).cement)
 
 

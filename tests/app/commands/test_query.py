@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from calcidem.analysis.contact_network import NETWORK_FEATURES
 from calcidem.analysis.packing_graph import FEATURES
 from calcidem.app.campaign.opened import Campaign
 from calcidem.app.cli.query import as_rows
@@ -136,7 +137,7 @@ def test_statuses_are_words_of_the_program(database: Path, invoke: Invoke) -> No
 def test_features_come_with_corrected_p_values(database: Path, invoke: Invoke, campaign: Campaign) -> None:
     """Each feature has the coefficient of the chosen cells alone; correction makes no p smaller."""
     rows = json.loads(invoke("query", database, "--features", "--content", 5, "--format", "json"))
-    assert [row["feature"] for row in rows] == list(FEATURES)
+    assert [row["feature"] for row in rows] == [*FEATURES, *NETWORK_FEATURES]
     table = campaign.to_dataframe([*(row["feature"] for row in rows), "vs"], content=5.0, status="done")
     for row in rows:
         assert row["pearson"] == pytest.approx(table[row["feature"]].corr(table["vs"]))

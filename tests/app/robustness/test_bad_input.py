@@ -258,10 +258,14 @@ def test_a_damaged_export_is_told_as_one(bench: Workbench) -> None:
 def test_check_says_what_would_be_computed_and_does_nothing(bench: Workbench) -> None:
     """`run --check` reads and checks, with the database and the packing where there are any, and makes no file."""
     said = bench.judge("run", "good.toml", "--check")
-    assert said.startswith("Campaign quick: 4 seeds x 6 contents = 24 cells, 0 of them settled; 24 would be computed")
+    assert said.startswith(
+        "Campaign quick: 4 seeds x 6 contents = 24 cells; 0 are finished, 21 samples are to be computed."
+    )
     assert "results/quick.db, new" in said
     assert "4663 disks; they hold these contents" in said
-    assert "20 of them settled; 4 would be computed" in bench.judge("run", "good.toml", "--check", "--db", "quick.db")
+    assert "20 are finished, 4 samples are to be computed" in bench.judge(
+        "run", "good.toml", "--check", "--db", "quick.db"
+    )
     assert "Packing: not made yet" in bench.judge("run", "own.toml", "--check", own_toml=b"[packing]\nseed = 99")
     too_much = b"[campaign]\ncontents = [60.0]\n[packing]\nseed = 1\n[wave]\nfrequency = 9e3\n"
     assert "the packing holds at most" in bench.judge("run", "own.toml", "--check", own_toml=too_much)

@@ -220,7 +220,7 @@ def test_a_host_that_cannot_start_is_no_reason_to_requeue(trial: HostTrial, trou
 
 @pytest.mark.skipif(not can_start_slurm(), reason=NO_SLURM)
 def test_the_example_for_slurm_uses_all_nodes(trial: HostTrial, undisturbed: Cells) -> None:
-    """A job of examples/slurm.sbatch with three tasks on three nodes computes on all of them, with the bits of one."""
+    """A job of `init --slurm` with three tasks on three nodes computes on all of them, with the bits of one."""
     (trial.folder / "slurm").mkdir()
     hosts = {host: trial.on(host) for host in ("nodeA", "nodeB", "nodeC")}
     cluster = Cluster(trial.folder / "slurm", hosts, "/tmp/munge.socket")  # noqa: S108 - each host has its own
@@ -228,7 +228,7 @@ def test_the_example_for_slurm_uses_all_nodes(trial: HostTrial, undisturbed: Cel
     try:
         cluster.start()
         options = ("--nodes=3", "--ntasks=3", f"--output={trial.folder}/output", f"--chdir={trial.folder}")
-        job = cluster.submit(*options, str(CHECKOUT / "examples" / "slurm.sbatch"), "c.toml")
+        job = cluster.submit(*options, str(CHECKOUT / "calcidem/app/config/presets/slurm.sbatch"), "c.toml")
         state = cluster.wait_for_end(job, PATIENCE)
     finally:
         cluster.stop()

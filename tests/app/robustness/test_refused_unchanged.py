@@ -56,7 +56,7 @@ def test_a_run_that_is_refused_changes_no_file(begun: Configuration, change: Cha
     """Neither the plan of the database nor a folder for results is made before everything fits, and --check agrees."""
     other = change(begun)
     for attempt in (
-        lambda: CampaignRun(other, lambda _: None),
+        lambda: CampaignRun(other),
         lambda: list(preview_lines(other)),
     ):
         with unchanged_if_refused(tmp_path) as codes:

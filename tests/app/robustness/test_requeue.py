@@ -1,4 +1,4 @@
-"""The example scripts for Slurm: a job returns to the queue as often as it may, a job of an array computes its part.
+"""The Slurm job that `init --slurm` writes: it is requeued as often as it may, and an array computes its parts.
 
 Programs that do nothing stand in for calcidem and Slurm; test_slurm.py has the real ones.
 """
@@ -9,9 +9,12 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from places import CHECKOUT
+from typer.testing import CliRunner
 
-SCRIPT = Path(__file__).parents[3] / "examples" / "slurm.sbatch"
-ARRAY_SCRIPT = SCRIPT.with_name("slurm-array.sbatch")
+from calcidem.app.cli.main import _build_application
+
+SCRIPT = CHECKOUT / "calcidem" / "app" / "config" / "presets" / "slurm.sbatch"
 
 BASH = shutil.which("bash") or ""
 
@@ -50,23 +53,28 @@ def test_a_job_is_requeued_a_limited_number_of_times_and_only_if_it_can_go_on(
 def test_a_job_of_an_array_computes_its_part_into_its_own_database(
     variables: dict[str, str], part: str, tmp_path: Path
 ) -> None:
-    """It runs the other script from the folder of submission, with the number of parts of the array or that given."""
-    (tmp_path / "examples").mkdir()
-    shutil.copy(SCRIPT, tmp_path / "examples")
+    """It has the number of parts of the array or that given."""
     (tmp_path / "calcidem").write_text('#!/bin/sh\necho "$@" > asked\n')
     (tmp_path / "calcidem").chmod(0o755)
     environment = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "SLURM_ARRAY_TASK_ID": "3"} | variables
-    command = [BASH, ARRAY_SCRIPT, "paper.toml", "--packing-only"]
+    command = [BASH, SCRIPT, "paper.toml", "--packing-only"]
     ended = subprocess.run(command, check=False, cwd=tmp_path, env=environment)
     assert ended.returncode == 0
     asked = f"run paper.toml --ranks 0 --part {part} --db part-3.db --packing-only"
     assert (tmp_path / "asked").read_text().split() == asked.split()
 
 
-def test_a_job_outside_an_array_is_refused_with_the_cure(tmp_path: Path) -> None:
-    """Without the number of an array's job nothing is computed, and the message says what to submit."""
-    environment = {"PATH": os.environ["PATH"]}
-    command = [BASH, ARRAY_SCRIPT, "paper.toml"]
-    ended = subprocess.run(command, check=False, cwd=tmp_path, env=environment, capture_output=True, text=True)
-    assert ended.returncode != 0
-    assert "give --array=1-8" in ended.stderr
+def test_the_job_of_a_configuration_is_written_beside_it(tmp_path: Path) -> None:
+    """`init --slurm` writes both, keeps a configuration that exists, and no job; the job knows its configuration."""
+    for configuration in ("my sand.toml", "kept.toml"):
+        file = tmp_path / configuration
+        (tmp_path / "kept.toml").write_text("kept")
+        done = CliRunner().invoke(_build_application(), ["init", str(file), "--slurm"])
+        assert done.exit_code == 0, done.output
+        assert (file.read_text() == "kept") == (configuration == "kept.toml")
+        assert CliRunner().invoke(_build_application(), ["init", str(file), "--slurm"]).exit_code == 2
+        (tmp_path / "calcidem").write_text('#!/bin/sh\nprintf "%s\\n" "$@" > asked\n')
+        (tmp_path / "calcidem").chmod(0o755)
+        environment = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+        subprocess.run([BASH, file.with_suffix(".sbatch")], check=True, cwd=tmp_path, env=environment)
+        assert (tmp_path / "asked").read_text().splitlines() == ["run", configuration, "--ranks", "0"]

@@ -41,7 +41,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 
 
 def test_a_job_at_its_time_limit_is_requeued_and_completes(cluster: Cluster, tmp_path: Path) -> None:
-    """The job of examples/slurm.sbatch is told of its limit, ends with 75, starts anew and computes no cell twice."""
+    """The job of `init --slurm` is told of its limit, ends with 75, starts anew and computes no cell twice."""
     (tmp_path / "c.toml").write_text(CONFIGURATION.format(time_limit=NO_LIMIT, seeds=SEEDS))
     cluster.variables |= {
         "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
@@ -52,7 +52,7 @@ def test_a_job_at_its_time_limit_is_requeued_and_completes(cluster: Cluster, tmp
     }
     log = tmp_path / "job.log"
     limits = ("--ntasks=1", "--time=1", "--signal=B:USR1@30", f"--output={log}", f"--chdir={tmp_path}")
-    number = cluster.submit(*limits, str(CHECKOUT / "examples" / "slurm.sbatch"), "c.toml")
+    number = cluster.submit(*limits, str(CHECKOUT / "calcidem/app/config/presets/slurm.sbatch"), "c.toml")
     end = time.monotonic() + PATIENCE
     enough = False
     while (job := cluster.job(number))["JobState"] not in {"COMPLETED", "FAILED", "TIMEOUT", "CANCELLED", "NODE_FAIL"}:

@@ -2,6 +2,7 @@
 
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+from shlex import quote
 
 PRESETS = ("quick", "paper", "paper-as-printed")
 """Names of the example configurations in calcidem."""
@@ -12,6 +13,12 @@ def preset_text(name: str) -> str:
     if name not in PRESETS:
         raise ValueError(f"name = '{name}': there is no such preset; give one of {', '.join(PRESETS)}")
     return files(__name__).joinpath(f"{name}.toml").read_text(encoding="utf-8")
+
+
+def slurm_job(configuration: str) -> str:
+    """Text of a Slurm job, also of an array, for the file of a configuration."""
+    text = files(__name__).joinpath("slurm.sbatch").read_text(encoding="utf-8")
+    return text.replace("default=calcidem.toml", f"default={quote(configuration)}")
 
 
 def preset_packings() -> dict[str, Traversable]:

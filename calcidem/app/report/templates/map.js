@@ -138,14 +138,17 @@ function shade() {
   for (const value of values) if (value !== null) [low, high] = [Math.min(low, value), Math.max(high, value)];
   if (relative) [low, high] = [-Math.max(-low, high), Math.max(-low, high)];
   const known = quantities.find((quantity) => quantity.name === name);
+  const isLog = low > 0 && high > 4 * low; // otherwise the lower half would have one colour
+  const share = (value) => (isLog ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low || 1));
   shades = {
     values,
     low,
     high,
+    middle: isLog ? Math.sqrt(low * high) : null,
     stops: relative ? DIVERGING : RISING,
     label: relative ? "Vs against the mean of its content" : name === "vs" ? "Vs" : known.meaning,
     unit: relative ? "%" : known.unit,
-    colour: (place) => (values[place] === null ? null : mix(shades.stops, (values[place] - low) / (high - low || 1))),
+    colour: (place) => (values[place] === null ? null : mix(shades.stops, share(values[place]))),
   };
 }
 function showScale() {
@@ -158,7 +161,8 @@ function showScale() {
   const stops = shades.stops.map((stop) => `#${stop}`).join();
   byId("scale").innerHTML =
     `<span>${escape(shades.label)}:</span><span>${low}</span>` +
-    `<span role="presentation" style="width:12rem;height:.9rem;background:linear-gradient(90deg,${stops})"></span><span>${high}</span>${key("wash", "without a number (×) or not computed")}`;
+    `<span role="presentation" style="width:12rem;height:.9rem;background:linear-gradient(90deg,${stops})"></span><span>${high}</span>` +
+    `${shades.middle === null ? "" : `<span>(logarithmic; middle ${escape(withUnit(shades.middle, shades.unit))})</span>`}${key("wash", "without a number (×) or not computed")}`;
 }
 function layOutMap() {
   const room = byId("viewport").clientWidth - LEFT - EDGE;

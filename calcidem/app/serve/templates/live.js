@@ -172,6 +172,7 @@ function addCampaign(number) {
   const card = element("article", { className: "campaign" }, ...Object.values(parts));
   const campaign = { number, parts, card, records: null, status: null, fetching: false };
   campaigns.set(number, campaign);
+  byId("loading")?.remove();
   byId("campaigns").append(card);
   if (campaigns.size === 2) campaigns.forEach(addMiniature);
   else if (campaigns.size > 2) addMiniature(campaign);
@@ -328,7 +329,7 @@ const connection = (text, isLost) => {
 stream.addEventListener("open", () => connection("Live: stored cells appear here within seconds.", false));
 stream.addEventListener("error", () => {
   const isComplete = campaigns.size > 0 && [...campaigns.values()].every(({ status }) => status.cells && !status.cells.pending);
-  connection(isComplete ? "The server has ended. All cells are below; “calcidem serve DB” shows them again." : "The connection is lost: the server has ended, or can't be reached. Below is what was stored before.", !isComplete);
+  connection(isComplete ? "The server has ended. All cells are below; 'calcidem serve DB' shows them again." : "The connection is lost: the server has ended, or can't be reached. Below is what was stored before.", !isComplete);
 });
 stream.addEventListener("status", (event) => takeStatus(JSON.parse(event.data)));
 stream.addEventListener("cells", (event) => takeCells(JSON.parse(event.data)));

@@ -42,7 +42,7 @@ def answer_questions(
     def packing_of(ratio: float) -> Packing:
         # A stored packing may come from another version and then be another sample, not the same at another ratio.
         rule = replace(configuration.packing, unbalanced_force_ratio=ratio)
-        return new_packing(replace(configuration, packing=rule), cells.progress)
+        return new_packing(replace(configuration, packing=rule))
 
     convergence = _convergence_rows(cells, study)
     if velocities is None:
