@@ -73,6 +73,24 @@ def test_every_measured_point_lies_within_the_axes(analysis: CampaignAnalysis) -
         assert "measured specimen" in axes.get_legend_handles_labels()[1]
 
 
+def test_points_beyond_both_panels_are_in_the_second() -> None:
+    """Where low contents have a panel of their own, the other one has all above them, far points included."""
+    contents = [0.1, 0.3, 0.6, 3.0, 9.0]
+    vs = xr.DataArray(
+        np.multiply.outer([190.0, 200.0, 210.0], np.arange(1.0, 6.0)),
+        dims=("seed", "content"),
+        coords={"seed": [1, 2, 3], "content": contents},
+    )
+    cells = xr.Dataset({"vs": vs, "vs_error": 0.0 * vs + 0.01, "pulse_effect": 0.0 * vs})
+    measured = (Target(0.2, 480.0, samples=1), Target(20.0, 2900.0, samples=1))
+    low, high = velocities.draw_range(cells, describe_contents(vs), measured=measured).axes
+    assert low.get_xlim()[1] < 1.0
+    assert low.get_ylim()[1] > 480.0
+    assert (high.get_xlim()[1] > 20.0, high.get_ylim()[1] > 2900.0) == (True, True)
+    for panel in (low, high):
+        assert "measured specimen" in panel.get_legend_handles_labels()[1]
+
+
 def test_measured_velocities_lie_over_every_figure_of_vs_against_content(analysis: CampaignAnalysis) -> None:
     """They are named in the legend of the range and of the readings, and marked in the histogram of their content."""
     measured = (Target(0.66, 380.0, 30.0, 5), Target(9.0, 2000.0))

@@ -74,7 +74,12 @@ def draw_range(
         axes = left
     for panel, shown in parts:
         _draw_range(panel, cells, shown, published)
-        _draw_measured(panel, [one for one in measured if len(parts) == 1 or _is_within(one.content, shown)])
+        # Beyond the campaign's contents, too: the last panel has all above the first.
+        ends = (
+            low[-1].content if panel is not parts[0][0] else 0.0,
+            low[-1].content if panel is not parts[-1][0] else 100.0,
+        )
+        _draw_measured(panel, [one for one in measured if ends[0] <= one.content <= ends[1]])
         panel.set_ylim(bottom=max(0.0, panel.get_ylim()[0]))  # velocities are positive even if a band is not
         panel.set_xlabel(CONTENT_LABEL if panel is parts[-1][0] else "calcite content (%)")
     axes.set_ylabel(VS_LABEL)
@@ -83,7 +88,7 @@ def draw_range(
         return figure
     pairs = [pair for panel, _ in parts for pair in zip(*panel.get_legend_handles_labels(), strict=True)]
     legend = {label: handle for handle, label in pairs}
-    figure.legend([*legend.values()], [*legend], loc="outside lower center", ncols=3)
+    figure.legend([*legend.values()], [*legend], loc="outside lower center", ncols=2 if measured else 3)
     return figure
 
 
@@ -164,7 +169,7 @@ def _draw_measured(axes: Axes, measured: Sequence[Target]) -> None:
             axes.errorbar(
                 [row.content for row in rows],
                 [row.vs for row in rows],
-                yerr=[row.sd or 0.0 for row in rows],
+                yerr=[row.sd or math.nan for row in rows],
                 fmt=mark,
                 markersize=5,
                 markerfacecolor="white",

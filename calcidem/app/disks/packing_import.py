@@ -207,6 +207,8 @@ def _axes(found: ForeignDisks, plane: str | None, remarks: list[str]) -> list[in
     """Numbers of the axes that become x, y and z; without a plane the one in which most disks lie, and a remark."""
     if plane is not None and (len(set(plane)) != 2 or not set(plane) <= set("xyz")):
         raise PackingFileError(f"plane = '{plane}' is not a pair of axes; give xy, xz or yz")
+    if plane is None and not len(found.radius):  # refused later
+        plane = "xy"
     if plane is None:
         flat = [2.0 * _beside_plane(found.place[:, 2 - n], found.radius).sum() <= len(found.radius) for n in range(3)]
         plane = ("xy", "xz", "yz")[flat.index(True)] if any(flat) else "xy"

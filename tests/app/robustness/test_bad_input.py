@@ -82,7 +82,7 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
     "a field of 131,073 letters": (
         ("run", "disks.toml"),
         {"own_csv": b"x,y,radius\n" + b"a" * 131_073},
-        "line 2: field larger than",
+        "line 2: 'aaaaaaaaaaaa",
     ),
     "an open quote": (("run", "disks.toml"), {"own_csv": b'x,y,radius\n"1,2,3\n4,5,6\n'}, "line 2"),
     "a disk at 1e308 m": (
@@ -148,6 +148,13 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
     "a sand over a file": (("init", "good.toml", "--grain-size", "1mm"), {}, "good.toml"),
     "a size without unit": (("init", "a.toml", "--grain-size", "3"), {}, "is not a grain size"),
     "another mineral": (("init", "a.toml", "--grain-size", "3mm", "--mineral", "gold"), {}, "quartz, carbonate"),
+    "a grading that is none": (("init", "a.toml", "--grading", "good.toml"), {}, "column size: is missing"),
+    "a device of sizes": (("init", "a.toml", "--grading", "/dev/zero"), {}, "/dev/zero is a pipe or a device"),
+    "a pattern that is none": (
+        ("predict", "quick.db", "--content", "5", "--pattern", "own.csv"),
+        {"own_csv": b"no contacts"},
+        "no line of two grain numbers",
+    ),
     "a sand's content": (("init", "a.toml", "--grain-size", "3mm", "--contents", "1,x"), {}, "--contents"),
     "a sand of no size": (("init", "a.toml", "--stress", "20kPa"), {}, "give --grain-size"),
     "disks with a size": (("init", "a.toml", "--disks", "good.toml", "--grain-size", "3mm"), {}, "have their sizes"),
