@@ -152,7 +152,8 @@ def test_tables_warn_of_means_in_doubt_and_advise_no_retry(unread: Path, invoke:
     assert "--retry" not in said
     with open_campaign(unread) as campaign:
         remarks = " ".join(_velocity_remarks(campaign.analyse()))
-    assert f"{CONTENT:g} % ({len(SEEDS)} of {len(SEEDS)})" in remarks
+    assert f"selection bias at {CONTENT:g} %" in remarks
+    assert f"Cells without velocity: {len(SEEDS)}." in remarks
 
 
 def test_calibrated_values_kept_for_another_material_are_told(tmp_path: Path, invoke: Callable[..., str]) -> None:
