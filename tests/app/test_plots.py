@@ -48,7 +48,7 @@ def test_a_figure_of_one_panel_is_drawn_into_own_axes(campaign: Campaign) -> Non
     assert figure.axes == [axes, other]
     labels = axes.get_legend_handles_labels()[1]
     assert own in axes.containers
-    assert {"own data", "mean", "95 % of new samples"} <= set(labels)
+    assert {"own data", "mean", "95 % interval of the mean"} <= set(labels)
     assert not other.has_data()
     plt.close(figure)
 

@@ -13,8 +13,9 @@ from calcidem.dem.engine.step_control import UnstableRunError
 from calcidem.dem.sample import compaction
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingFileError, PackingRule
-from calcidem.dem.sample.packing_file import FARTHEST, _numbered_rows, _read_disks, packing_from_csv, write_packing_csv
+from calcidem.dem.sample.packing_file import FARTHEST, _numbered_disks, _read_disks, packing_from_csv, write_packing_csv
 from calcidem.input_file import InputFileError
+from calcidem.table import Table
 
 RULE = PackingRule(width=0.02, height=0.03)
 SAND = Sand()
@@ -121,7 +122,7 @@ def changed(line: int, text: str) -> Callable[[list[str]], list[str]]:
         (changed(1, "x,y,diameter"), "no column radius"),
         (changed(5, "0.01,zero,0.001"), "line 5: '0.01,zero,0.001' is not a disk"),
         (changed(5, "0.01"), "line 5: '0.01' is not a disk"),
-        (changed(5, "0.01,nan,0.001"), "line 5: .* finite numbers"),
+        (changed(5, "0.01,nan,0.001"), "line 5: '0.01,nan,0.001' is not a disk"),
         (changed(5, "0.01,0.01,-0.001"), "line 5: .* positive radius"),
         (changed(5, "-0.01,0.01,0.001"), "line 5: .* beyond the left wall"),
         (changed(5, "0.0199,0.01,0.001"), "line 5: .* beyond the right wall"),
@@ -147,12 +148,12 @@ def test_numbers_up_to_a_limit_are_read(factor: float, tmp_path: Path) -> None:
     """The limit itself is accepted, as x, as y, and as radius or its inverse."""
     far, small = FARTHEST * factor, 1.0 / FARTHEST / factor
     for x, y, radius in ((far, 0.0, 1.0), (0.0, -far, 1.0), (0.0, 0.0, far), (0.0, 0.0, small)):
-        lines = ["x,y,radius", f"{x},{y},{radius}"]
+        table = Table(("x", "y", "radius"), 1, [(2, [str(x), str(y), str(radius)])])
         if factor == 1.0:
-            assert list(_numbered_rows(tmp_path, lines)) == [(2, (x, y, radius))]
+            assert list(_numbered_disks(tmp_path, table)) == [(2, (x, y, radius))]
         else:
             with pytest.raises(PackingFileError, match=r"line 2: .* up to 1e\+30"):
-                list(_numbered_rows(tmp_path, lines))
+                list(_numbered_disks(tmp_path, table))
 
 
 def test_unreadable_files_are_refused(tmp_path: Path) -> None:

@@ -148,6 +148,16 @@ class CampaignPlots:
         return self._draw("laws", ax)
 
     @_with_caption
+    def network_correlations(self, ax: Axes | None = None) -> Figure:
+        """Draw the correlation of features of the cement as a network and Vs."""
+        return self._draw("network_correlations", ax)
+
+    @_with_caption
+    def conductance(self, ax: Axes | None = None) -> Figure:
+        """Draw Vs against the conductance of the cement, with the fitted law."""
+        return self._draw("conductance", ax)
+
+    @_with_caption
     def narrowing(self, ax: Axes | None = None) -> Figure:
         """Draw the width of intervals against the number of seeds."""
         return self._draw("narrowing", ax)
