@@ -248,3 +248,12 @@ def test_a_sand_of_any_size_has_the_same_velocities(
     own = replace(small_sand, wave=replace(small_sand.wave, damping=damping, boundary_damping=damping))
     wanted = [None if vs is None else pytest.approx(vs, rel=accuracy) for vs in velocities(own, small_packing)]
     assert velocities(magnified(own, factor), large) == wanted
+
+
+def test_a_refused_sand_leaves_no_job(
+    tmp_path: Path, invoke: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The Slurm job is written after all options are accepted."""
+    monkeypatch.chdir(tmp_path)
+    invoke("init", "own.toml", "--contents", "1", "--slurm", exit_code=2)
+    assert not list(tmp_path.iterdir())

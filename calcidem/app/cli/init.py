@@ -62,12 +62,6 @@ def init_command(
     """Write a configuration to start from: an example, or one for your own sand."""
     if not file.name:
         raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file")
-    if slurm:
-        job = file.with_suffix(".sbatch")
-        _write_new(job, slurm_job(file.name), "submit it, or remove it first")
-        typer.echo(f"Wrote {job}. Edit its first lines, then: sbatch {job}")
-        if file.exists():
-            return
     chosen = preset or next(iter(Preset))
     sizes = {"--grain-size": grain_size, "--grading": grading, "--disks": disks}
     given = [name for name, value in sizes.items() if value is not None]
@@ -90,6 +84,12 @@ def init_command(
         size = disks or grain_size or ",".join(f"{d!r}m" for d in read_grading(grading or Path()))
         own = OwnSand.of_words(size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent)
         text = own.text()
+    if slurm:
+        job = file.with_suffix(".sbatch")
+        _write_new(job, slurm_job(file.name), "submit it, or remove it first")
+        typer.echo(f"Wrote {job}. Edit its first lines, then: sbatch {job}")
+        if file.exists():
+            return
     other = file.with_stem(f"{file.stem}-{chosen}")
     another = "give another name" if given else f"write another with 'calcidem init {other} --preset {chosen}'"
     _write_new(file, text, f"run it with 'calcidem run {file}', or {another}")
