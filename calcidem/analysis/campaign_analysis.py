@@ -1,11 +1,10 @@
 """Products of the analysis of a stored campaign, each computed at first use."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -175,7 +174,7 @@ class CampaignAnalysis:
     @cached_property
     def table(self) -> xr.Dataset:
         """The eight features and Vs along (seed, content), NaN where missing."""
-        return self._feature_table(FEATURES, [sample.features for sample in self.samples])
+        return self._feature_table(FEATURES, lambda sample, name: getattr(sample.features, name))
 
     @cached_property
     def own_table(self) -> xr.Dataset:
@@ -183,16 +182,15 @@ class CampaignAnalysis:
         if not self.features:
             raise UnavailableError("no package or program gave features of its own")
         definitions = {name: (name, describe_feature(feature)) for name, feature in self.features.items()}
-        values = [
-            {name: feature(self.graphs[sample.packing_index], sample.kinds) for name, feature in self.features.items()}
-            for sample in self.samples
-        ]
-        return self._feature_table(definitions, [SimpleNamespace(**measured) for measured in values])
+        return self._feature_table(
+            definitions,
+            lambda sample, name: self.features[name](self.graphs[sample.packing_index], sample.kinds),
+        )
 
     @cached_property
     def network_table(self) -> xr.Dataset:
         """Features of the cement as a network, and Vs along (seed, content), NaN where missing."""
-        return self._feature_table(NETWORK_FEATURES, [sample.network for sample in self.samples])
+        return self._feature_table(NETWORK_FEATURES, lambda sample, name: getattr(sample.network, name))
 
     @cached_property
     def network_correlations(self) -> Correlations:
@@ -320,15 +318,15 @@ class CampaignAnalysis:
     def _feature_table(
         self,
         definitions: Mapping[str, tuple[str, str]],
-        features: Sequence[PathFeatures | NetworkFeatures | SimpleNamespace],
+        value: Callable[[MeasuredSample, str], float],
     ) -> xr.Dataset:
-        """Features of each of `samples`, and Vs, along (seed, content); NaN where missing."""
+        """Features of each of `samples` by their names, and Vs, along (seed, content); NaN where missing."""
         table = xr.Dataset(coords={"seed": self.vs["seed"], "content": self.vs["content"]})
         rows = np.searchsorted(table["seed"], [sample.seed for sample in self.samples])
         columns = np.searchsorted(table["content"], [sample.content for sample in self.samples])
         for name, (_, definition) in definitions.items():
             values = np.full(self.vs.shape, math.nan)
-            values[rows, columns] = [getattr(one, name) for one in features]
+            values[rows, columns] = [value(sample, name) for sample in self.samples]
             table[name] = ("seed", "content"), values
             table[name].attrs = {"units": "1", "long_name": definition}
         table["vs"] = self.vs

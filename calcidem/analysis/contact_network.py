@@ -17,8 +17,8 @@ from calcidem.analysis.contact_graph import ContactGraph
 from calcidem.storage.records import NetworkFeatures, PackingRecord
 
 _SAND = 0.01
-"""Conductance of a sand contact over that of a cemented one. The ratio of their stiffnesses is 0.003 to 0.008 in the
-preset `paper`. Ratios of 0.003 to 0.1 give the same correlations with Vs (docs/reproduction/conductance.md).
+"""Conductance of a sand contact over that of a cemented one. Their stiffnesses have a ratio of 0.003 to 0.008 in
+the preset `paper`. Ratios of 0.003 to 0.1 give the same correlations with Vs (docs/reproduction/conductance.md).
 """
 
 NETWORK_FEATURES = {
