@@ -9,9 +9,9 @@ from places import CHECKOUT
 SENTINELS = [
     ("analysis/intervals.py", "np.sqrt((n - 1) / scipy", "np.sqrt((n - 2) / scipy", "analysis/test_intervals.py"),
     ("analysis/published.py", "(y[-1] - y[0]) / (x[-1]", "(y[-1] + y[0]) / (x[-1]", "analysis/test_stages.py"),
-    ("analysis/sensitivity.py", "np.divide(*pair.std", "np.multiply(*pair.std", "analysis/test_sensitivity.py"),
-    ("analysis/weights.py", ") / np.sqrt(variance_x", ") * np.sqrt(variance_x", "analysis/test_weights.py"),
-    ("analysis/predictor.py", "np.array([-half, 0.0", "np.array([half, 0.0", "analysis/test_predictor.py"),
+    ("analysis/distribution.py", "np.divide(*pair.std", "np.multiply(*pair.std", "analysis/test_sensitivity.py"),
+    ("analysis/correlation.py", ") / np.sqrt(variance_x", ") * np.sqrt(variance_x", "analysis/test_weights.py"),
+    ("analysis/fits.py", "np.array([-half, 0.0", "np.array([half, 0.0", "analysis/test_predictor.py"),
     ("analysis/intervals.py", "+ 2.0 / (1.0 - level)", "+ 3.0 / (1.0 - level)", "analysis/test_predictor.py"),
     ("dem/wave/pulse.py", "self.amplitude / self.frequency", "self.amplitude * self.frequency", "dem/test_pulse.py"),
     ("dem/wave/pulse.py", "(cycle - sine_of_turns", "(cycle + sine_of_turns", "dem/test_pulse.py"),

@@ -11,19 +11,31 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
-from calcidem.analysis.contact_graph import PreferentialPath
-from calcidem.analysis.contact_network import NETWORK_FEATURES
-from calcidem.analysis.correlation import Correlations, correlate, correlate_by_content, seed_permutation_test
+from calcidem.analysis.contact_graph import ContactWeights, PreferentialPath, normalized_connectivity
+from calcidem.analysis.correlation import (
+    Correlations,
+    PathEnvelope,
+    RatioScan,
+    correlate,
+    correlate_by_content,
+    path_envelope,
+    scan_ratio,
+    seed_permutation_test,
+)
 from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, dispersion
-from calcidem.analysis.distribution import ContentDistribution, describe_contents
-from calcidem.analysis.error_budget import ErrorBudget, are_samples, error_budget, median_known
+from calcidem.analysis.distribution import ContentDistribution, count_outcomes, describe_contents, name_outcomes
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.measured import Target
-from calcidem.analysis.outcomes import count_outcomes, name_outcomes
-from calcidem.analysis.packing_graph import FEATURES, Feature, PackingGraph, describe_feature, packing_graph
+from calcidem.analysis.packing_graph import (
+    FEATURES,
+    NETWORK_FEATURES,
+    Feature,
+    PackingGraph,
+    describe_feature,
+    packing_graph,
+)
 from calcidem.analysis.published import StageGrowth, growth_by_stage
-from calcidem.analysis.weights import PathEnvelope, RatioScan, path_envelope, scan_ratio
+from calcidem.analysis.velocity import ErrorBudget, are_samples, error_budget, median_known
 from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.records import (
     CellResult,

@@ -22,13 +22,10 @@ import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_cells
 from calcidem.analysis.dispersion import Dispersion
-from calcidem.analysis.distribution import budget_dataset, describe_contents, tabulate
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES
-from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
-from calcidem.analysis.outcomes import name_outcomes
+from calcidem.analysis.distribution import budget_dataset, describe_contents, name_outcomes, tabulate
+from calcidem.analysis.fits import Prediction
 from calcidem.analysis.packing_graph import Feature, PackingGraph, installed_features
-from calcidem.analysis.predictor import Prediction
-from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
+from calcidem.analysis.velocity import BUDGET_QUANTITIES, NOTE_QUANTITIES, damping_ratio, notes_on, small_strain_modulus
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.patterns import stored_experiment, with_patterns
 from calcidem.app.campaign.prediction import draw_pattern, predict_velocity
@@ -339,7 +336,7 @@ class Campaign(Closable):
         kurtosis, Jarque-Bera test, confidence and prediction intervals. They are over distinct samples with a velocity:
         without cement all seeds are one sample, and the interval is that of its error. Intervals cover the seeds of one
         packing. Errors of the velocities are medians of the relative standard errors, and the standard deviation by
-        reading errors alone (m/s), see `calcidem.analysis.error_budget`.
+        reading errors alone (m/s), see `calcidem.analysis.velocity`.
 
         Examples
         --------

@@ -15,9 +15,14 @@ from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures import style
-from calcidem.analysis.figures.film import draw_film, movie_writer, write_movie
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
-from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
+from calcidem.analysis.figures.samples import (
+    draw_cemented_samples,
+    draw_film,
+    draw_preferential_paths,
+    movie_writer,
+    write_movie,
+)
 from calcidem.analysis.figures.signals import draw_signals, load_arrival, read_arrival
 from calcidem.analysis.figures.style import MM, MS, drawn_in
 from calcidem.app.campaign.patterns import section_of, section_reader, stored_section

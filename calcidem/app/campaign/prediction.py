@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.fits import FEWEST_ROWS, Prediction, VelocityPredictor, check_samples
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.analysis.predictor import FEWEST_ROWS, Prediction, VelocityPredictor, check_samples
 from calcidem.app.campaign.patterns import pattern_of
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.cement import CementCapacityError

@@ -11,8 +11,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, are_samples, error_budget
 from calcidem.analysis.intervals import Interval
+from calcidem.analysis.velocity import BUDGET_QUANTITIES, ErrorBudget, are_samples, error_budget
 from calcidem.storage.passwords import hide_passwords
 from calcidem.storage.records import CellKey, CellStatus, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign

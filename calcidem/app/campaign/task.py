@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
-from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
+from calcidem.analysis.velocity import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.patterns import pattern_of, stored_section
 from calcidem.app.campaign.stored_packing import cache_folder, packing_record
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration

@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from calcidem.analysis.planning import FEWEST_READ, next_seed_count
+from calcidem.analysis.intervals import FEWEST_READ, next_seed_count
 from calcidem.app.config.schema import CampaignPlan
 from calcidem.storage.records import PackedResult, canonical_content
 from calcidem.storage.sql.store import Store

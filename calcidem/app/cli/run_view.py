@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from rich.table import Table
 
-from calcidem.analysis.error_budget import are_samples, median_known
-from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
+from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, are_samples, median_known, small_strain_modulus
 from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.progress import ProgressDisplay
 from calcidem.app.campaign.status import STATUS_QUANTITIES, UNREAD, CampaignStatus

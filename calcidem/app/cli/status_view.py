@@ -16,7 +16,7 @@ from calcidem.storage.records import CellStatus
 from calcidem.sweep.progress import duration, first_of, pluralize
 
 if TYPE_CHECKING:  # loaded at its first use
-    from calcidem.analysis.planning import SeedPlan
+    from calcidem.analysis.intervals import SeedPlan
 
 _STATUS_CHARACTERS = {
     CellStatus.DONE: ("#", "green"),
@@ -162,7 +162,7 @@ def _trouble_line(trouble: Trouble) -> str:
 
 def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":
     """Seeds that a content needs for a half-width in m/s; None if its scatter is unknown."""
-    from calcidem.analysis.planning import SeedPlan  # statistics of SciPy, which take half a second
+    from calcidem.analysis.intervals import SeedPlan  # statistics of SciPy, which take half a second
 
     if len(content.vs) < FEWEST_TO_PLAN:
         return None

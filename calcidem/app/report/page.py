@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
-from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render, save
+from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.analysis.measured import Target
-from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
 from calcidem.analysis.packing_graph import installed_features
+from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain

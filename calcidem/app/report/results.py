@@ -9,12 +9,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.contact_network import NETWORK_FEATURES
 from calcidem.analysis.correlation import Correlations, correlate, seed_permutation_test
-from calcidem.analysis.error_budget import median_known
-from calcidem.analysis.packing_graph import FEATURES, describe_feature
+from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES, describe_feature
 from calcidem.analysis.published import published_study
-from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, damping_ratio, small_strain_modulus
+from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, damping_ratio, median_known, small_strain_modulus
 from calcidem.app.report.wording import (
     ABSENT,
     Table,

@@ -17,7 +17,7 @@ from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import is_covered, misfits, root_mean_square_misfit
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
-from calcidem.analysis.shear_wave import median_diameter_by_mass
+from calcidem.analysis.velocity import median_diameter_by_mass
 from calcidem.app.report.results import RESULT_TABLES
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
 from calcidem.storage.records import RunRecord

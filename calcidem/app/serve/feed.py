@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES
 from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.analysis.velocity import BUDGET_QUANTITIES
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
 from calcidem.app.report.cell_data import (

@@ -9,7 +9,7 @@ from typing import get_args
 import numpy as np
 import xarray as xr
 
-from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
+from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.app.campaign.patterns import stored_experiment
 from calcidem.app.studies.cells import Cells
 from calcidem.app.studies.results import StudyResult, markdown_table, number

@@ -12,7 +12,7 @@ from typing import Any
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from calcidem.analysis.sensitivity import Change, paired_changes
+from calcidem.analysis.distribution import Change, paired_changes
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
 from calcidem.app.config.errors import ConfigurationError, Problem

@@ -111,7 +111,7 @@ class PathFeatures(Record):
 
 @dataclass(frozen=True, slots=True)
 class NetworkFeatures(Record):
-    """Features of the cement of a cell as a network; see `calcidem.analysis.contact_network.NETWORK_FEATURES`.
+    """Features of the cement of a cell as a network; see `calcidem.analysis.packing_graph.NETWORK_FEATURES`.
 
     None where there is nothing to count: no contact where the wave is, no cement, no path.
     """

@@ -12,8 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calcidem.analysis.contact_network import NETWORK_FEATURES
-from calcidem.analysis.packing_graph import FEATURES
+from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES
 from calcidem.app.campaign.opened import Campaign
 from calcidem.app.cli.query import as_rows
 from calcidem.storage.errors import QueryError
