@@ -25,7 +25,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.static_speed import static_speed
-from calcidem.storage.records.error_budget import NORMAL_95
+from calcidem.storage.records import NORMAL_95
 
 _PACKINGS, _SEEDS = 24, 8
 _WRONG = 0.05  # of the velocity

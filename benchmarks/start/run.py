@@ -68,9 +68,9 @@ PHASES = {
     "other work of the checks": ("calcidem.app.campaign.task.check_content",),
     "other work of a batch": ("calcidem.app.campaign.task.measure",),
     "path and graph": ("calcidem.app.campaign.task._describe_graph",),
-    "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.storage.records.cell.pack_arrays"),
+    "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.storage.records.pack_arrays"),
     "other work of the sweep": ("calcidem.app.campaign.run.run_sweep",),
-    "NetCDF": ("calcidem.storage.netcdf.export.export_netcdf",),
+    "NetCDF": ("calcidem.storage.netcdf.export_netcdf",),
 }
 
 
@@ -172,7 +172,7 @@ def campaign_phases(configuration: Path, seeds: int) -> dict[str, float]:
     """Processor seconds of the phases of a campaign in this process, kernels taken from the cache."""
     phases = Phases()
     run = importlib.import_module("calcidem.app.campaign.run")
-    export = importlib.import_module("calcidem.storage.netcdf.export")
+    export = importlib.import_module("calcidem.storage.netcdf")
     store_module = importlib.import_module("calcidem.storage.sql.store")
     with scratch() as folder:
         values = {"campaign.seeds": seeds, "run.database": str(folder / "c.db"), "run.output": str(folder)}

@@ -36,15 +36,9 @@ from calcidem.analysis.packing_graph import (
 )
 from calcidem.analysis.published import StageGrowth, growth_by_stage
 from calcidem.analysis.velocity import ErrorBudget, are_samples, error_budget, median_known
+from calcidem.ends import CellStatus
 from calcidem.storage.dataset import campaign_dataset
-from calcidem.storage.records import (
-    CellResult,
-    CellStatus,
-    CementPattern,
-    NetworkFeatures,
-    PackingRecord,
-    PathFeatures,
-)
+from calcidem.storage.records import CellResult, CementPattern, NetworkFeatures, PackingRecord, PathFeatures
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 

@@ -24,7 +24,8 @@ from calcidem.analysis.intervals import (
     standard_deviation,
 )
 from calcidem.analysis.velocity import are_samples, error_budget
-from calcidem.storage.records import NOT_PLANNED, STATUS_CODES, CellStatus
+from calcidem.ends import CellStatus
+from calcidem.storage.records import NOT_PLANNED, STATUS_CODES
 
 _REPEATED = "repeated"
 

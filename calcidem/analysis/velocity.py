@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calcidem.analysis.intervals import is_in_doubt
-from calcidem.storage.records import CellStatus
-from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT, depends_on_pulse
+from calcidem.ends import CellStatus
+from calcidem.storage.records import MOST_PULSE_EFFECT, depends_on_pulse
 
 if TYPE_CHECKING:
     import xarray as xr  # its import would delay a rank by half a second

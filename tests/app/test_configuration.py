@@ -22,7 +22,7 @@ from calcidem.dem.engine.fields import FieldError
 from calcidem.dem.engine.material import Cement
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.storage.records.canonical import canonical_hash
+from calcidem.storage.encoding import canonical_hash
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

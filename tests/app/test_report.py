@@ -33,8 +33,9 @@ from calcidem.app.report.sections import (
 )
 from calcidem.app.report.wording import ABSENT, Table, decimal, probability, significant
 from calcidem.app.studies.frequency_and_damping import run_studies
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
-from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store, read_campaign
 
 pytestmark = pytest.mark.slow

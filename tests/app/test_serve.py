@@ -26,8 +26,9 @@ from calcidem.app.serve.feed import CampaignFeed
 from calcidem.app.serve.hub import Hub
 from calcidem.app.serve.movies import MovieMaker
 from calcidem.app.serve.server import LivePage
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
-from calcidem.storage.records.canonical import canonical_hash
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_hash
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.environment import available_cores
 

@@ -14,9 +14,10 @@ from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.schema import Configuration
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_hash
 from calcidem.storage.errors import StoreLockedError
-from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, CellStatus, PackedResult
-from calcidem.storage.records.canonical import canonical_hash
+from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, PackedResult
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch

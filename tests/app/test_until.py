@@ -19,7 +19,8 @@ from calcidem.app.campaign.until import SeedDemand
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import CampaignPlan, Configuration, WantedIntervals
-from calcidem.storage.records import CellKey, CellResult, CellStatus, PackedResult
+from calcidem.ends import CellStatus
+from calcidem.storage.records import CellKey, CellResult, PackedResult
 from calcidem.sweep.batch import Batch, Cell, plan_batches
 from calcidem.sweep.outcome import BatchOutcome, Place
 from calcidem.sweep.run import run_sweep

@@ -42,7 +42,7 @@ from calcidem.analysis.figures.style import (
 from calcidem.analysis.measured import Target, group_specimens
 from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.analysis.velocity import are_samples
-from calcidem.storage.records.error_budget import NORMAL_95, depends_on_pulse
+from calcidem.storage.records import NORMAL_95, depends_on_pulse
 
 
 def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from calcidem.app.campaign.identity import physics_version
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError, StoreError
-from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
+from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, PackingRecord
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import replace_database
 from calcidem.storage.sql.reading import chunks

@@ -39,6 +39,7 @@ from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.scene import wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
+from calcidem.ends import CellStatus
 from calcidem.storage.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
@@ -47,13 +48,12 @@ from calcidem.storage.records import (
     AttemptRecord,
     CampaignRecord,
     CellResult,
-    CellStatus,
     CementPattern,
     PackingRecord,
     RecordedSection,
     RunRecord,
+    depends_on_pulse,
 )
-from calcidem.storage.records.error_budget import depends_on_pulse
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Closable, Selection
 

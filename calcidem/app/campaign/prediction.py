@@ -12,8 +12,9 @@ from calcidem.app.campaign.patterns import pattern_of
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.cement import CementCapacityError
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import CellStatus, CementPattern, NetworkFeatures
+from calcidem.storage.records import CementPattern, NetworkFeatures
 from calcidem.storage.store import Selection
 
 

@@ -31,8 +31,9 @@ from calcidem.app.config.reference import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import WAVELENGTHS, expected_speed
+from calcidem.ends import CellStatus
 from calcidem.storage.files import filesystem_type, is_network_filesystem
-from calcidem.storage.records import CellKey, CellStatus
+from calcidem.storage.records import CellKey
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection

@@ -17,8 +17,8 @@ from rich.text import Text
 from calcidem.app.campaign.notices import listening, printable, tell
 from calcidem.app.campaign.status import CampaignStatus
 from calcidem.dem.sample.packing import PackingStage
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError
-from calcidem.storage.records import CellStatus
 from calcidem.sweep.batch import Batch
 from calcidem.sweep.environment import launcher
 from calcidem.sweep.outcome import BatchOutcome

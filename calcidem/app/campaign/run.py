@@ -26,8 +26,9 @@ from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.own_pattern import Pattern, give_patterns
 from calcidem.dem.sample.packing import Packing, PackingStage
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError, StoreUnavailableError
-from calcidem.storage.records import CellKey, CellResult, CellStatus, PackedResult
+from calcidem.storage.records import CellKey, CellResult, PackedResult
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.intervals import Interval
 from calcidem.analysis.velocity import BUDGET_QUANTITIES, ErrorBudget, are_samples, error_budget
+from calcidem.ends import CellStatus
 from calcidem.storage.passwords import hide_passwords
-from calcidem.storage.records import CellKey, CellStatus, RunRecord
+from calcidem.storage.records import CellKey, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 

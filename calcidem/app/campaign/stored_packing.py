@@ -12,9 +12,9 @@ import numpy as np
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.judgement import refuse_changed
 from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingReport
+from calcidem.storage.encoding import unpack_arrays
 from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.records import PackingRecord
-from calcidem.storage.records.arrays import unpack_arrays
 
 CACHE_VARIABLE = "CALCIDEM_CACHE"
 """Variable with the folder of the cache, instead of ``$XDG_CACHE_HOME/calcidem``."""

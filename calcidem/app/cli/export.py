@@ -31,7 +31,7 @@ def export_command(
     as CSV (x, y, radius in m).
     """
     if seed is None and content is None:
-        from calcidem.storage.netcdf.export import export_netcdf
+        from calcidem.storage.netcdf import export_netcdf
         from calcidem.storage.sql.store import read_campaign
 
         if out.suffix.lower() in {".vtu", ".csv"}:

@@ -70,7 +70,7 @@ def _import_campaign(file: Path, database: str) -> None:
     """Rebuild a campaign's database from its exported file."""
     from calcidem.app.campaign.stored_packing import stored_packing
     from calcidem.storage.errors import DamagedStoreError, InvalidRecordError
-    from calcidem.storage.netcdf.import_netcdf import import_netcdf
+    from calcidem.storage.netcdf import import_netcdf
     from calcidem.storage.sql.engine import Address
     from calcidem.storage.sql.lease import replace_database
     from calcidem.storage.sql.store import Store

@@ -15,8 +15,8 @@ from rich.text import Text
 from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.arguments import CampaignName, Database, OnlyContents, OnlySeeds
 from calcidem.app.cli.formats import Format, FormatOption, RecordRows, tell_rows
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
 from calcidem.sweep.progress import pluralize
 

@@ -170,7 +170,7 @@ def _read_overridden(
         tell(f"Note: {place}. To continue it, stop this run and give --db {beside}")
     if retry:
         from calcidem.app.campaign.run import retry_cells
-        from calcidem.storage.records import CellStatus
+        from calcidem.ends import CellStatus
 
         pending = retry_cells(loaded, [CellStatus(outcome.value) for outcome in retry])
         head = f"{pluralize(len(pending), 'cell')} to compute again:" if pending else "There is nothing to retry."

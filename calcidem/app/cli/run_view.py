@@ -17,7 +17,7 @@ from calcidem.app.cli.terminal import IS_QUIET
 from calcidem.app.config.reference import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
-from calcidem.storage.records import CellStatus
+from calcidem.ends import CellStatus
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
@@ -56,7 +56,7 @@ class TerminalView:
         """Show the velocities, export them and write the report if requested; in haste show them only."""
         if self.is_told_by_command:
             return
-        from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf  # imported after the cells
+        from calcidem.storage.netcdf import belongs_to_another, export_netcdf  # imported after the cells
 
         plan = configuration.campaign
         self.console.print(_vs_table(store, Selection(None if plan.until else plan.seed_numbers, plan.contents)))

@@ -11,8 +11,8 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from calcidem.analysis.intervals import is_in_doubt
-from calcidem.storage.records import CellStatus
-from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT
+from calcidem.ends import CellStatus
+from calcidem.storage.records import MOST_PULSE_EFFECT
 from calcidem.sweep.environment import launcher
 from calcidem.sweep.progress import pluralize
 

@@ -25,9 +25,9 @@ from calcidem.dem.wave.experiment import Experiment, suitable_frequency
 from calcidem.dem.wave.pulse import EXCITATION
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WaveRule
+from calcidem.storage.encoding import canonical_hash, canonical_json
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import LARGEST_SEED, CampaignRecord, canonical_content
-from calcidem.storage.records.canonical import canonical_hash, canonical_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only

@@ -18,8 +18,7 @@ from calcidem.app.campaign.patterns import section_of, section_reader
 from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
 from calcidem.dem.wave.reading import Reading
 from calcidem.ends import Verdict
-from calcidem.storage.records import QUANTITY_BY_NAME, CellResult, RecordedSection
-from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT, NORMAL_95
+from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, QUANTITY_BY_NAME, CellResult, RecordedSection
 from calcidem.storage.store import ALL_CELLS, Selection
 from calcidem.sweep.progress import pluralize
 

@@ -29,7 +29,7 @@ from calcidem.app.report.wording import ABSENT, Table, decimal
 from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
-from calcidem.storage.netcdf.export import write_netcdf
+from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.sweep.progress import duration
 

@@ -23,7 +23,7 @@ from calcidem.app.report.wording import (
     with_bounds,
 )
 from calcidem.ends import Verdict
-from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT, NORMAL_95
+from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95
 
 
 def _velocity_table(analysis: CampaignAnalysis) -> Table:

@@ -20,8 +20,8 @@ from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, publi
 from calcidem.analysis.velocity import median_diameter_by_mass
 from calcidem.app.report.results import RESULT_TABLES
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
+from calcidem.storage.encoding import flat_parameters
 from calcidem.storage.records import RunRecord
-from calcidem.storage.records.canonical import flat_parameters
 from calcidem.sweep.progress import duration
 
 Made = TypeVar("Made")

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from calcidem.app.report.cell_data import describe_axes, numbers_or_none
 from calcidem.app.report.wording import EXCEPTIONAL
-from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
+from calcidem.ends import CellStatus
+from calcidem.storage.records import QUANTITY_BY_NAME
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from calcidem.analysis.figures.style import save
 from calcidem.storage.files import write_text_atomically
-from calcidem.storage.netcdf.export import write_netcdf
+from calcidem.storage.netcdf import write_netcdf
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,7 +36,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import PATTERNS
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
-from calcidem.storage.records.error_budget import NORMAL_95
+from calcidem.storage.records import NORMAL_95
 
 
 class SceneVerdict(StrEnum):

@@ -15,6 +15,8 @@ import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import unpack_arrays
 from calcidem.storage.errors import (
     ForeignDatabaseError,
     QueryError,
@@ -31,11 +33,9 @@ from calcidem.storage.records import (
     CampaignRecord,
     CellKey,
     CellResult,
-    CellStatus,
     PackingRecord,
     RunRecord,
 )
-from calcidem.storage.records.arrays import unpack_arrays
 from calcidem.storage.sql.engine import Address, Connections, find_damage, refuse_damaged, was_left_open
 from calcidem.storage.sql.lease import Lease, replace_database
 from calcidem.storage.sql.tables import (
@@ -49,9 +49,9 @@ from calcidem.storage.sql.tables import (
     RUN,
     STATUS,
     join_results,
+    parse_where,
     prepare_schema,
 )
-from calcidem.storage.sql.where import parse_where
 from calcidem.storage.store import ALL_CELLS, Closable, LeaseHolder, Selection, StoreMark
 
 T = TypeVar("T")

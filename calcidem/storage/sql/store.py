@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Connection, Table, and_, delete, insert, or_, select, tuple_, update
 
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import pack_arrays
 from calcidem.storage.errors import ReadOnlyStoreError, StoreError, UnknownCampaignError, UnknownCellError
 from calcidem.storage.records import (
     AttemptCount,
@@ -19,13 +21,11 @@ from calcidem.storage.records import (
     CampaignRecord,
     CellKey,
     CellResult,
-    CellStatus,
     PackedResult,
     PackingRecord,
     RunRecord,
+    as_utc,
 )
-from calcidem.storage.records.arrays import pack_arrays
-from calcidem.storage.records.run import as_utc
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import Lease
 from calcidem.storage.sql.reading import StoreReader, chunks

@@ -12,7 +12,7 @@ from calcidem.app.studies.cells import ROUNDS, Cells, CellsFound, relative_devia
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.rule import WHOLE_DOMAIN
-from calcidem.storage.records.error_budget import NORMAL_95
+from calcidem.storage.records import NORMAL_95
 
 HALVING = 1.0e-4  # largest relative change of Vs by halving the step
 FINEST = 0.05  # smallest step of a reference over the limit

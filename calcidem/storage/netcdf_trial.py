@@ -13,8 +13,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import netCDF4
-
 from calcidem.input_file import open_input
 from calcidem.storage.errors import DamagedStoreError
 
@@ -43,7 +41,7 @@ def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False)
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        env={"HDF5_USE_FILE_LOCKING": "FALSE"} | os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
     )
     if ended.returncode != 0:
         raise DamagedStoreError(
@@ -54,6 +52,8 @@ def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False)
 
 def _read_file(path: str, seconds: float, amount: str) -> None:
     """Open and read the file; a thread that needs no lock ends the process if reading does not return."""
+    import netCDF4  # noqa: PLC0415 - the process that starts this one sets how it locks files first
+
     faulthandler.dump_traceback_later(seconds, exit=True)
     with suppress(*_ERRORS_OF_READING), netCDF4.Dataset(path, "r") as file:
         file.set_auto_mask(False)

@@ -1,24 +1,181 @@
-"""Frozen records of cells: identity, outcome and attempts.
+"""All records that callers of the store give and get: cells with their samples, attempts, runs, packings, campaigns.
 
-A missing number is None in a record and NULL in the database, never NaN. The outcome of a cell is its `CellStatus`.
-Units are SI; contents are percent of the sand's mass.
+They are frozen and hold SI units (contents in percent of the sand's mass). A missing number is None in a record and
+NULL in the database, never NaN. The outcome of a cell is its `CellStatus`.
 """
 
+import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
+from hashlib import sha256
 from html import escape
 from typing import Annotated, Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calcidem.ends import CellStatus
-from calcidem.storage.records.arrays import pack_arrays
-from calcidem.storage.records.error_budget import DERIVED_QUANTITIES, NORMAL_95
-from calcidem.storage.records.quantity import Bound, Quantity, Record
-from calcidem.storage.records.sample import CementPattern, GrainPath, NetworkFeatures, PathFeatures, RecordedSection
+from calcidem.storage.encoding import config_difference, pack_arrays
+from calcidem.storage.errors import CampaignMismatchError
+from calcidem.storage.passwords import hide_passwords
+from calcidem.storage.quantity import Along, Bound, Quantity, Record
+
+P_CONTACT = 1
+C_CONTACT = 2
+"""Kinds of a cemented contact in `CementPattern.kind`; in lists of all contacts 0 is a sand contact."""
+
+_positive = partial(Quantity, bound=Bound.POSITIVE)
+_path = partial(Quantity, "1", origin="path")
+_network = partial(Quantity, "1", origin="network", bound=Bound.NOT_NEGATIVE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedSection(Record):
+    """Space-time section of a cell: motion at the stations and at the receiver, sampled at equal intervals."""
+
+    sampling_interval: Annotated[float, _positive("s", "time between two samples")]
+    """A multiple of the cell's time step."""
+    start_time: Annotated[float, Quantity("s", "time of the first sample after the pulse began")]
+    pulse_frequency: Annotated[float, _positive("Hz", "frequency of the pulse")]
+    """f of the pulse ``v0 (1 - cos 2 pi f t)``."""
+    resolution: Annotated[float, _positive("m s-1", "velocity of one count, 2^-20 of v0")]
+    places: Annotated[NDArray[np.float64], Along("station", "m", "path to each station, and last to the receiver")]
+    """Shape (X,)."""
+    across: Annotated[NDArray[np.int32], Along("sample", "1", "velocity across the path, counts", "station")]
+    along: Annotated[NDArray[np.int32], Along("sample", "1", "velocity along the path, counts", "station")]
+    """Shape (T, X)."""
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Times of the samples after the pulse began [s], shape (T,)."""
+        samples = np.arange(len(self.across), dtype=np.float64)
+        return np.float64(self.start_time) + samples * np.float64(self.sampling_interval)
+
+    @property
+    def transmitted(self) -> NDArray[np.float64]:
+        """Velocity of the transmitter [m/s], shape (T,)."""
+        turns, amplitude = self.time * self.pulse_frequency, self.resolution * 2.0**20
+        return np.where(turns < 1.0, amplitude * (1.0 - np.cos(2.0 * np.pi * turns)), 0.0)
+
+    @property
+    def received(self) -> NDArray[np.float64]:
+        """Velocity of the receiver across the path [m/s], shape (T,)."""
+        return np.asarray(self.across[:, -1] * self.resolution)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CementPattern(Record):
+    """Bonded contacts of the packing, which determine the sample exactly."""
+
+    contacts: Annotated[
+        NDArray[np.int32], Along("contact", "1", "indices of the two grains of a bonded contact", width=2)
+    ]
+    """In the order of bonding. Shape (m, 2)."""
+    kind: Annotated[NDArray[np.uint8], Along("contact", "1", "1 for a P contact, 2 for one in a C cluster")]
+    """Shape (m,)."""
+    cluster_centres: Annotated[
+        NDArray[np.float64], Along("cluster", "m", "position of the centre of a C cluster", width=2)
+    ]
+    """Shape (k, 2)."""
+
+    def __post_init__(self) -> None:
+        Record.__post_init__(self)
+        if not ((self.kind == P_CONTACT) | (self.kind == C_CONTACT)).all():
+            raise ValueError("CementPattern.kind holds other values than 1 (P) and 2 (C); use these two.")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GrainPath(Record):
+    """Preferential path of a cell, from the transmitter to the receiver."""
+
+    grains: Annotated[NDArray[np.int32], Along("grain", "1", "index of a grain along the preferential path")]
+    """Shape (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class PathFeatures(Record):
+    """Features of a cell's preferential path from the transmitter to the receiver."""
+
+    path_contacts: Annotated[int, _path("contacts on the preferential path")]
+    path_hertz_contacts: Annotated[int, _path("uncemented contacts on it")]
+    path_bonded_contacts: Annotated[int, _path("cemented contacts on it")]
+    """N, N_h and N_LPB of the paper, with LP = N_LPB / N and PLLC = QLLC / N."""
+    path_bonded_fraction: Annotated[float, _path("share of cemented contacts on it (LP)")]
+    path_longest_bonded_run_fraction: Annotated[
+        float, _path("longest run of cemented contacts over all contacts on it (PLLC)")
+    ]
+    path_longest_bonded_run: Annotated[
+        float, _path("longest run of cemented contacts, mean over all shortest paths (QLLC)")
+    ]
+    path_connectivity: Annotated[float, _path("weighted shortest distance (C_d)")]
+    path_normalized_connectivity: Annotated[float | None, _path("normalized connectivity per unit distance (C_d,n)")]
+    """C_d,n (Eq. 9); None where it is singular (equal weights)."""
+
+    def __post_init__(self) -> None:
+        Record.__post_init__(self)
+        if self.path_hertz_contacts + self.path_bonded_contacts != self.path_contacts:
+            raise ValueError(
+                f"PathFeatures: {self.path_hertz_contacts} uncemented + {self.path_bonded_contacts} cemented contacts "
+                f"are not the {self.path_contacts} of the path; the two must add up."
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkFeatures(Record):
+    """Features of the cement of a cell as a network; see `calcidem.analysis.packing_graph.NETWORK_FEATURES`.
+
+    None where there is nothing to count: no contact where the wave is, no cement, no path.
+    """
+
+    network_conductance: Annotated[float | None, _network("conductance between the walls over that if all is cemented")]
+    network_cemented_share: Annotated[float | None, _network("share of cemented contacts where the wave is")]
+    network_strong_share: Annotated[float | None, _network("the same among contacts above the mean force")]
+    network_coordination_number: Annotated[float | None, _network("cemented contacts of a cemented grain")]
+    network_anisotropy: Annotated[
+        float | None, Quantity("1", "anisotropy of the cemented contacts along the path", origin="network")
+    ]
+    network_components: Annotated[int, _network("groups of grains joined by cement")]
+    network_largest_component: Annotated[int, _network("grains in the largest of them")]
+    """A group has two or more grains; 0 where there is no cement."""
+    network_gap_contacts: Annotated[
+        int | None, _network("fewest uncemented contacts on a path from transmitter to receiver")
+    ]
+    """0 if cement alone connects transmitter and receiver, None if they are not connected."""
+
+
+NORMAL_95 = 1.96
+"""Half-width of the 95 % interval of a normal variable, in standard errors."""
+
+MOST_PULSE_EFFECT = 0.02
+"""Relative standard error by the strength of the pulse above which velocities do not belong to the sample."""
+
+Root = Callable[[Any], Any]
+
+
+def _vs_error(root: Root, reading: Any, numerical: Any, pulse: Any) -> Any:  # noqa: ANN401 - number, array or column
+    """Total of three independent parts."""
+    return root(reading * reading + numerical * numerical + pulse * pulse)
+
+
+DERIVED_QUANTITIES = (
+    Quantity(
+        *("1", "relative standard error of vs by reading, simulation and pulse", "error budget"),
+        name="vs_error",
+        is_optional=True,
+        needs=("reading_error", "numerical_error", "pulse_effect"),
+        formula=_vs_error,
+    ),
+)
+"""Quantities that are not stored; each follows from stored ones, and is missing if one of these is."""
+
+
+def depends_on_pulse(pulse_effect: Any) -> Any:  # noqa: ANN401 - number or array
+    """Whether a velocity depends on the pulse; False without a known effect (NaN)."""
+    return pulse_effect > MOST_PULSE_EFFECT
+
 
 _Real = float | None
 _Whole = int | None
@@ -326,3 +483,160 @@ class AttemptRecord(Record):
         Record.__post_init__(self)
         if self.outcome not in (known := (*STORED_STATUSES, "lost", CellStatus.RUNNING)):
             raise ValueError(f"AttemptRecord.outcome is '{self.outcome}'; it is one of {', '.join(known)}.")
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """Provenance of one run of the program on a campaign."""
+
+    versions: Mapping[str, str]
+    """Versions of Python, calcidem and the libraries its numbers depend on."""
+    host: str
+    cpu: str
+    """Host of rank 0 and its CPU model."""
+    ranks: int
+    """Size of the MPI world, 1 without MPI."""
+    launch_line: str
+    """Command line without passwords."""
+    started: datetime
+    """With time zone; kept as UTC."""
+    mpi_library: str | None = None
+    """None without MPI."""
+    git_commit: str | None = None
+    """Commit of the source tree, None when installed from a package."""
+    git_dirty: bool | None = None
+    """Whether that tree had uncommitted changes."""
+    slurm_job_id: str | None = None
+    ended: datetime | None = None
+    """Time of the end; None while the run lasts, or if it was killed."""
+    exit_state: str | None = None
+    """Description of the end."""
+
+    def __post_init__(self) -> None:
+        """Hide passwords, and refuse times without time zone."""
+        object.__setattr__(self, "launch_line", hide_passwords(self.launch_line))
+        object.__setattr__(self, "started", as_utc(self.started))
+        if self.ended is not None:
+            object.__setattr__(self, "ended", as_utc(self.ended))
+
+
+def as_utc(moment: datetime) -> datetime:
+    """Return a time in UTC; `ValueError` for a time without time zone, which is ambiguous."""
+    if moment.tzinfo is None:
+        raise ValueError(f"{moment} has no time zone; use datetime.now(UTC).")
+    return moment.astimezone(UTC)
+
+
+_packing = partial(Quantity, origin="packing", bound=Bound.NOT_NEGATIVE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackingRecord(Record):
+    """A packing with the report on its quality; the annotations explain its numbers."""
+
+    index: Annotated[int, Quantity("1", "index of the packing")]
+    """0 to k - 1 when a campaign has k packings."""
+    hash: Annotated[str, Quantity("", "hash of what it was made from")]
+    """Packings with the same hash may differ between versions."""
+    x: Annotated[NDArray[np.float64], Along("grain", "m", "horizontal position of the centre")]
+    y: Annotated[NDArray[np.float64], Along("grain", "m", "vertical position of the centre")]
+    radius: Annotated[NDArray[np.float64], Along("grain", "m", "radius")]
+    """Centres and radii of the disks [m]. Shape (grains,)."""
+    width: Annotated[float, _packing("m", "width of the box", bound=Bound.POSITIVE)]
+    height: Annotated[float, _packing("m", "height of the lid", bound=Bound.POSITIVE)]
+    porosity: Annotated[float, _packing("1", "area of the voids over area of the box")]
+    coordination_number: Annotated[float, _packing("1", "mean number of contacts of a grain")]
+    coordination_number_without_rattlers: Annotated[
+        float, _packing("1", "mean number of contacts of a grain that carries load")
+    ]
+    """2 N_contacts / N with and without rattlers."""
+    wall_stress: Mapping[str, float]
+    """Normal stress on each wall [Pa], by name of the wall."""
+    mean_relative_overlap: Annotated[float, _packing("1", "mean overlap over mean diameter")]
+    largest_relative_overlap: Annotated[float, _packing("1", "largest overlap over mean diameter")]
+    unbalanced_ratio: Annotated[float, _packing("1", "mean unbalanced force over mean contact force")]
+    seconds: Annotated[float, _packing("s", "computing time")]
+    state: Annotated[bytes, Along("state_byte", "1", "complete state, a NumPy .npz file")]
+    """Restores the packing bit for bit; its format is not interpreted here."""
+    content_hash: Annotated[str, Quantity("", "hash of its own bits: disks, walls and forces")]
+    """Identity of the packing itself."""
+
+    def __post_init__(self) -> None:
+        Record.__post_init__(self)
+        if self.index < 0:
+            raise ValueError(f"PackingRecord.index is {self.index}; packings count from 0.")
+        if not (len(self.radius) and (self.radius > 0.0).all()):
+            raise ValueError("PackingRecord.radius must hold positive radii of at least one grain.")
+        for wall, stress in self.wall_stress.items():
+            if not math.isfinite(stress):
+                raise ValueError(f"PackingRecord.wall_stress[{wall!r}] is {stress}; give a finite stress in Pa.")
+
+    def refuse_other(
+        self, other: "PackingRecord", places: tuple[str, str] = ("the database", "what is to be stored")
+    ) -> None:
+        """Raise `CampaignMismatchError` unless two records are of the same packing; the message names both places."""
+        same = ("index", "hash", "content_hash", "width", "height", "x", "y", "radius")  # a record may have been edited
+        if all(np.array_equal(getattr(self, name), getattr(other, name)) for name in same):
+            return
+        origins = "" if self.hash == other.hash else f" (they are made from {self.hash} and {other.hash})"
+        raise CampaignMismatchError(
+            f"Packing {self.index} has the content hash {self.content_hash} in {places[0]} and {other.content_hash} in "
+            f"{places[1]}{origins}.",
+            "Cells of two packings can't be in one campaign: keep them in databases of their own. 'calcidem run' on a "
+            "database uses its packing; new databases with a common folder CALCIDEM_CACHE get the same packing.",
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignRecord:
+    """Configuration and plan of a campaign."""
+
+    hash: str
+    """Identity of the physics."""
+    name: str
+    """Unique name within the store."""
+    config: str
+    """The whole physical configuration as canonical JSON text (`calcidem.storage.encoding.canonical_json`)."""
+    contents: tuple[float, ...]
+    """Planned contents [%], ascending."""
+    seeds: tuple[int, ...]
+    """Planned seeds, ascending."""
+    created: datetime
+    """Time with time zone; kept as UTC."""
+
+    def __post_init__(self) -> None:
+        for field in ("hash", "name"):
+            if not getattr(self, field):
+                raise ValueError(f"CampaignRecord.{field} is empty; give a text.")
+        object.__setattr__(self, "contents", tuple(sorted({canonical_content(c) for c in self.contents})))
+        object.__setattr__(self, "seeds", tuple(sorted({checked_seed(s) for s in self.seeds})))
+        object.__setattr__(self, "created", as_utc(self.created))
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Configuration, by section and key."""
+        found: dict[str, Any] = json.loads(self.config)
+        return found
+
+    @property
+    def checksum(self) -> str:
+        """SHA-256 of hash and configuration together, 64 hexadecimal digits."""
+        return sha256(f"{self.hash}\n{self.config}".encode()).hexdigest()
+
+    def refuse_other(self, given: "CampaignRecord") -> None:
+        """Raise `CampaignMismatchError`, which lists the differences, unless `given` is of the same campaign.
+
+        With equal hashes each may have keys that the other lacks, since keys at their defaults are not hashed. Values
+        of common keys must be equal. This detects a default that was changed without a new version of the physics.
+        """
+        is_same_hash = self.hash == given.hash
+        differences = config_difference(self.config, given.config, shared_only=is_same_hash)
+        if is_same_hash and not differences:
+            return
+        lines = "\n  ".join(differences or ["(none in the configurations' text)"])
+        raise CampaignMismatchError(
+            f"The stored campaign '{self.name}' with the hash {self.hash} has another configuration than "
+            f"'{given.name}' with the hash {given.hash} (stored -> given):\n  {lines}\n",
+            "Give the old values to continue it, or a new database or campaign name for the new ones; seeds and "
+            "contents may differ.",
+        )
