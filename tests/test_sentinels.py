@@ -13,17 +13,17 @@ SENTINELS = [
     ("analysis/correlation.py", ") / np.sqrt(variance_x", ") * np.sqrt(variance_x", "analysis/test_weights.py"),
     ("analysis/fits.py", "np.array([-half, 0.0", "np.array([half, 0.0", "analysis/test_predictor.py"),
     ("analysis/intervals.py", "+ 2.0 / (1.0 - level)", "+ 3.0 / (1.0 - level)", "analysis/test_predictor.py"),
-    ("dem/wave/pulse.py", "self.amplitude / self.frequency", "self.amplitude * self.frequency", "dem/test_pulse.py"),
-    ("dem/wave/pulse.py", "(cycle - sine_of_turns", "(cycle + sine_of_turns", "dem/test_pulse.py"),
+    ("dem/wave/rule.py", "self.amplitude / self.frequency", "self.amplitude * self.frequency", "dem/test_pulse.py"),
+    ("dem/wave/rule.py", "(cycle - sine_of_turns", "(cycle + sine_of_turns", "dem/test_pulse.py"),
     ("dem/wave/check.py", "0.5 * step_fraction", "1.0 * step_fraction", "dem/test_check.py"),
     ("dem/engine/portable.py", "0.5 * (left", "0.4 * (left", "dem/test_maxima.py"),
-    ("dem/engine/material.py", "(2.0 / 3.0 * self.shear", "(1.0 / 3.0 * self.shear", "dem/test_verification.py"),
+    ("dem/engine/scene.py", "(2.0 / 3.0 * self.shear", "(1.0 / 3.0 * self.shear", "dem/test_verification.py"),
     ("dem/sample/judgement.py", "LARGEST_OVERLAP = 0.1\n", "LARGEST_OVERLAP = 0.13\n", "dem/test_judgement.py"),
     ("sweep/batch.py", "self.losses > 1", "self.losses > 2", "sweep/test_batch.py"),
     ("app/campaign/run.py", "losses >= LOSSES_BEFORE_Q", "losses > LOSSES_BEFORE_Q", "app/test_until.py"),
     ("sweep/schedule.py", "default=-1) + 1", "default=-1) + 0", "sweep/test_schedule.py"),
     ("app/campaign/progress.py", "seconds_left * status", "seconds_left / status", "app/test_progress.py"),
-    ("sweep/progress.py", "divmod(minutes, 60)", "divmod(minutes, 61)", "sweep/test_progress.py"),
+    ("sweep/schedule.py", "divmod(minutes, 60)", "divmod(minutes, 61)", "sweep/test_progress.py"),
 ]
 """Module, its text and what stands there instead, and the tests that know it."""
 

@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 
 from calcidem.dem.engine.fields import FieldError
-from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.scene import Cement, Sand
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementCapacityError, CementRule
 from calcidem.dem.sample.compaction import make_packing

@@ -36,10 +36,10 @@ import json, sys, time
 from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.campaign.task import kernel_compilations
 from calcidem.app.config.reader import load_configuration
-from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Sand
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.sample.compaction import make_packing
-from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
+from calcidem.dem.sample.cement import RandomPurpose, random_generator
 configuration = load_configuration(sys.argv[1], {})
 found = {}
 def clock(name, action):

@@ -6,14 +6,10 @@ from concurrent.futures import Executor
 from contextlib import nullcontext
 from typing import Any, TypeAlias
 
-from calcidem.sweep.attempt import IS_INTERRUPTED, Compute
-from calcidem.sweep.batch import Batch, CellT
+from calcidem.sweep.attempt import IS_INTERRUPTED, Compute, StopLevel, StopRequest
+from calcidem.sweep.batch import Batch, BatchOutcome, CellT, ResultT
 from calcidem.sweep.group_commit import GroupCommit, Sink
-from calcidem.sweep.outcome import BatchOutcome, ResultT
-from calcidem.sweep.progress import Progress
-from calcidem.sweep.schedule import Schedule
-from calcidem.sweep.signals import StopLevel, StopRequest
-from calcidem.sweep.sweep_end import SweepEnd, SweepState
+from calcidem.sweep.schedule import Progress, Schedule, SweepEnd, SweepState
 from calcidem.sweep.workers import ThisProcess, Workers
 
 More: TypeAlias = Callable[[Sequence[BatchOutcome[CellT, Any]]], Iterable[Batch[CellT]]]

@@ -21,10 +21,9 @@ from typing import Any, Generic, TypeAlias
 
 from calcidem.ends import CellStatus
 from calcidem.sweep.attempt import Compute, SweepInterrupted, attempt
-from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.environment import available_cores, own_rank
-from calcidem.sweep.outcome import BatchOutcome, Failure, Place
-from calcidem.sweep.sweep_end import SweepError
+from calcidem.sweep.batch import Batch, BatchOutcome, CellT, Failure, Place
+from calcidem.sweep.ranks import available_cores, own_rank
+from calcidem.sweep.schedule import SweepError
 
 _Identity: TypeAlias = tuple[str, int, int, int | None]
 """Host, process, thread and MPI rank (None without MPI)."""

@@ -11,7 +11,7 @@ from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, u
 from calcidem.app.studies.accuracy.study import FINEST, HALVING, Study, Summary, covered_share, run_study
 from calcidem.app.studies.cells import Cells
 from calcidem.app.studies.results import StudyResult
-from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule

@@ -19,7 +19,7 @@ from calcidem.app.config.reader import load_configuration, read_configuration
 from calcidem.app.config.reference import key_references
 from calcidem.app.config.schema import SECTIONS, CampaignPlan, Configuration, Excitation, RunOptions
 from calcidem.dem.engine.fields import FieldError
-from calcidem.dem.engine.material import Cement
+from calcidem.dem.engine.scene import Cement
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.encoding import canonical_hash

@@ -23,9 +23,8 @@ from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, Ru
 from calcidem.app.campaign.status import CampaignStatus
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.ends import CellStatus
-from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Failure, Place
-from calcidem.sweep.sweep_end import SweepEnd, SweepState
+from calcidem.sweep.batch import Batch, BatchOutcome, Failure, Place
+from calcidem.sweep.schedule import SweepEnd, SweepState
 
 if TYPE_CHECKING:
     from conftest import Workshop

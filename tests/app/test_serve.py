@@ -30,7 +30,7 @@ from calcidem.ends import CellStatus
 from calcidem.storage.encoding import canonical_hash
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult
 from calcidem.storage.sql.store import Store
-from calcidem.sweep.environment import available_cores
+from calcidem.sweep.ranks import available_cores
 
 pytestmark = pytest.mark.slow
 

@@ -20,9 +20,8 @@ from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, PackedResult
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Place
-from calcidem.sweep.sweep_end import EXIT_RESUMABLE
+from calcidem.sweep.batch import Batch, BatchOutcome, Place
+from calcidem.sweep.schedule import EXIT_RESUMABLE
 
 
 class OftenLockedStore(Store):

@@ -21,8 +21,7 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import CampaignPlan, Configuration, WantedIntervals
 from calcidem.ends import CellStatus
 from calcidem.storage.records import CellKey, CellResult, PackedResult
-from calcidem.sweep.batch import Batch, Cell, plan_batches
-from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.sweep.batch import Batch, BatchOutcome, Cell, Place, plan_batches
 from calcidem.sweep.run import run_sweep
 
 if TYPE_CHECKING:

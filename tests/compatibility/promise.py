@@ -26,7 +26,7 @@ from calcidem.app.cli.main import PANELS, _build_application
 from calcidem.app.config.reference import key_references
 from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.sql.store import Store
-from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE
+from calcidem.sweep.schedule import EXIT_ERROR, EXIT_RESUMABLE
 
 FILE = Path(__file__).with_name("promise.json")
 

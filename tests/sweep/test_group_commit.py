@@ -7,10 +7,9 @@ from typing import Any
 
 import pytest
 
-from calcidem.sweep.batch import Batch
+from calcidem.sweep.batch import Batch, BatchOutcome, Place
 from calcidem.sweep.group_commit import GroupCommit
-from calcidem.sweep.outcome import BatchOutcome, Place
-from calcidem.sweep.progress import Progress
+from calcidem.sweep.schedule import Progress
 
 
 @dataclass

@@ -1,8 +1,7 @@
 import pytest
 
 from calcidem.ends import CellStatus
-from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Failure, Place
+from calcidem.sweep.batch import Batch, BatchOutcome, Failure, Place
 from calcidem.sweep.schedule import Schedule
 
 PLACE = Place(rank=1, host="here")

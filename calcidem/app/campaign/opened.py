@@ -36,8 +36,7 @@ from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import write_packing_csv
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.scene import wave_scene
+from calcidem.dem.wave.experiment import Experiment, wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
 from calcidem.ends import CellStatus
 from calcidem.storage.dataset import campaign_dataset, cell_matrices

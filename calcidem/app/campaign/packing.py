@@ -15,10 +15,10 @@ from calcidem.app.campaign.stored_packing import (
 )
 from calcidem.app.config.presets import preset_packings
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.cement import RandomPurpose, random_generator
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import PACKING_METHOD, Packing, PackingFileError, PackingStage
 from calcidem.dem.sample.packing_file import packing_from_csv
-from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.input_file import MOST_BYTES, InputFileError, read_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_atomically

@@ -10,14 +10,12 @@ import numpy as np
 from calcidem.app.campaign.identity import physics_version
 from calcidem.app.campaign.stored_packing import stored_packing
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
-from calcidem.dem.sample.cement import CementCapacityError, PlacedCement
-from calcidem.dem.sample.own_pattern import UnknownPatternError
+from calcidem.dem.sample.cement import CementCapacityError, PlacedCement, UnknownPatternError
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.reading import PickRule, Reading, read_section
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.dem.wave.section import RESOLUTION, Section
-from calcidem.dem.wave.strip_wave import clamp_of_strip
+from calcidem.dem.wave.section import RESOLUTION, Section, clamp_of_strip
 from calcidem.ends import Verdict
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import CellResult, CementPattern, RecordedSection

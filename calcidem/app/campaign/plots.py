@@ -29,8 +29,7 @@ from calcidem.app.campaign.patterns import section_of, section_reader, stored_se
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import film_wave
 from calcidem.dem.wave.reading import Reading
-from calcidem.dem.wave.section import RESOLUTION, Section
-from calcidem.dem.wave.strip_wave import fitness
+from calcidem.dem.wave.section import RESOLUTION, Section, fitness
 from calcidem.ends import Verdict
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CellResult

@@ -38,14 +38,13 @@ from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.environment import (
+from calcidem.sweep.ranks import (
     LAUNCHER_VARIABLES,
     available_cores,
     mpi_library_version,
     refuse_ranks_off_linux,
 )
-from calcidem.sweep.progress import duration
-from calcidem.sweep.sweep_end import LaunchError
+from calcidem.sweep.schedule import LaunchError, duration
 
 SECONDS_WHERE_MEASURED = 2.7e-3  # of `_seconds_of_arithmetic`
 

@@ -19,11 +19,9 @@ from calcidem.app.campaign.status import CampaignStatus
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError
-from calcidem.sweep.batch import Batch
-from calcidem.sweep.environment import launcher
-from calcidem.sweep.outcome import BatchOutcome
-from calcidem.sweep.progress import Progress, duration, pluralize
-from calcidem.sweep.sweep_end import SweepEnd
+from calcidem.sweep.batch import Batch, BatchOutcome
+from calcidem.sweep.ranks import launcher
+from calcidem.sweep.schedule import Progress, SweepEnd, duration, pluralize
 
 
 class RunStage(StrEnum):

@@ -24,7 +24,7 @@ from calcidem.app.campaign.stored_packing import packing_record, stored_packing
 from calcidem.app.campaign.task import CellComputation, kernel_compilations
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.sample.own_pattern import Pattern, give_patterns
+from calcidem.dem.sample.cement import Pattern, give_patterns
 from calcidem.dem.sample.packing import Packing, PackingStage
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError, StoreUnavailableError
@@ -32,15 +32,18 @@ from calcidem.storage.records import CellKey, CellResult, PackedResult
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
-from calcidem.sweep.attempt import SweepInterrupted
-from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.environment import COMMAND_VARIABLE, refuse_singletons
-from calcidem.sweep.outcome import BatchOutcome
-from calcidem.sweep.processes import keep_freed_memory
+from calcidem.sweep.attempt import StopRequest, SweepInterrupted
+from calcidem.sweep.batch import Batch, BatchOutcome, Cell
+from calcidem.sweep.ranks import COMMAND_VARIABLE, keep_freed_memory, refuse_singletons
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE
-from calcidem.sweep.signals import StopRequest
-from calcidem.sweep.sweep_end import EXIT_RESUMABLE, LaunchError, SweepEnd, SweepState, WorkersLostError
+from calcidem.sweep.schedule import (
+    EXIT_RESUMABLE,
+    LOSSES_BEFORE_QUARANTINE,
+    LaunchError,
+    SweepEnd,
+    SweepState,
+    WorkersLostError,
+)
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign  # for statistics, which the ranks do not need

@@ -14,8 +14,7 @@ from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CellKey, CellResult, PackedResult
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.batch import Batch, BatchOutcome, Cell
 
 T = TypeVar("T")
 

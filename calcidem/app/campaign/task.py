@@ -18,8 +18,7 @@ from calcidem.app.campaign.patterns import pattern_of, stored_section
 from calcidem.app.campaign.stored_packing import cache_folder, packing_record
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
-from calcidem.dem.sample.cement import CementOrdering, content_of_contacts
-from calcidem.dem.sample.own_pattern import GIVEN, Pattern, give_patterns
+from calcidem.dem.sample.cement import GIVEN, CementOrdering, Pattern, content_of_contacts, give_patterns
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import Check, check_content, kernels_of
 from calcidem.dem.wave.experiment import Experiment
@@ -38,8 +37,8 @@ from calcidem.storage.records import (
     PathFeatures,
 )
 from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.processes import keep_freed_memory
-from calcidem.sweep.sweep_end import LaunchError
+from calcidem.sweep.ranks import keep_freed_memory
+from calcidem.sweep.schedule import LaunchError
 from calcidem.version import __version__
 
 if sys.platform != "win32":

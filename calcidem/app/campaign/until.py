@@ -10,8 +10,7 @@ from calcidem.app.config.schema import CampaignPlan
 from calcidem.storage.records import PackedResult, canonical_content
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.batch import Cell
-from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.batch import BatchOutcome, Cell
 
 
 class SeedDemand:

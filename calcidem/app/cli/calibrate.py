@@ -16,8 +16,8 @@ from calcidem.app.cli.arguments import (
     number_parser,
     parse_percentage,
 )
-from calcidem.sweep.environment import available_cores
-from calcidem.sweep.sweep_end import EXIT_ERROR
+from calcidem.sweep.ranks import available_cores
+from calcidem.sweep.schedule import EXIT_ERROR
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.studies.calibrate import FittedContent, FittedParameters

@@ -18,7 +18,7 @@ from calcidem.app.cli.formats import Format, FormatOption, RecordRows, tell_rows
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
 from calcidem.storage.store import Selection
-from calcidem.sweep.progress import pluralize
+from calcidem.sweep.schedule import pluralize
 
 Columns = Mapping[str, NDArray[Any]]
 """Columns of equal length by name of their quantity, as from `StoreReader.table`."""

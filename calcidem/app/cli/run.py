@@ -12,7 +12,7 @@ import typer
 from calcidem.app.campaign.notices import advise, printable, tell
 from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, number_parser, refuse_options
 from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE
-from calcidem.sweep.progress import first_of, pluralize
+from calcidem.sweep.schedule import first_of, pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from concurrent.futures import Executor
@@ -93,8 +93,8 @@ def run_command(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )
     with _live_page(configuration, overrides) if serve else nullcontext():
+        from calcidem.sweep.attempt import StopRequest
         from calcidem.sweep.ranks import run_on_ranks
-        from calcidem.sweep.signals import StopRequest
 
         load = partial(_read_overridden, configuration, overrides, retry or ())
         if ranks is not None and ranks != 1:
@@ -147,7 +147,7 @@ def _make_packing_alone(configuration: "Configuration") -> None:
 def _live_page(configuration: Path, overrides: dict[str, str | None]) -> AbstractContextManager[None]:
     """Live page of the campaign while the command runs."""
     from calcidem.app.serve.address import page_beside_run
-    from calcidem.sweep.environment import launcher
+    from calcidem.sweep.ranks import launcher
 
     if launcher() is not None:
         raise typer.BadParameter(

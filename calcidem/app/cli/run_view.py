@@ -21,8 +21,8 @@ from calcidem.ends import CellStatus
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.environment import COMMAND_VARIABLE, available_cores, launcher
-from calcidem.sweep.progress import pluralize
+from calcidem.sweep.ranks import COMMAND_VARIABLE, available_cores, launcher
+from calcidem.sweep.schedule import pluralize
 
 
 class TerminalView:

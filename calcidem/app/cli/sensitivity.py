@@ -7,7 +7,7 @@ import typer
 
 from calcidem.app.campaign.notices import tell
 from calcidem.app.cli.arguments import CampaignName, OnlyContents, StudyCores, refuse_options
-from calcidem.sweep.environment import available_cores
+from calcidem.sweep.ranks import available_cores
 
 
 def sensitivity_command(

@@ -9,7 +9,7 @@ import typer
 from calcidem.app.campaign.notices import tell
 from calcidem.app.cli.arguments import JudgedDatabase, StudyFolder, parse_percentage
 from calcidem.app.cli.formats import Format, FormatOption, tell_study
-from calcidem.sweep.sweep_end import EXIT_ERROR
+from calcidem.sweep.schedule import EXIT_ERROR
 
 
 def stability_command(

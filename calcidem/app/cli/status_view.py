@@ -12,7 +12,7 @@ from calcidem.app.campaign.notices import printable
 from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, URGENCY, CampaignStatus, ContentStatus, Trouble
 from calcidem.app.cli.tables import WholeTable, format_number, marks_of, remarks_on
 from calcidem.ends import CellStatus, Verdict
-from calcidem.sweep.progress import duration, first_of, pluralize
+from calcidem.sweep.schedule import duration, first_of, pluralize
 
 if TYPE_CHECKING:  # loaded at its first use
     from calcidem.analysis.intervals import SeedPlan

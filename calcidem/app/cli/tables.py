@@ -13,8 +13,8 @@ from rich.text import Text
 from calcidem.analysis.intervals import is_in_doubt
 from calcidem.ends import CellStatus
 from calcidem.storage.records import MOST_PULSE_EFFECT
-from calcidem.sweep.environment import launcher
-from calcidem.sweep.progress import pluralize
+from calcidem.sweep.ranks import launcher
+from calcidem.sweep.schedule import pluralize
 
 PLAIN_WIDTH = 110
 """Number of columns without a terminal."""

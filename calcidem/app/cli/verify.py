@@ -9,8 +9,7 @@ import typer
 from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.arguments import CampaignName, Database
 from calcidem.app.cli.formats import Format, FormatOption, tell_rows
-from calcidem.sweep.progress import pluralize
-from calcidem.sweep.sweep_end import EXIT_ERROR
+from calcidem.sweep.schedule import EXIT_ERROR, pluralize
 
 if TYPE_CHECKING:  # loaded by the command itself, not by its help
     from calcidem.app.campaign.opened import Campaign

@@ -31,7 +31,7 @@ from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
 from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.sweep.progress import duration
+from calcidem.sweep.schedule import duration
 
 _MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",

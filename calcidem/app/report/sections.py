@@ -22,7 +22,7 @@ from calcidem.app.report.results import RESULT_TABLES
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
 from calcidem.storage.encoding import flat_parameters
 from calcidem.storage.records import RunRecord
-from calcidem.sweep.progress import duration
+from calcidem.sweep.schedule import duration
 
 Made = TypeVar("Made")
 

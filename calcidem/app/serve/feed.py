@@ -22,7 +22,7 @@ from calcidem.app.report.cell_data import (
 )
 from calcidem.app.report.results import count_reasons
 from calcidem.app.serve.columns import CellColumns
-from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Sand
 from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError
 from calcidem.storage.passwords import hide_passwords
 from calcidem.storage.records import QUANTITY_BY_NAME

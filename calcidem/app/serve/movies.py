@@ -12,14 +12,14 @@ from typing import Any
 
 from calcidem.app.serve.feed import CampaignFeed
 from calcidem.storage.passwords import hide_passwords, keep_passwords_back
-from calcidem.sweep.environment import available_cores
+from calcidem.sweep.ranks import available_cores
 
 _TIME_LIMIT = 600.0
 """Seconds after which a movie is given up."""
 
 _PROGRAM = """
 import os, runpy, sys
-from calcidem.sweep.processes import die_with_parent
+from calcidem.sweep.ranks import die_with_parent
 parent = int(sys.argv.pop(1))
 if sys.platform == "linux":
     die_with_parent(parent)

@@ -16,7 +16,7 @@ from calcidem.app.campaign.run import run
 from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.layout import Floats
-from calcidem.sweep.processes import die_with_parent
+from calcidem.sweep.ranks import die_with_parent
 
 
 @contextmanager

@@ -31,7 +31,7 @@ from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.cells import signal_distance
 from calcidem.app.studies.results import StudyResult, markdown_table
-from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Sand
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import PATTERNS
 from calcidem.dem.wave.experiment import Experiment

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.dem.engine.assembly import Assembly, lanes_of_bits, pair_overlaps, wall_pair_overlaps
-from calcidem.dem.engine.histories import listed_pairs
+from calcidem.dem.engine.assembly import Assembly, lanes_of_bits, listed_pairs, pair_overlaps, wall_pair_overlaps
 from calcidem.dem.engine.leapfrog import State, look_ahead
 from calcidem.dem.engine.portable import length, three_halves
 from calcidem.dem.engine.scene import Scene

@@ -1,14 +1,16 @@
-"""Distribution of calcite in a sample: random cement at contacts (P) and in clusters (C).
+"""Distribution of calcite in a sample: random cement at contacts (P) and in clusters (C), and patterns of others.
 
 The virtual-entity method of the paper (section 2.2.1): calcite is not a particle but a bonded contact with a
 mass. `draw_cement` draws one ordering per seed; `CementOrdering.at` takes the part of it for a content. The
-samples of a seed are therefore nested: a cemented contact stays cemented at every larger content.
+samples of a seed are therefore nested: a cemented contact stays cemented at every larger content. Patterns of other
+packages, or of the calling program, are drawn from streams of the same kind.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
+from importlib.metadata import entry_points
 from itertools import chain
 from typing import Annotated, cast
 
@@ -21,9 +23,61 @@ from pydantic import AllowInfNan
 from calcidem.dem.engine.fields import NotNegative, Positive, checked
 from calcidem.dem.engine.portable import arc_sine, length
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
-from calcidem.dem.sample.own_pattern import draw_order
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
+
+Pattern = Callable[[Floats, np.random.Generator], npt.ArrayLike]
+"""Order (M,) in which contacts are cemented, from their points (M, 2) in m and a random generator of the seed."""
+
+GIVEN: dict[str, Pattern] = {}
+"""Patterns that the calling program gave, by name; they stand before those of packages."""
+
+
+class UnknownPatternError(ValueError):
+    """No package has the pattern of a configuration."""
+
+
+def give_patterns(patterns: Mapping[str, Pattern]) -> None:
+    """Make patterns of the calling program known in this process."""
+    GIVEN.update(patterns)
+
+
+def find_pattern(name: str) -> Pattern:
+    """Pattern of that name: given, or an entry point of the group ``calcidem.patterns``; `UnknownPatternError`."""
+    if name in GIVEN:
+        return GIVEN[name]
+    for found in entry_points(group="calcidem.patterns", name=name):
+        pattern: Pattern = found.load()
+        return pattern
+    known = ", ".join(sorted({*GIVEN, *entry_points(group="calcidem.patterns").names})) or "none"
+    raise UnknownPatternError(
+        f'drawn_by = "{name}": no installed package has this pattern (entry point of the group calcidem.patterns), and '
+        f"calcidem.run was given none; known are: {known}"
+    )
+
+
+def draw_order(name: str, points: Floats, generator: np.random.Generator) -> npt.NDArray[np.int64]:
+    """Order (M,) of contacts by a pattern; `ValueError` if it is no permutation of all contacts."""
+    order = np.asarray(find_pattern(name)(points.copy(), generator))
+    if order.shape != (len(points),) or not np.array_equal(np.sort(order), np.arange(len(points))):
+        raise ValueError(f'drawn_by = "{name}": gives no permutation of the {len(points)} contacts; return each once')
+    return order.astype(np.int64)
+
+
+class RandomPurpose(IntEnum):
+    """Purpose of a random stream; the values belong to a sample's identity and never change."""
+
+    DISKS = 0
+    P_CONTACTS = 1
+    CLUSTERS = 2
+
+
+def random_generator(root_seed: int, seed: int, purpose: RandomPurpose) -> np.random.Generator:
+    """Return the generator of a stream, independent of the order of calls.
+
+    Root, seed and purpose span a tree of NumPy's `SeedSequence` with independent branches.
+    """
+    sequence = np.random.SeedSequence(root_seed, spawn_key=(seed, purpose.value))
+    return np.random.Generator(np.random.PCG64(sequence))
 
 
 def toroid_area(

@@ -15,8 +15,16 @@ import numpy as np
 from calcidem.dem.engine.fields import PositivePart, checked
 from calcidem.dem.engine.portable import arc_sine, find_maxima, parabola_vertex, sliding_products
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.section import RESOLUTION, Section
-from calcidem.dem.wave.strip_wave import P_OVER_S, StripWave, far_stations, fit_velocity, fit_wave, waveform
+from calcidem.dem.wave.section import (
+    P_OVER_S,
+    RESOLUTION,
+    Section,
+    StripWave,
+    far_stations,
+    fit_velocity,
+    fit_wave,
+    waveform,
+)
 from calcidem.ends import Verdict
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]

@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from calcidem.dem.wave.check import cheapest_law
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.pulse import Pulse
-from calcidem.dem.wave.rule import WHOLE_DOMAIN
-from calcidem.dem.wave.scene import domain_of
+from calcidem.dem.wave.experiment import Experiment, domain_of
+from calcidem.dem.wave.rule import WHOLE_DOMAIN, Pulse
 
 DEFAULT = "default"
 UNDAMPED = "damping 0"

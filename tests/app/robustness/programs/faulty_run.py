@@ -20,8 +20,7 @@ from calcidem.app.campaign import run as campaign
 from calcidem.app.campaign.store_sink import StoreSink
 from calcidem.app.campaign.task import CellComputation
 from calcidem.app.cli.main import main
-from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.batch import Batch, BatchOutcome
 
 FAULT, VICTIM, MOMENT = (os.environ.get(name, "") for name in ("FAULT", "VICTIM", "MOMENT"))
 FOLDER = Path(os.environ["FAULT_FOLDER"])
