@@ -293,7 +293,11 @@ def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, hig
         if left == right or not low < _corner(left, right) < high:
             return []
         middle = shortest(_corner(left, right), left)
-        if not _shorter_at_corner(middle, left, right):
+        # It must be strictly shorter where the others intersect: in integers, without round-off.
+        rise, run = right.hertz_contacts - left.hertz_contacts, left.bonded_contacts - right.bonded_contacts
+        hertz_gain = left.hertz_contacts - middle.hertz_contacts
+        bond_gain = left.bonded_contacts - middle.bonded_contacts
+        if run * hertz_gain + rise * bond_gain <= 0:
             return []
         return [*between(left, middle), middle, *between(middle, right)]
 
@@ -321,15 +325,6 @@ def _strictly_shortest(found: list[_PathLine], low: float, high: float) -> tuple
 def _corner(before: _PathLine, after: _PathLine) -> float:
     """Return the ratio at which two different lines intersect."""
     return (after.hertz_contacts - before.hertz_contacts) / (before.bonded_contacts - after.bonded_contacts)
-
-
-def _shorter_at_corner(middle: _PathLine, left: _PathLine, right: _PathLine) -> bool:
-    """Return whether `middle` is strictly shorter where the others intersect; in integers, without round-off."""
-    rise = right.hertz_contacts - left.hertz_contacts
-    run = left.bonded_contacts - right.bonded_contacts
-    hertz_gain = left.hertz_contacts - middle.hertz_contacts
-    bond_gain = left.bonded_contacts - middle.bonded_contacts
-    return run * hertz_gain + rise * bond_gain > 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

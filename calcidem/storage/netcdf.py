@@ -90,7 +90,10 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
         netCDF4.Dataset(temporary, "w", format="NETCDF4") as file,
     ):
         for index in store.packing_indices():
-            _append_packing(file, store.packing(index))
+            packing = store.packing(index)
+            stress = np.array([json.dumps(dict(packing.wall_stress))], dtype=object)
+            own = {"wall_stress": ("", "normal stress on each wall in Pa, as JSON", stress)}
+            _append_records(file.createGroup("packings"), "packing", PackingRecord, [packing], own)
         for attempts in chunks(store.history(), 10_000):
             _append_attempts(file, attempts)
         _write_cells(file, store, wanted)
@@ -155,7 +158,11 @@ def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:
         names = [name for name in QUANTITY_BY_NAME if name not in INDEX_NAMES]
         matrices = as_matrices(store.table(tuple(QUANTITY_BY_NAME), selection), names, block, contents)
         for found in chunks(store.arrays(selection) if wanted else (), 1000):  # cells with arrays in memory
-            _append_arrays(file, found, wanted)
+            for name in wanted:
+                kept = [(key, arrays[name]) for key, arrays in found if name in arrays]
+                if kept:
+                    keys, records = zip(*kept, strict=True)
+                    _append_records(file.createGroup(name), "cell", ARRAY_RECORDS[name], records, _key_columns(keys))
         for name, matrix in matrices.items():
             is_whole = QUANTITY_BY_NAME[name].kind == "whole"  # real with missing values
             file[name][first : first + block.size] = QUANTITY_BY_NAME[name].as_column(matrix) if is_whole else matrix
@@ -191,22 +198,6 @@ def _append_attempts(file: Group, attempts: Sequence[AttemptRecord]) -> None:
     }
     keys = _key_columns([attempt.key for attempt in attempts])
     _append_records(file.createGroup("attempts"), "attempt", AttemptRecord, attempts, keys | own)
-
-
-def _append_packing(file: Group, packing: PackingRecord) -> None:
-    """Append a packing to the group ``packings``."""
-    stress = np.array([json.dumps(dict(packing.wall_stress))], dtype=object)
-    own = {"wall_stress": ("", "normal stress on each wall in Pa, as JSON", stress)}
-    _append_records(file.createGroup("packings"), "packing", PackingRecord, [packing], own)
-
-
-def _append_arrays(file: Group, cells: Sequence[tuple[CellKey, Mapping[str, Any]]], groups: Collection[str]) -> None:
-    """Append the arrays of some cells, records by name, of the requested groups."""
-    for name in groups:
-        found = [(key, arrays[name]) for key, arrays in cells if name in arrays]
-        if found:
-            keys, records = zip(*found, strict=True)
-            _append_records(file.createGroup(name), "cell", ARRAY_RECORDS[name], records, _key_columns(keys))
 
 
 def _key_columns(keys: Sequence[CellKey]) -> dict[str, _Column]:

@@ -15,10 +15,6 @@ from calcidem.sweep.workers import ThisProcess, Workers
 More: TypeAlias = Callable[[Sequence[BatchOutcome[CellT, Any]]], Iterable[Batch[CellT]]]
 
 
-def _no_more(_outcomes: Sequence[BatchOutcome[Any, Any]]) -> tuple[()]:
-    return ()
-
-
 def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     executor: Executor | None,
     batches: Iterable[Batch[CellT]],
@@ -29,7 +25,7 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     silence_floor: float = 300.0,
     progress: Progress | None = None,
     stop_request: StopRequest | None = None,
-    more: More[CellT] = _no_more,
+    more: More[CellT] = lambda _: (),
 ) -> SweepEnd:
     """Compute all batches and store their outcomes.
 

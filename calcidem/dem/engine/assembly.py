@@ -1,6 +1,5 @@
 """Builds the kernel's arrays from a scene: order, neighbours, stiffnesses, contact histories; and renews them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import prod
 from typing import Any, NamedTuple
@@ -52,23 +51,18 @@ class Assembly:
 
 def aligned_zeros(shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     """Array of zeros that starts on a cache line, so that no lane vector straddles two."""
-    return _aligned(np.zeros, shape, dtype)
+    size = prod(shape) * np.dtype(dtype).itemsize
+    line = 64  # bytes of a cache line, and of an AVX-512 vector
+    raw = np.zeros(size + line, dtype=np.uint8)
+    start = -raw.ctypes.data % line
+    return raw[start : start + size].view(dtype).reshape(shape)
 
 
 def aligned_copy(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Copy that starts on a cache line."""
-    copy = _aligned(np.empty, array.shape, array.dtype)
+    copy = aligned_zeros(array.shape, array.dtype)
     copy[...] = array
     return copy
-
-
-def _aligned(make: Callable[..., npt.NDArray[Any]], shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    """Array that starts on a cache line, in memory that ``make`` provides."""
-    size = prod(shape) * np.dtype(dtype).itemsize
-    line = 64  # bytes of a cache line, and of an AVX-512 vector
-    raw = make(size + line, dtype=np.uint8)
-    start = -raw.ctypes.data % line
-    return raw[start : start + size].view(dtype).reshape(shape)
 
 
 def near_pairs(centres: Floats, radius: Floats, skin: float) -> Integers:
@@ -449,7 +443,10 @@ def renew_assembly(scene: Scene, old: Assembly, displacement: Floats, skin: floa
     keys = [pair_keys(listed_pairs(assembly), scene.count) for assembly in (fresh, old)]
     of_cement = () if scene.bonds is None else ("intact", "linear", "bond_force")
     _hand_down(fresh.pairs, old.pairs, keys, ("shear", "root", *of_cement))
-    keys = [_wall_keys(assembly) for assembly in (fresh, old)]
+    keys = [
+        pair_keys(np.column_stack([pairs.disk, pairs.wall + scene.count]), scene.count + len(scene.walls))
+        for pairs in (fresh.wall_pairs, old.wall_pairs)
+    ]
     _hand_down(fresh.wall_pairs, old.wall_pairs, keys, ("shear", "root"))
     return fresh
 
@@ -461,10 +458,3 @@ def _hand_down(fresh: NamedTuple, old: NamedTuple, keys: list[npt.NDArray[np.int
     place = place[known]
     for name in names:
         getattr(fresh, name)[known] = getattr(old, name)[place]
-
-
-def _wall_keys(assembly: Assembly) -> npt.NDArray[np.int64]:
-    """(V,) key of each contact of disk and wall, increasing in list order."""
-    disks, wall_pairs = len(assembly.order), assembly.wall_pairs
-    pairs = np.column_stack([wall_pairs.disk, wall_pairs.wall + disks])
-    return pair_keys(pairs, disks + len(assembly.walls.normal))

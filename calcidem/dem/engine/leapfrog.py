@@ -23,7 +23,6 @@ from calcidem.dem.kernels.layout import (
     XY,
     Floats,
     Front,
-    Grains,
     Integers,
     Motion,
     Pairs,
@@ -72,8 +71,14 @@ def plan_bundles(pairs: Pairs, block: int, count: int) -> _Bundles:
 def bundle(system: System, bundles: _Bundles, features: Features) -> System:
     """Arrays of one sample as bundles and records; all other arrays are shared with the system."""
     grains, motion, watch = system.grains, system.motion, system.watch
+    inverse = np.column_stack([grains.inverse_mass, grains.inverse_mass, grains.inverse_inertia])
+    damping = np.broadcast_to(grains.damping[:, None], inverse.shape)
     return system._replace(
-        grains=_bundle_grains(grains, features),
+        grains=grains._replace(
+            inverse_mass=_records(inverse),
+            damping=_records(damping) if features.damping else grains.load,
+            load=_records(grains.load) if features.loads else grains.load,
+        ),
         motion=Motion(*(_records(array.reshape(-1, 3)) for array in motion)),
         pairs=_bundle_pairs(system.pairs, bundles, grains.radius, features),
         watch=watch._replace(origin=_records(watch.origin[:, :, 0])),
@@ -103,17 +108,6 @@ def _records(values: Floats) -> Floats:
     records = aligned_zeros((count + -count % ABREAST, RECORD), values.dtype)
     records[:count, :width] = values
     return records.reshape(-1, 1)
-
-
-def _bundle_grains(grains: Grains, features: Features) -> Grains:
-    """Disks with their constants of motion as records: inverse mass and inertia in one array."""
-    inverse = np.column_stack([grains.inverse_mass, grains.inverse_mass, grains.inverse_inertia])
-    damping = np.broadcast_to(grains.damping[:, None], inverse.shape)
-    return grains._replace(
-        inverse_mass=_records(inverse),
-        damping=_records(damping) if features.damping else grains.load,
-        load=_records(grains.load) if features.loads else grains.load,
-    )
 
 
 def _histories(features: Features) -> list[str]:

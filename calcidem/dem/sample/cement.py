@@ -55,14 +55,6 @@ def find_pattern(name: str) -> Pattern:
     )
 
 
-def draw_order(name: str, points: Floats, generator: np.random.Generator) -> npt.NDArray[np.int64]:
-    """Order (M,) of contacts by a pattern; `ValueError` if it is no permutation of all contacts."""
-    order = np.asarray(find_pattern(name)(points.copy(), generator))
-    if order.shape != (len(points),) or not np.array_equal(np.sort(order), np.arange(len(points))):
-        raise ValueError(f'drawn_by = "{name}": gives no permutation of the {len(points)} contacts; return each once')
-    return order.astype(np.int64)
-
-
 class RandomPurpose(IntEnum):
     """Purpose of a random stream; the values belong to a sample's identity and never change."""
 
@@ -348,9 +340,9 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
     return CementOrdering(
         rule=rule,
         p_rank=p_rank,
-        p_content=percent * _running_sum(p_area[order]),
+        p_content=percent * np.cumsum(np.r_[0.0, p_area[order]]),
         first_cluster=first_cluster,
-        c_content=percent * _running_sum(areas),
+        c_content=percent * np.cumsum(np.r_[0.0, areas]),
         centres=centres,
         pore_content=percent * pore_area,
     )
@@ -399,7 +391,12 @@ def _draw_p(
     Patches are drawn up to the threshold; contacts beyond it are never cemented with P.
     """
     if rule.drawn_by is not None:
-        return draw_order(rule.drawn_by, points, generator)
+        order = np.asarray(find_pattern(rule.drawn_by)(points.copy(), generator))
+        if order.shape != (len(points),) or not np.array_equal(np.sort(order), np.arange(len(points))):
+            raise ValueError(
+                f'drawn_by = "{rule.drawn_by}": gives no permutation of the {len(points)} contacts; return each once'
+            )
+        return order.astype(np.int64)
     if rule.p_patch_diameter == 0.0:
         return generator.permutation(len(points))
     never = np.iinfo(np.int64).max
@@ -478,8 +475,3 @@ def _circles(
         inside = length(*(points[found] - centres[circle]).T) <= radius
         held, number = np.unique(circle[inside], return_inverse=True)
         yield centres[held], number, found[inside]
-
-
-def _running_sum(values: Floats) -> Floats:
-    """Return the sums of the first 0, 1, 2, ... values."""
-    return np.concatenate([[0.0], np.cumsum(values)])

@@ -5,9 +5,8 @@ grow by a constant factor per step. 1 % above the limit they double in three ste
 exceeds every bound at the second.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from itertools import chain
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from calcidem.dem.engine.assembly import lanes_of_bits
 from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.portable import length
-from calcidem.dem.engine.readout import look_undamped, net_forces_from, overlaps, wall_overlaps
+from calcidem.dem.engine.readout import look_undamped, net_forces, overlaps, wall_overlaps
 from calcidem.dem.engine.stability import critical_time_step, hertz_tangent
 from calcidem.dem.kernels.layout import LISTENED, XY, Floats, Integers, Recording, X, Y
 from calcidem.dem.wave.experiment import RECEIVER, TRANSMITTER
@@ -42,16 +41,30 @@ def problems_of(state: State, amplitude: float, overlap: float, breakable: float
     # Waves stay below about five times the amplitude.
     for lane in np.flatnonzero(~(_largest_translation(state.motion.velocity) <= 30.0 * amplitude)).tolist():
         speed = np.abs(state.motion.velocity[:, :2, lane]).max(axis=1)
-        problems[lane] = f"{_name_disk(state, speed)} moves at {speed.max():.3g} m/s after {state.steps} steps"
+        # The place identifies the disk, since the computed disks are renumbered.
+        disk = int(state.assembly.order[int(np.argmax(speed))])
+        place = f"({state.scene.x[disk]:.5g}, {state.scene.y[disk]:.5g}) m"
+        problems[lane] = f"the disk at {place} moves at {speed.max():.3g} m/s after {state.steps} steps"
     if state.features.linear:
         return problems
+    broken = broken_bonds(state)
+    if broken.any():
+        bonds = np.count_nonzero(lanes_of_bits(state.assembly.pairs.cemented, state.features.lanes), axis=0)
+        for lane in np.flatnonzero(broken > breakable * bonds).tolist():
+            problem = f"{broken[lane]} bonds broke within {state.steps} steps: the pulse changes the sample; "
+            problems[lane] = problems[lane] or problem + "lower amplitude"
+    # Below a tenth of the mean overlap stiffness changes stay within the margin of the step.
     motion = _largest_translation(state.motion.displacement)
-    found = (
-        _find_broken_bonds(state, breakable),
-        _find_steps_above_limit(state, motion, overlap),
-    )
-    for lane, problem in chain(*found):
-        problems[lane] = problems[lane] or problem
+    noticed = (motion > 0.1 * overlap) & (state.time_step > cheap_limit(state))
+    if not noticed.any():
+        return problems
+    # Hertz contacts stiffen under load.
+    limit = critical_time_step(state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
+    for lane in np.flatnonzero(noticed & (state.time_step > limit)).tolist():
+        problems[lane] = problems[lane] or (
+            f"the step of {state.time_step[lane]:.3g} s is above the stability limit of the pressed contacts "
+            f"after {state.steps} steps, {limit[lane]:.3g} s: lower step_fraction or amplitude"
+        )
     return problems
 
 
@@ -61,37 +74,6 @@ def broken_bonds(state: State) -> Integers:
     if not state.features.breakage or not (pairs.cemented ^ pairs.intact).any():
         return np.zeros(lanes, dtype=np.int64)
     return np.asarray(np.count_nonzero(lanes_of_bits(pairs.cemented ^ pairs.intact, lanes), axis=0))
-
-
-def cemented_bonds(state: State) -> Integers:
-    """(L,) number of initial bonds."""
-    return np.asarray(np.count_nonzero(lanes_of_bits(state.assembly.pairs.cemented, state.features.lanes), axis=0))
-
-
-def _find_broken_bonds(state: State, breakable: float) -> Iterator[tuple[int, str]]:
-    """Yield the lanes with too many broken bonds."""
-    broken = broken_bonds(state)
-    if not broken.any():
-        return
-    for lane in np.flatnonzero(broken > breakable * cemented_bonds(state)).tolist():
-        count = broken[lane]
-        yield lane, f"{count} bonds broke within {state.steps} steps: the pulse changes the sample; lower amplitude"
-
-
-def _find_steps_above_limit(state: State, motion: Floats, overlap: float) -> Iterator[tuple[int, str]]:
-    """Yield the lanes whose step exceeds the limit at the present overlaps."""
-    # Below a tenth of the mean overlap stiffness changes stay within the margin of the step.
-    noticed = (motion > 0.1 * overlap) & (state.time_step > cheap_limit(state))
-    if not noticed.any():
-        return
-    # Hertz contacts stiffen under load.
-    limit = critical_time_step(state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
-    for lane in np.flatnonzero(noticed & (state.time_step > limit)).tolist():
-        problem = (
-            f"the step of {state.time_step[lane]:.3g} s is above the stability limit of the pressed contacts "
-            f"after {state.steps} steps, {limit[lane]:.3g} s: lower step_fraction or amplitude"
-        )
-        yield lane, problem
 
 
 def _largest_translation(field: Floats) -> Floats:
@@ -117,7 +99,7 @@ def unbalanced_speed(state: State, amplitude: float) -> Floats:
     swing = float(critical_time_step(state.scene, state.assembly, pressed)[0]) / 2.0
     speed, ahead = np.empty(lanes), look_undamped(state)
     for lane in range(lanes):
-        force = length(*net_forces_from(state, ahead, lane)[:, :2].T)
+        force = length(*net_forces(state, lane, ahead)[:, :2].T)
         speed[lane] = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * swing
     require(
         bool(np.all(speed <= 1e-3 * amplitude)),
@@ -128,15 +110,6 @@ def unbalanced_speed(state: State, amplitude: float) -> Floats:
         "smaller unbalanced_force_ratio",
     )
     return speed / amplitude
-
-
-def _name_disk(state: State, values: Floats) -> str:
-    """Describe the disk with the largest value, or the first one with NaN.
-
-    The place identifies it, since the computed disks are renumbered.
-    """
-    disk = int(state.assembly.order[int(np.argmax(values))])
-    return f"the disk at ({state.scene.x[disk]:.5g}, {state.scene.y[disk]:.5g}) m"
 
 
 def cheap_limit(state: State) -> Floats:
@@ -188,7 +161,7 @@ class Recorder:
     signs: Floats
     """(L,) sense of the pulse: 1, or -1 for a reversed one. Sections are positive as the pulse."""
     breakable: float = 0.0
-    """See `guards.problems_of`."""
+    """See `problems_of`."""
     counts: Counts = field(init=False)
     """(L, 2, X, S) motion across and along so far, see `Section`."""
     broken: Integers = field(init=False)

@@ -278,7 +278,11 @@ def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bo
             raise ForeignDatabaseError(f"{address} is empty.", "Give the database of a campaign that has been started.")
         _METADATA.create_all(connection)
         connection.execute(sa.insert(_VERSION).values(version=_SCHEMA))
-        _create_view(connection)
+        quantities: list[Any] = [EXPRESSIONS[name].label(name) for name in QUANTITY_BY_NAME]
+        statement = join_results(sa.select(CAMPAIGN.c.name.label("campaign"), *quantities))
+        statement = statement.join(CAMPAIGN, CAMPAIGN.c.id == CELL.c.campaign_id)
+        # For direct queries: one row for each cell.
+        connection.execute(sa.text(f"CREATE VIEW cells AS {statement.compile(dialect=connection.dialect)}"))
         connection.execute(sa.insert(QUANTITIES), list(_described()))
         return
     if _VERSION.name not in tables:
@@ -296,17 +300,6 @@ def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bo
             "Export it with that version ('calcidem export'), and import the file into a new database; it was left as "
             "it is.",
         )
-
-
-def _create_view(connection: sa.Connection) -> None:
-    """Make the view of cells, one row each, for direct queries of the database.
-
-    Its columns are the campaign's name and all quantities.
-    """
-    quantities: list[Any] = [EXPRESSIONS[name].label(name) for name in QUANTITY_BY_NAME]
-    statement = join_results(sa.select(CAMPAIGN.c.name.label("campaign"), *quantities))
-    statement = statement.join(CAMPAIGN, CAMPAIGN.c.id == CELL.c.campaign_id)
-    connection.execute(sa.text(f"CREATE VIEW cells AS {statement.compile(dialect=connection.dialect)}"))
 
 
 def _described() -> Iterator[dict[str, str]]:
