@@ -38,7 +38,7 @@ from calcidem.analysis.published import StageGrowth, growth_by_stage
 from calcidem.analysis.velocity import ErrorBudget, are_samples, error_budget, median_known
 from calcidem.ends import CellStatus
 from calcidem.storage.dataset import campaign_dataset
-from calcidem.storage.records import CellResult, CementPattern, NetworkFeatures, PackingRecord, PathFeatures
+from calcidem.storage.records import CellResult, CementPattern, NetworkFeatures, PathFeatures
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
@@ -126,7 +126,7 @@ class CampaignAnalysis:
 
     @cached_property
     def outcomes(self) -> xr.Dataset:
-        """Measured, missing and failed cells along content; see `outcomes.count_outcomes`."""
+        """Measured, missing and failed cells along content; see `distribution.count_outcomes`."""
         return count_outcomes(self.vs, self.status)
 
     @cached_property
@@ -158,9 +158,12 @@ class CampaignAnalysis:
         missing = [name for name in names if name not in wave]
         if missing:
             raise UnavailableError(f"the configuration of the campaign lacks wave.{missing[0]}")
-        packings = self._packings()
+        indices = self.store.packing_indices()
+        if list(indices) != list(range(len(indices))) or not indices:
+            raise UnavailableError(f"packings {list(indices)} are stored; all from 0 on are needed")
+        packings, layers = map(self.store.packing, indices), [float(wave[name]) for name in names]
         with _translate_refusals():
-            return tuple(packing_graph(packing, *(float(wave[name]) for name in names)) for packing in packings)
+            return tuple(packing_graph(packing, *layers) for packing in packings)
 
     @cached_property
     def analysed_seeds(self) -> tuple[int, ...]:
@@ -173,9 +176,12 @@ class CampaignAnalysis:
     @cached_property
     def samples(self) -> tuple[MeasuredSample, ...]:
         """Computed cells of these seeds with a stored cement pattern, by seed, then content."""
-        if not self._read_samples:
+        cells = self.outcomes_of(Selection(self.analysed_seeds), ("path", "cement"))
+        with _translate_refusals():
+            found = tuple(self._sample(cell, cell.cement) for cell in cells if cell.cement is not None)
+        if not found:
             raise UnavailableError("no cement pattern is stored, so the contacts of the samples are unknown")
-        return self._read_samples
+        return found
 
     @cached_property
     def table(self) -> xr.Dataset:
@@ -347,18 +353,6 @@ class CampaignAnalysis:
                 fit=fit_power_law(connectivity, self.sample_vs),
                 check=leave_one_seed_out(connectivity, self.sample_vs, self.sample_seeds),
             )
-
-    def _packings(self) -> list[PackingRecord]:
-        indices = self.store.packing_indices()
-        if list(indices) != list(range(len(indices))) or not indices:
-            raise UnavailableError(f"packings {list(indices)} are stored; all from 0 on are needed")
-        return [self.store.packing(index) for index in indices]
-
-    @cached_property
-    def _read_samples(self) -> tuple[MeasuredSample, ...]:
-        cells = self.outcomes_of(Selection(self.analysed_seeds), ("path", "cement"))
-        with _translate_refusals():
-            return tuple(self._sample(cell, cell.cement) for cell in cells if cell.cement is not None)
 
     def _sample(self, cell: CellResult, cement: CementPattern) -> MeasuredSample:
         graph = self.graphs[cell.packing_index]

@@ -85,7 +85,16 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
     ``level`` is that of the parameters' intervals. `ValueError` if shapes disagree, a connectivity is not positive,
     there are fewer than four samples or three different connectivities, or the fit does not converge.
     """
-    x, y, left_out = _known_samples(connectivity, vs)
+    x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
+    if x.ndim != 1 or x.shape != y.shape:
+        raise ValueError(f"connectivity has shape {x.shape} and vs {y.shape}; give one of each for every sample")
+    known = np.isfinite(x) & np.isfinite(y)
+    x, y = x[known], y[known]
+    if (x <= 0).any():
+        raise ValueError(
+            f"connectivity {x.min()} is not positive, so a power of it does not exist; "
+            "check the distance and median diameter it was normalised with"
+        )
     if x.size <= _PARAMETER_COUNT or np.unique(x).size < _PARAMETER_COUNT:
         raise ValueError(
             f"{x.size} samples with {np.unique(x).size} different connectivities: the law has three "
@@ -116,7 +125,7 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
         residuals=residuals,
         residual_standard_deviation=float(np.sqrt(residuals @ residuals / (x.size - _PARAMETER_COUNT))),
         n=x.size,
-        left_out=left_out,
+        left_out=int((~known).sum()),
     )
 
 
@@ -157,19 +166,6 @@ def _power_law_gradient(x: NDArray[np.float64], a: float, b: float, c: float) ->
     """Return the derivatives of the law with respect to a, b and c, shape (..., 3)."""
     power = x**b
     return np.stack([power, a * power * np.log(x), np.ones_like(x)], axis=-1)
-
-
-def _known_samples(connectivity: ArrayLike, vs: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
-    if x.ndim != 1 or x.shape != y.shape:
-        raise ValueError(f"connectivity has shape {x.shape} and vs {y.shape}; give one of each for every sample")
-    known = np.isfinite(x) & np.isfinite(y)
-    if (x[known] <= 0).any():
-        raise ValueError(
-            f"connectivity {x[known].min()} is not positive, so a power of it does not exist; "
-            "check the distance and median diameter it was normalised with"
-        )
-    return x[known], y[known], int((~known).sum())
 
 
 def _starting_point(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:

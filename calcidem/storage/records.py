@@ -6,7 +6,7 @@ NULL in the database, never NaN. The outcome of a cell is its `CellStatus`.
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -434,15 +434,16 @@ ARRAY_RECORDS: dict[str, type[GrainPath | RecordedSection | CementPattern]] = {
 """Fields of `CellResult` with arrays, and their classes; each is a blob in the database and a group in a file."""
 
 
-def _catalogue() -> Iterator[Quantity]:
-    yield from CellKey.quantities()
-    yield from CellResult.quantities()
-    yield from DERIVED_QUANTITIES
-    for part in (PathFeatures, NetworkFeatures):  # which a cell may lack as a whole
-        yield from (replace(quantity, is_optional=True) for quantity in part.quantities())
-
-
-QUANTITY_BY_NAME = {quantity.name: quantity for quantity in _catalogue()}
+QUANTITY_BY_NAME = {
+    quantity.name: quantity
+    for quantity in (
+        *CellKey.quantities(),
+        *CellResult.quantities(),
+        *DERIVED_QUANTITIES,
+        # A cell may lack a part as a whole.
+        *(replace(one, is_optional=True) for part in (PathFeatures, NetworkFeatures) for one in part.quantities()),
+    )
+}
 """Catalogue of all quantities of a cell, in the order of display."""
 
 EXACT_QUANTITIES = tuple(quantity.name for quantity in QUANTITY_BY_NAME.values() if quantity.is_exact)

@@ -85,10 +85,6 @@ def attempt(
 
 # mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them a quarter of a second later.
 # So a launcher that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
-_HURRY_SIGNALS = ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2")
-"""Store finished batches and stop now; the running ones are dropped."""
-
-
 class StopLevel(IntEnum):
     """Urgency of a requested end."""
 
@@ -130,7 +126,9 @@ class StopRequest:
     """
 
     def __init__(self, *, finishes: bool = True, has_lost: Callable[[], bool] = lambda: False) -> None:
-        wanted = {"SIGUSR1": self._drain if finishes else lambda *_: None} | dict.fromkeys(_HURRY_SIGNALS, self._hurry)
+        wanted = {"SIGUSR1": self._drain if finishes else lambda *_: None} | dict.fromkeys(
+            ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2"), self._hurry
+        )
         self._handlers: dict[signal.Signals, Any] = {
             getattr(signal, name): handler for name, handler in wanted.items() if hasattr(signal, name)
         }

@@ -77,11 +77,6 @@ def _plot_measurement(analysis: CampaignAnalysis) -> Figure:
     return draw_measurement(analysis.graphs[0], analysis.config.get("wave", {}), arrival)
 
 
-def _plot_signals(analysis: CampaignAnalysis) -> Figure:
-    shown = pick_evenly(_measured_contents(analysis), 5)
-    return draw_signals([_first_arrival_at(analysis, content) for content in shown])
-
-
 def _plot_paths(analysis: CampaignAnalysis) -> Figure:
     content = min(_varied_contents(analysis), key=lambda content: abs(content - 5.0))  # as Fig. 12 of the paper
     ordered = [sample for sample in analysis.measured_samples(content) if sample.packing_index == 0]
@@ -131,7 +126,9 @@ CAMPAIGN_FIGURES = (
         "Signals and their arrivals",
         "Transmitted (grey) and received (blue) signal, each over its peak, with the arrival by each method. Peak and "
         "cross-correlation count from the transmitted peak, the first arrival from the transmitted onset.",
-        _plot_signals,
+        lambda analysis: draw_signals(
+            [_first_arrival_at(analysis, content) for content in pick_evenly(_measured_contents(analysis), 5)]
+        ),
     ),
     CampaignFigure(
         "methods",

@@ -99,10 +99,6 @@ def draw_range(
     return figure
 
 
-def _is_within(content: float, rows: Sequence[ContentDistribution]) -> bool:
-    return rows[0].content - 1e-6 <= content <= rows[-1].content + 1e-6
-
-
 def _rows_with_velocity(distributions: Sequence[ContentDistribution]) -> list[ContentDistribution]:
     if found := [row for row in distributions if row.vs.n]:
         return found
@@ -146,7 +142,7 @@ def _draw_range(
     if any(loud):
         at, label = content[loud], "depends on the pulse"
         axes.plot(at, means[loud], "o", markersize=8, markerfacecolor="none", color=ORANGE, label=label)
-    here = [(at, row) for at, row in published if _is_within(at, rows)]
+    here = [(at, row) for at, row in published if rows[0].content - 1e-6 <= at <= rows[-1].content + 1e-6]
     if here:
         aside = 0.015 * (content[-1] - content[0])  # so that neither hides the other
         axes.errorbar(

@@ -210,7 +210,7 @@ class Experiment:
     1 leaves the packing unchanged; any other value is a calibration.
     """
     installation: Installation = "preserve"
-    """See `scene.Bonds`."""
+    """See `engine.scene.Bonds`."""
     is_checked: bool = True
     """Measure the numerical error of each content, and choose law and time step by it (`check.check_content`)."""
     frequencies: tuple[tuple[float, ...], tuple[float, ...]] | Callable[["Experiment", float], float] | None = None

@@ -30,7 +30,7 @@ class WaveRule:
         v0 of ``v(t) = v0 (1 - cos 2 pi f t)``, m/s.
     transmitter
         ``wall``: the band of the left wall moves and drives the disks by friction. ``driven``: the disks at this band
-        have a prescribed motion without rotation, see `scene.driven_disks`.
+        have a prescribed motion without rotation, see `experiment.driven_disks`.
     transmitter_half_width, receiver_half_width
         Half-width of the band in the wall, m.
     band_friction
@@ -62,7 +62,7 @@ class WaveRule:
         Largest number of time steps for settling.
     keep
         Kernel features kept without need (`kernels.features.Features`), and ``whole_domain`` to keep disks that the
-        wave cannot reach (`scene.domain_of`).
+        wave cannot reach (`experiment.domain_of`).
     """
 
     amplitude: Annotated[Positive, Unit("m/s")] = 1.0e-3

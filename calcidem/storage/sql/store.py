@@ -392,9 +392,11 @@ class Store(StoreReader):
         statement = select(CELL.c.id, CELL.c.seed, CELL.c.content).join(RESULT, RESULT.c.cell_id == CELL.c.id)
         with self._writing() as connection:
             found = connection.execute(statement.where(is_it).order_by(CELL.c.seed, CELL.c.content))
-            ids = {CellKey(seed, content): cell_id for cell_id, seed, content in found}
-            chosen = {key: cell_id for key, cell_id in ids.items() if wanted is None or key in wanted}
-            _drop_outcomes(connection, chosen.values())
+            settled = {CellKey(seed, content): cell_id for cell_id, seed, content in found}
+            chosen = {key: cell_id for key, cell_id in settled.items() if wanted is None or key in wanted}
+            for ids in chunks(chosen.values()):
+                connection.execute(delete(RESULT).where(RESULT.c.cell_id.in_(ids)))  # with their arrays
+                connection.execute(update(ATTEMPT).where(ATTEMPT.c.cell_id.in_(ids)).values(forgiven=True))
         return tuple(chosen)
 
     def _known_cells(self, connection: Connection, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
@@ -451,10 +453,3 @@ def _attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
     """Condition that an attempt is one of these (cell, number), in a form for which SQLite uses its index."""
     listed = tuple_(ATTEMPT.c.cell_id, ATTEMPT.c.number).in_(numbered)
     return and_(ATTEMPT.c.cell_id.in_([cell_id for cell_id, _ in numbered]), listed)
-
-
-def _drop_outcomes(connection: Connection, cell_ids: Iterable[int]) -> None:
-    """Make cells pending, and reset their losses."""
-    for chunk in chunks(cell_ids):
-        connection.execute(delete(RESULT).where(RESULT.c.cell_id.in_(chunk)))  # with their arrays
-        connection.execute(update(ATTEMPT).where(ATTEMPT.c.cell_id.in_(chunk)).values(forgiven=True))
