@@ -83,8 +83,6 @@ def attempt(
     return BatchOutcome(batch, place, time.monotonic() - start, failure=failure)
 
 
-# mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them a quarter of a second later.
-# So a launcher that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
 class StopLevel(IntEnum):
     """Urgency of a requested end."""
 
@@ -126,6 +124,8 @@ class StopRequest:
     """
 
     def __init__(self, *, finishes: bool = True, has_lost: Callable[[], bool] = lambda: False) -> None:
+        # mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them a quarter of a second
+        # later. So a launcher that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
         wanted = {"SIGUSR1": self._drain if finishes else lambda *_: None} | dict.fromkeys(
             ("SIGTERM", "SIGINT", "SIGHUP", "SIGUSR2"), self._hurry
         )
