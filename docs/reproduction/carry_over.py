@@ -59,7 +59,7 @@ def print_carry_over(cells: dict[Variant, xr.Dataset]) -> None:
     means = reference["vs"].mean("seed")
     print(
         "\nlaws of the reference: "
-        + ", ".join(f"Vs = {l.a:.0f} {FEATURES[n]}^{l.b:.2f} {l.c:+.0f}" for n, l in laws.items())
+        + ", ".join(f"Vs = {law.a:.0f} {FEATURES[name]}^{law.b:.2f} {law.c:+.0f}" for name, law in laws.items())
     )
     print("\n| sample | within a content: G | C_d,n | rms of the law with G, m/s | bias | with C_d,n | content alone |")
     print("|---|---|---|---|---|---|---|")
@@ -75,8 +75,8 @@ def print_carry_over(cells: dict[Variant, xr.Dataset]) -> None:
         }
         alone = (found["vs"] - means).to_numpy()
         conductance, path = errors.values()
-        row = f"{variant.name} | {ranks[0]:+.2f} | {ranks[1]:+.2f} | {rms(conductance):.0f} | {np.nanmean(conductance):+.0f}"
-        print(f"| {row} | {rms(path):.0f} | {rms(alone):.0f} |")
+        row = f"{variant.name} | {ranks[0]:+.2f} | {ranks[1]:+.2f} | {rms(conductance):.0f}"
+        print(f"| {row} | {np.nanmean(conductance):+.0f} | {rms(path):.0f} | {rms(alone):.0f} |")
 
 
 def columns(found: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray]:

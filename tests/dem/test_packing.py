@@ -89,7 +89,7 @@ def test_the_sides_carry_their_part_of_the_stress(ratio: float) -> None:
 
 def test_a_sample_that_the_sides_cannot_hold_yields_in_words() -> None:
     """With little friction and a tenth of the stress no packing of disks is stable."""
-    with pytest.raises(PackingError, match="yields.*lateral_stress_ratio"):
+    with pytest.raises(PackingError, match=r"yields.*lateral_stress_ratio"):
         make_packing(replace(SMALL, lateral_stress_ratio=0.1), SAND, np.random.default_rng(1))
 
 
