@@ -205,34 +205,10 @@ class CampaignAnalysis:
         return self._feature_table(NETWORK_FEATURES, lambda sample, name: getattr(sample.network, name))
 
     @cached_property
-    def network_correlations(self) -> Correlations:
-        """Correlation of the features of networks and Vs."""
-        with _translate_refusals():
-            return correlate(self.network_table)
-
-    @cached_property
-    def network_tests(self) -> xr.Dataset:
-        """As `feature_tests`, for the features of networks."""
-        with _translate_refusals():
-            return seed_permutation_test(self.network_table, "vs")
-
-    @cached_property
-    def correlations(self) -> Correlations:
-        """Correlation of the eight features and Vs."""
-        with _translate_refusals():
-            return correlate(self.table)
-
-    @cached_property
     def content_correlations(self) -> xr.Dataset:
         """Correlation of the eight features with Vs at each content, with corrected p-values."""
         with _translate_refusals():
             return correlate_by_content(self.table, "vs")
-
-    @cached_property
-    def feature_tests(self) -> xr.Dataset:
-        """Tests for correlation of the eight features with Vs within one content, with corrected p-values."""
-        with _translate_refusals():
-            return seed_permutation_test(self.table, "vs")
 
     @cached_property
     def envelopes(self) -> tuple[PathEnvelope, ...]:
@@ -370,6 +346,18 @@ class CampaignAnalysis:
         )
 
 
+def correlations(table: xr.Dataset) -> Correlations:
+    """Correlation of the features of a table of `CampaignAnalysis` and Vs; see `correlate`."""
+    with _translate_refusals():
+        return correlate(table)
+
+
+def correlation_tests(table: xr.Dataset) -> xr.Dataset:
+    """Tests for correlation of these features with Vs within one content, with corrected p-values."""
+    with _translate_refusals():
+        return seed_permutation_test(table, "vs")
+
+
 def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
     """Correlate the features of path and network with Vs within one content, over the selected cells only.
 
@@ -387,9 +375,8 @@ def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr
     table = table.where(xr.DataArray(chosen, dims=("seed", "content")))
     if not bool(table["vs"].notnull().any()):
         raise UnavailableError("no selected cell has a velocity")
-    with _translate_refusals():
-        tests = seed_permutation_test(table, "vs")
-        within = correlate(table).within.sel(other="vs", variable=tests["variable"]).drop_vars("other")
+    tests = correlation_tests(table)
+    within = correlations(table).within.sel(other="vs", variable=tests["variable"]).drop_vars("other")
     found = xr.merge([within[["pearson", "pearson_low", "pearson_high"]], tests[["p", "p_corrected"]]])
     return found.rename(variable="feature").assign_attrs(tests.attrs)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, correlations
 from calcidem.analysis.figures.relations import draw_conductance, draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
 from calcidem.analysis.figures.signals import Arrival, draw_dispersion, draw_signals, load_arrival
@@ -157,14 +157,14 @@ CAMPAIGN_FIGURES = (
         "Correlation of path features and Vs",
         "Over all contents every feature correlates with Vs, since both grow with content. Within one the mean is "
         "subtracted and the rest divided by the scatter there, so that contents count alike.",
-        lambda analysis: draw_correlations(analysis.correlations),
+        lambda analysis: draw_correlations(correlations(analysis.table)),
     ),
     CampaignFigure(
         "network_correlations",
         "Correlation of features of the whole sample and Vs",
         "As before, for features of the cement as a network between the walls. Its conductance G follows the scatter "
         "of Vs within one content best.",
-        lambda analysis: draw_correlations(analysis.network_correlations),
+        lambda analysis: draw_correlations(correlations(analysis.network_table)),
     ),
     CampaignFigure(
         "weight_scan",

@@ -14,7 +14,7 @@ import xarray as xr
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlations
 from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.style import render, save
@@ -320,8 +320,8 @@ def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dic
     exact: dict[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
         "distributions": lambda analysis: tabulate(analysis.distributions),
         "features": lambda analysis: analysis.table,
-        "correlations_overall": lambda analysis: analysis.correlations.overall,
-        "correlations_within_content": lambda analysis: analysis.correlations.within,
+        "correlations_overall": lambda analysis: correlations(analysis.table).overall,
+        "correlations_within_content": lambda analysis: correlations(analysis.table).within,
         "correlations_by_content": lambda analysis: analysis.content_correlations,
     }
     for name, gather in exact.items():

@@ -8,8 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.correlation import Correlations, correlate, seed_permutation_test
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlation_tests, correlations
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES, describe_feature
 from calcidem.analysis.published import published_study
 from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, damping_ratio, median_known, small_strain_modulus
@@ -188,29 +187,25 @@ def _growth_table(analysis: CampaignAnalysis) -> Table | None:
 
 def _feature_table(analysis: CampaignAnalysis) -> Table:
     """The eight features of the path, their definitions, and their correlation with Vs."""
-    return _correlation_table("the preferential path", FEATURES, analysis.correlations, analysis.feature_tests)
+    return _correlation_table("the preferential path", FEATURES, analysis.table)
 
 
 def _network_table(analysis: CampaignAnalysis) -> Table:
     """The features of the cement as a network, likewise."""
-    return _correlation_table(
-        "the cement as a network", NETWORK_FEATURES, analysis.network_correlations, analysis.network_tests
-    )
+    return _correlation_table("the cement as a network", NETWORK_FEATURES, analysis.network_table)
 
 
 def _own_table(analysis: CampaignAnalysis) -> Table | None:
     """Features of other packages, likewise; None without any."""
     if not analysis.features:
         return None
-    table = analysis.own_table
     told = {name: (name.replace("_", " "), describe_feature(feature)) for name, feature in analysis.features.items()}
-    return _correlation_table("other packages", told, correlate(table), seed_permutation_test(table, "vs"))
+    return _correlation_table("other packages", told, analysis.own_table)
 
 
-def _correlation_table(
-    subject: str, features: Mapping[str, tuple[str, str]], matrices: Correlations, tests: xr.Dataset
-) -> Table:
+def _correlation_table(subject: str, features: Mapping[str, tuple[str, str]], table: xr.Dataset) -> Table:
     """Features with symbol and definition, and their correlation with Vs."""
+    matrices, tests = correlations(table), correlation_tests(table)
 
     def coefficient(matrix: xr.Dataset, name: str) -> str:
         cell = matrix.sel(variable=name, other="vs")
