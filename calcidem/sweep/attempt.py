@@ -11,7 +11,7 @@ from types import FrameType
 from typing import Any, Protocol, Self, TypeVar
 
 from calcidem.ends import CellStatus
-from calcidem.sweep.batch import Batch, BatchOutcome, CellT, Failure, Place, ResultT
+from calcidem.sweep.batch import Batch, BatchOutcome, CellT, Failure, ResultT
 from calcidem.sweep.schedule import EXIT_RESUMABLE
 
 ResultT_co = TypeVar("ResultT_co", covariant=True)
@@ -66,7 +66,7 @@ class Compute(Protocol[CellT, ResultT_co]):
 
 
 def attempt(
-    batch: Batch[CellT], compute: Compute[CellT, ResultT], time_limit: float | None, place: Place
+    batch: Batch[CellT], compute: Compute[CellT, ResultT], time_limit: float | None
 ) -> BatchOutcome[CellT, ResultT]:
     """Compute a batch; return its results or its failure as data.
 
@@ -75,12 +75,12 @@ def attempt(
     start = time.monotonic()
     try:
         results = tuple(compute(batch, Deadline(time_limit)))
-        return BatchOutcome(batch, place, time.monotonic() - start, results=results)
+        return BatchOutcome(batch, time.monotonic() - start, results=results)
     except _TimeLimitReached as error:
         failure = Failure(CellStatus.TIMED_OUT, str(error))
     except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever it is, it costs only this batch
         failure = Failure.from_exception(CellStatus.FAILED, error)
-    return BatchOutcome(batch, place, time.monotonic() - start, failure=failure)
+    return BatchOutcome(batch, time.monotonic() - start, failure=failure)
 
 
 class StopLevel(IntEnum):

@@ -1,6 +1,5 @@
 """Batches: cells that are computed side by side, the order in which they are handed out, and their outcomes."""
 
-import platform
 import traceback
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Mapping
@@ -112,20 +111,6 @@ ResultT = TypeVar("ResultT")
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Place of a computation."""
-
-    rank: int
-    host: str
-    """Number of the rank and name of its machine."""
-
-    @classmethod
-    def here(cls, rank: int) -> Self:
-        """Return the place of this process, which has the given rank."""
-        return cls(rank=rank, host=platform.node())
-
-
-@dataclass(frozen=True, slots=True)
 class Failure:
     """Failure of a batch."""
 
@@ -157,14 +142,15 @@ class BatchOutcome(Generic[CellT, ResultT]):
     """
 
     batch: Batch[CellT]
-    place: Place
-    """Rank and host that computed it."""
     seconds: float
     """Wall time of the computation in s."""
     results: tuple[ResultT, ...] | None = None
     """One result for each cell in the order of `batch.cells`, or None."""
     failure: Failure | None = None
     """Reason for missing results, or None."""
+    rank: int = 0
+    host: str = ""
+    """Number of the rank that computed it, and name of its machine."""
 
     def __post_init__(self) -> None:
         """Check that exactly one of both is given."""

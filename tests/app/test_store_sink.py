@@ -20,7 +20,7 @@ from calcidem.storage.errors import StoreLockedError
 from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, PackedResult
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.batch import Batch, BatchOutcome, Place
+from calcidem.sweep.batch import Batch, BatchOutcome
 from calcidem.sweep.schedule import EXIT_RESUMABLE
 
 
@@ -68,7 +68,7 @@ NUMBERS = {"frequency": 15e3, "time_step": 8e-8, "stability_limit": 1e-7, "steps
 def outcome_of(*keys: CellKey) -> BatchOutcome[tuple[int, float], PackedResult]:
     """Outcome of cells that are done."""
     results = tuple(CellResult(key, CellStatus.DONE, vs=900.0, **NUMBERS).packed() for key in keys)
-    return BatchOutcome(Batch(0, tuple((key.seed, key.content) for key in keys)), Place(1, "here"), 1.0, results)
+    return BatchOutcome(Batch(0, tuple((key.seed, key.content) for key in keys)), 1.0, results, rank=1, host="here")
 
 
 def test_a_cell_that_was_computed_when_a_run_died_has_lost_an_attempt(tmp_path: Path) -> None:

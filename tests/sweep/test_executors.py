@@ -90,7 +90,7 @@ def test_processes_unpickle_the_computation_once(sink: "MemorySink", tmp_path: P
     assert sink.results() == EXPECTED
     notes = list(tmp_path.glob("unpickled-*"))
     assert all(note.read_text() == "once\n" for note in notes)
-    assert {outcome.place.rank for outcome in sink.outcomes} == set(range(1, len(notes) + 1))
+    assert {outcome.rank for outcome in sink.outcomes} == set(range(1, len(notes) + 1))
 
 
 @pytest.mark.parametrize("kind", ["raise", "unpicklable", "slow"])

@@ -232,7 +232,7 @@ class ProgressReporter(Progress):
         """Report a failure."""
         if outcome.failure is not None:
             cells = ", ".join(f"seed {seed}, {content:g} %" for seed, content in outcome.batch.cells)
-            place = f"rank {outcome.place.rank} ({outcome.place.host})"
+            place = f"rank {outcome.rank} ({outcome.host})"
             tell(f"{outcome.failure.kind}: {cells} on {place}: {outcome.failure.message}")
 
     def on_heartbeat(self) -> None:

@@ -115,7 +115,7 @@ class StoreSink:
             reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
             keys = [CellKey(*cell) for cell in outcome.batch.cells]
             found = [CellResult(key, outcome.failure.kind, reason, seconds=seconds).packed() for key in keys]
-        origin = {"rank": outcome.place.rank, "host": outcome.place.host}
+        origin = {"rank": outcome.rank, "host": outcome.host}
         found = [
             replace(result, columns=result.columns | origin | {"attempt": self._attempt_of(result.key)})
             for result in found

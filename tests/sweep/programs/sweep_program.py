@@ -68,7 +68,7 @@ class Sink:
                 message = "" if failure is None else failure.message
                 self._connection.execute(
                     "insert or replace into cell values (?, ?, ?, ?, ?, ?)",
-                    (seed, content, status, value, message, outcome.place.rank),
+                    (seed, content, status, value, message, outcome.rank),
                 )
                 self._connection.execute("delete from running where seed = ? and content = ?", (seed, content))
         self._perhaps_die("while")

@@ -117,7 +117,7 @@ def happens(moment: str, outcomes: Sequence[BatchOutcome[Any, Any]]) -> None:
     if not external or moment != MOMENT or FaultySink.commits < 2 or not is_first_time():
         return
     if VICTIM == "worker":
-        os.kill(int((FOLDER / f"rank-{outcomes[0].place.rank}").read_text()), SIGNALS[FAULT])
+        os.kill(int((FOLDER / f"rank-{outcomes[0].rank}").read_text()), SIGNALS[FAULT])
         return
     victim = os.getpid() if VICTIM == "master" else MPIRUN
     if FAULT == "SIGSTOP":
