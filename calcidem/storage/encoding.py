@@ -75,15 +75,13 @@ def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 def unpack_arrays(blob: bytes) -> dict[str, NDArray[Any]]:
     """Inverse of `pack_arrays`; the arrays are read-only. `ValueError` for other or damaged bytes."""
-    return {name.removesuffix(".npy"): _read_array(content) for name, content in zip_members(blob).items()}
-
-
-def _read_array(content: bytes) -> NDArray[Any]:
-    """Array of an ``.npy`` file, as `numpy.load` reads it."""
-    start = 10 + int.from_bytes(content[8:10], "little")  # version 1: the header's length is before the header
-    shape, is_fortran, dtype = _read_header(content[:start])
-    values = np.frombuffer(content, dtype, offset=start)
-    return values.reshape(shape, order="F" if is_fortran else "C")
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, content in zip_members(blob).items():  # as `numpy.load` reads them
+        start = 10 + int.from_bytes(content[8:10], "little")  # version 1: the header's length is before the header
+        shape, is_fortran, dtype = _read_header(content[:start])
+        values = np.frombuffer(content, dtype, offset=start)
+        arrays[name.removesuffix(".npy")] = values.reshape(shape, order="F" if is_fortran else "C")
+    return arrays
 
 
 @lru_cache(1024)  # cached, since parsing takes longest and most cells have the same headers

@@ -19,9 +19,6 @@ from calcidem.storage.errors import DamagedStoreError
 _TIME_FOR_A_BLOCK = 30.0
 """Seconds for opening a file, and for reading each block."""
 
-_BLOCK = 1 << 20
-"""Number of elements read at a time."""
-
 _ERRORS_OF_READING = (OSError, RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
 
 
@@ -67,7 +64,7 @@ def _read(group: Any, seconds: float, most: int) -> None:  # noqa: ANN401 - the 
         if math.prod(variable.shape) * getattr(variable.dtype, "itemsize", 8) > most:
             sys.exit(1)
         with suppress(*_ERRORS_OF_READING):
-            rows = max(_BLOCK // (math.prod(variable.shape[1:]) or 1), 1)
+            rows = max((1 << 20) // (math.prod(variable.shape[1:]) or 1), 1)  # a million elements at a time
             for start in range(0, variable.shape[0] if variable.shape else 1, rows):
                 faulthandler.dump_traceback_later(seconds, exit=True)
                 _ = variable[start : start + rows] if variable.shape else variable[...]

@@ -13,8 +13,6 @@ from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import canonical_content, checked_seed
 
-RETRIED_BY_DEFAULT = (CellStatus.FAILED, CellStatus.TIMED_OUT)
-
 STALE_AFTER = timedelta(minutes=5)
 """Time without a heartbeat after which a master on another machine counts as dead."""
 

@@ -35,7 +35,7 @@ BATCHES = [Batch(number, ((1, content), (2, content))) for number, content in en
 def tell_a_story(display: ProgressDisplay, database: Path) -> None:
     """Let a display live through a packing, and a sweep with a failure and a stop."""
     reporter = ProgressReporter(display)
-    reporter.on_packing(PackingStage(2, 5, 4000, 0.5, 1e-6, 0.1))
+    reporter.on_packing(PackingStage(2, 5, 4000, 0.1))
     time.sleep(0.5)  # for the thread that draws
     reporter.begin(RunStage.COMPILING)
     time.sleep(0.25)  # longer than the pause between two snapshots

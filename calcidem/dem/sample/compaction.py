@@ -319,10 +319,7 @@ def _stage_of(cost: Cost, rule: PackingRule, ratios: list[float]) -> PackingStag
         fraction = expansion * (cost.expansion_step - 1) / cost.expansion_steps
     else:
         fraction = expansion + (1.0 - expansion) * pressed
-    ratio = ratios[-1] if ratios else 1.0  # no contacts yet
-    return PackingStage(
-        cost.expansion_step, cost.expansion_steps, cost.steps, ratio, rule.unbalanced_force_ratio, fraction
-    )
+    return PackingStage(cost.expansion_step, cost.expansion_steps, cost.steps, fraction)
 
 
 def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str:

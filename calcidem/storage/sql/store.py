@@ -30,7 +30,6 @@ from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import Lease
 from calcidem.storage.sql.reading import StoreReader, chunks
 from calcidem.storage.sql.tables import ARRAYS, ATTEMPT, CAMPAIGN, CELL, LEASE, PACKING, RESULT, RUN
-from calcidem.storage.store import RETRIED_BY_DEFAULT
 
 
 def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Store":
@@ -378,7 +377,9 @@ class Store(StoreReader):
                 _insert(connection, ATTEMPT, [row | {"cell_id": ids[a.key]} for row, a in zip(rows, new, strict=True)])
 
     def retry(
-        self, statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT, keys: Iterable[CellKey] | None = None
+        self,
+        statuses: Collection[CellStatus] = (CellStatus.FAILED, CellStatus.TIMED_OUT),
+        keys: Iterable[CellKey] | None = None,
     ) -> tuple[CellKey, ...]:
         """Make settled cells with these outcomes pending again, by default of all keys; return their keys.
 
