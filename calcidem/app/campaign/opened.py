@@ -417,7 +417,7 @@ class Campaign(Closable):
 
         Nothing is simulated. Give a seed, whose cement is drawn and which takes no part in the fit, or a cement
         pattern; without both the prediction uses the content alone. The feature of the cement is its conductance, see
-        `contact_network.NETWORK_FEATURES`. `QueryError` if the campaign has too few velocities at the content, or if
+        `packing_graph.NETWORK_FEATURES`. `QueryError` if the campaign has too few velocities at the content, or if
         the pattern does not match it.
 
         Examples

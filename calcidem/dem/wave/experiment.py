@@ -239,7 +239,7 @@ class Experiment:
 
     @property
     def clamp(self) -> float:
-        """K of the strip between the damped layers, 1/m, see `strip_wave`."""
+        """K of the strip between the damped layers, 1/m, see `StripWave`."""
         return clamp_of_strip(self.packing.height - 2.0 * self.wave.boundary_thickness)
 
     def with_wave(self, **changes: Any) -> "Experiment":  # noqa: ANN401 - fields of several types

@@ -39,7 +39,7 @@ class Measurement:
 
     @property
     def effective_vs(self) -> float | None:
-        """Effective velocity of the sample, m/s, see `strip_wave`; None without a wave."""
+        """Effective velocity of the sample, m/s, see `StripWave`; None without a wave."""
         return None if self.reading is None else self.reading.wave.velocity
 
     @property

@@ -226,7 +226,7 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
     -----
     G is mean stress over mean strain where the wave is: along the whole path, and between the damped layers at floor
     and lid, which it cannot enter, weighted across the path by ``cos^2(pi y / h)``, the energy of a wave in a strip of
-    height h (`strip_wave`).
+    height h (`StripWave`).
     The sample is sheared twice. First all disks at the walls follow the shear, then only those at the side walls, with
     floor and lid free. The speed is the geometric mean of both. Displacements prescribed all around give an upper bound
     for the whole box (Huet 1990, doi:10.1016/0022-5096(90)90041-2), far too high where stiff patches reach its walls.
