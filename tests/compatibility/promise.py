@@ -3,7 +3,7 @@
     python tests/compatibility/promise.py
 
 writes that file anew. Names are added freely. Once the file says ``"released": true``, names go away with a new major
-version only: docs/compatibility.md has the rule.
+version only: docs/store.md has the rule.
 """
 
 import inspect
