@@ -1,4 +1,4 @@
-"""Extreme scenes beyond one campaign: tables and figure of docs/stability.md.
+"""Extreme scenes beyond one campaign: tables and figure of docs/accuracy.md.
 
     python benchmarks/stability/run.py --out DIR            # along each quantity, small packings, limits, long runs
     python benchmarks/stability/run.py --scenes 512 --draw 1    # drawn at random, waves and scenes of one's own
