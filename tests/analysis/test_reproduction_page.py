@@ -238,7 +238,6 @@ def test_scatter_of_both_shipped_campaigns(cells: xr.Dataset, published: dict[fl
     """Scatter of velocities and stiffness, and the parts of its variance."""
     loud = calcidem.load_paper_campaign("paper-as-printed")
     header, rows = table_with("stiffness, part of variance", page=SCATTER)
-    assert {float(row[0]) for row in rows} == set(published)
     for row in rows:
         content = float(row[0])
         quiet = {
@@ -482,7 +481,6 @@ def test_correlations_of_the_conductance_page() -> None:
     cells = calcidem.load_paper_campaign().sel(content=slice(0.1, None))
     low = cells["content"].to_numpy() <= 0.66
     header, rows = table_with("1: Vs", page=CONDUCTANCE)
-    assert {row[0] for row in rows} == set(SYMBOLS) - {"C_d", "static_speed (statics)"}
     vs, effective = (cells[name].to_numpy() for name in ("vs", "effective_vs"))
     for row in rows:
         x = cells[SYMBOLS[row[0]]].to_numpy().astype(float)
