@@ -231,7 +231,7 @@ def draw(rows: list[Row], file: Path) -> None:
 
 
 def markdown(rows: list[Row]) -> str:
-    """Return the answers as the table of docs/store.md: a line a question, two columns a database."""
+    """Return the answers as a table: a line a question, two columns a database."""
     counts = list(dict.fromkeys(count for count, *_ in rows))
     head = "".join(f" {count:,} cells: s (computing) | MB |" for count in counts)
     lines = [f"| question |{head}", "|---|" + "---:|---:|" * len(counts)]
