@@ -9,8 +9,7 @@ from calcidem.app.studies.accuracy.questions import amplitude_rows, equilibrium_
 from calcidem.app.studies.accuracy.report import accuracy, accuracy_tables, draw_error_against_run_time, parse_target
 from calcidem.app.studies.accuracy.settings import DEFAULT, Setting, settings, unchecked
 from calcidem.app.studies.accuracy.study import FINEST, HALVING, Study, Summary, covered_share, run_study
-from calcidem.app.studies.cells import Cells
-from calcidem.app.studies.results import StudyResult
+from calcidem.app.studies.study import Cells, StudyResult
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import make_packing

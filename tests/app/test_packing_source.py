@@ -17,16 +17,17 @@ from hypothesis import strategies as st
 
 from calcidem.app.campaign import packing as packing_source
 from calcidem.app.campaign.notices import listening
-from calcidem.app.campaign.packing import _cached_name, provide_packing
-from calcidem.app.campaign.stored_packing import (
+from calcidem.app.campaign.packing import (
     DamagedPackingError,
+    _cached_name,
     cache_folder,
     packing_from_bytes,
     packing_record,
     packing_to_bytes,
+    provide_packing,
     stored_packing,
 )
-from calcidem.app.cli.init import Preset
+from calcidem.app.cli.run import Preset
 from calcidem.app.config import presets
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.presets import preset_packings, preset_text

@@ -17,7 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from calcidem.app.campaign.notices import CampaignWarning, listening, printable
-from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, write_notice
+from calcidem.app.cli.options import IS_QUIET, IS_VERBOSE, write_notice
 from calcidem.storage.passwords import keep_passwords_back
 from calcidem.sweep.environment import THREAD_VARIABLES, launcher, whole_number
 from calcidem.version import __version__
@@ -57,6 +57,8 @@ PANELS = {
 }
 """Short help of each command."""
 
+_MODULES = dict(zip(PANELS, ("run", "results", "exchange", "studies", "checks"), strict=True))
+"""Module of the commands of each panel."""
 
 _COMMON_OPTIONS: dict[str, Any] = {
     "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="Write results and errors only.")],
@@ -138,10 +140,9 @@ def _take_options(
 
 
 def command_function(name: str) -> Callable[..., None]:
-    """Function `<name>_command` in the module of a command."""
-    word = name.replace("-", "_")
-    module = import_module(f"calcidem.app.cli.{'import_' if name == 'import' else word}")
-    function: Callable[..., None] = getattr(module, f"{word}_command")
+    """Function `<name>_command` in the module of the command's panel."""
+    panel = next(panel for panel, commands in PANELS.items() if name in commands)
+    function: Callable[..., None] = getattr(import_module(f"calcidem.app.cli.{_MODULES[panel]}"), f"{name}_command")
     return function
 
 

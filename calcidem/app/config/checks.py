@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.config.errors import ConfigurationError, Problem
-from calcidem.app.config.schema import Configuration
+from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
 from calcidem.dem.engine.fields import quote
 from calcidem.dem.sample.judgement import expected_overlap, judge_disks, judge_stress
 from calcidem.dem.sample.own_pattern import UnknownPatternError, find_pattern

@@ -22,10 +22,10 @@ from calcidem.analysis.figures.style import render, save
 from calcidem.analysis.measured import Target
 from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
 from calcidem.analysis.packing_graph import installed_features
-from calcidem.app.campaign.patterns import with_patterns
+from calcidem.app.campaign.cells import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
-from calcidem.app.report.wording import ABSENT, Table, decimal
+from calcidem.app.report.tables import ABSENT, Table, decimal
 from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
@@ -116,7 +116,7 @@ def write_report(
 ) -> Path:
     """Write the report of a campaign as one HTML file, replaced only when the new one is complete; return its path.
 
-    A run may write the database meanwhile. Results of `calcidem.app.studies.frequency_and_damping`, named "frequency"
+    A run may write the database meanwhile. Results of `calcidem.app.studies.sensitivity`, named "frequency"
     and "damping", are included. ``files`` is a folder for all figures, tables and numbers. Laboratory velocities are
     drawn in figures of Vs, with a table of the misfit. After each section ``watch`` receives the numbers of finished
     and of all parts; the last part is the cells. `StoreError` if the database cannot be read, `OSError` if the file

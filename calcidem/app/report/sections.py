@@ -1,7 +1,7 @@
 """Contents of a report: tables by name, and sections with tables and figures.
 
 Here are the tables of what was run, and those that hold the campaign beside the published study and measured
-velocities; `calcidem.app.report.results` has those of what came out.
+velocities; `calcidem.app.report.tables` has those of what came out.
 """
 
 import math
@@ -18,8 +18,7 @@ from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import is_covered, misfits, root_mean_square_misfit
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
 from calcidem.analysis.shear_wave import median_diameter_by_mass
-from calcidem.app.report.results import RESULT_TABLES
-from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
+from calcidem.app.report.tables import ABSENT, RESULT_TABLES, Table, decimal, significant, with_bounds
 from calcidem.storage.records import RunRecord
 from calcidem.storage.records.canonical import flat_parameters
 from calcidem.sweep.progress import duration

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign import opened
-from calcidem.app.campaign.opened import Campaign
-from calcidem.app.campaign.prediction import check_predictions, conductances, predict_velocity
+from calcidem.app.campaign.opened import Campaign, check_predictions, conductances, predict_velocity
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CementPattern
 

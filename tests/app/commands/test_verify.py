@@ -11,16 +11,16 @@ import pytest
 from places import SMALL_PACKING
 
 from calcidem.app.campaign import identity
+from calcidem.app.campaign.cells import cell_result
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.campaign.run import run
-from calcidem.app.campaign.task import cell_result
 from calcidem.app.cli.exit_codes import EXIT_ROUNDING, _exit_code_of
-from calcidem.app.cli.run_view import _vs_table
+from calcidem.app.cli.views import _vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import _velocity_remarks
-from calcidem.app.studies.cells import Cells
+from calcidem.app.studies.study import Cells
 from calcidem.app.studies.verify import Agreement, _compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure

@@ -17,7 +17,7 @@ from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.accuracy.settings import DEFAULT, REFERENCE_SAMPLES, unchecked
 from calcidem.app.studies.accuracy.study import Study
-from calcidem.app.studies.cells import Cells, CellsFound, at_common_times, errors_of_vs
+from calcidem.app.studies.study import Cells, CellsFound, at_common_times, errors_of_vs
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.kernels.layout import Floats

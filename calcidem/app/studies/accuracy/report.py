@@ -13,8 +13,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.accuracy.questions import Rows, answer_questions
 from calcidem.app.studies.accuracy.settings import DEFAULT, UNDAMPED, Setting, settings
 from calcidem.app.studies.accuracy.study import HALVING, CellError, Study, covered_share, run_study
-from calcidem.app.studies.cells import Cells
-from calcidem.app.studies.results import StudyResult, markdown_table, number
+from calcidem.app.studies.study import Cells, StudyResult, markdown_table, number
 
 
 def accuracy(

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from calcidem.app.studies.accuracy.settings import DEFAULT, REFERENCE_SAMPLES, Setting, settings
-from calcidem.app.studies.cells import ROUNDS, Cells, CellsFound, relative_deviation, signal_distance
+from calcidem.app.studies.study import ROUNDS, Cells, CellsFound, relative_deviation, signal_distance
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.rule import WHOLE_DOMAIN

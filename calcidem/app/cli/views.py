@@ -1,22 +1,173 @@
-"""Status of a campaign for a terminal, and as JSON."""
+"""Texts and tables for the terminal: of a run, and of the status of a campaign."""
 
 import math
-from collections.abc import Iterator
+import os
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
+from rich.table import Table
 from rich.text import Text
 
-from calcidem.app.campaign.notices import printable
-from calcidem.app.campaign.status import FEWEST_TO_PLAN, UNREAD, URGENCY, CampaignStatus, ContentStatus, Trouble
-from calcidem.app.cli.tables import WholeTable, format_number, marks_of, remarks_on
+from calcidem.analysis.error_budget import are_samples, median_known
+from calcidem.analysis.intervals import is_in_doubt
+from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
+from calcidem.app.campaign.notices import printable, tell
+from calcidem.app.campaign.status import (
+    FEWEST_TO_PLAN,
+    STATUS_QUANTITIES,
+    UNREAD,
+    URGENCY,
+    CampaignStatus,
+    ContentStatus,
+    ProgressDisplay,
+    Trouble,
+)
+from calcidem.app.cli.exit_codes import tell_error
+from calcidem.app.cli.options import IS_QUIET
+from calcidem.app.cli.output import WholeTable, format_number, make_console, make_table
+from calcidem.app.config.examples import calibration_note
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.ends import Verdict
 from calcidem.storage.records import CellStatus
+from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT
+from calcidem.storage.sql.engine import Address
+from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
+from calcidem.sweep.environment import COMMAND_VARIABLE, available_cores, launcher
 from calcidem.sweep.progress import duration, first_of, pluralize
 
-if TYPE_CHECKING:  # loaded at its first use
+if TYPE_CHECKING:
     from calcidem.analysis.planning import SeedPlan
+
+
+class TerminalView:
+    """A `calcidem.app.campaign.run.RunView` on the terminal, or in the log, of this process.
+
+    Ranks that `calcidem run --ranks` started only write sentences: their command shows the progress and the results.
+    """
+
+    def __init__(self, *, with_report: bool, cores_used: bool) -> None:
+        self.console = make_console()
+        self.quiet, self.is_told_by_command = IS_QUIET.get(), COMMAND_VARIABLE in os.environ
+        self.cores_used = cores_used or launcher() is not None
+        self.with_report = with_report
+
+    def display(self) -> ProgressDisplay:
+        """Display of the progress, unless only results are wanted."""
+        return ProgressDisplay(None if self.quiet else self.console, shows_progress=not self.is_told_by_command)
+
+    def begin(self, configuration: Configuration, packing: Packing) -> None:
+        """Report on the packing, and on idle cores."""
+        if self.is_told_by_command:
+            return
+        for line in packing_lines(packing):
+            tell(line)
+        if note := calibration_note(configuration):
+            tell(note)
+        if not self.cores_used and sys.platform == "linux" and (cores := available_cores()) > 1:
+            tell(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
+
+    def finish(self, store: Store, configuration: Configuration, code: int, *, in_haste: bool) -> None:
+        """Show the velocities, export them and write the report if requested; in haste show them only."""
+        if self.is_told_by_command:
+            return
+        from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf  # imported after the cells
+
+        plan = configuration.campaign
+        self.console.print(_vs_table(store, Selection(None if plan.until else plan.seed_numbers, plan.contents)))
+        if plan.until is not None and code == 0:
+            from calcidem.app.campaign.plan import SeedDemand
+
+            for line in SeedDemand.of_store(store, plan).lines():
+                tell(line)
+        address = Address.parse(configuration.database)
+        tell(f"Database: {address}")
+        netcdf = configuration.netcdf
+        if belongs_to_another(netcdf, store.record.hash):  # two campaigns of one database, or with one name
+            netcdf = netcdf.with_stem(f"{netcdf.stem}-{store.record.hash[:8]}")
+        if in_haste:
+            tell(f"NetCDF:   not written, to end quickly; calcidem export {address} OUT.nc does it")
+        else:
+            tell(f"Wrote {export_netcdf(store, netcdf)}")
+        if self.with_report and code == 0:
+            from calcidem.app.report.page import write_report
+
+            page = write_report(configuration.database, netcdf.with_suffix(".html").absolute())
+            tell(f"Wrote {page}")
+
+    def refuse(self, error: Exception) -> int:
+        """Report an error, and return its exit code."""
+        return tell_error(error)
+
+
+def packing_lines(packing: Packing) -> Iterator[str]:
+    """Report on a packing."""
+    report = packing.report
+    yield (
+        f"Packing: {len(packing.radius)} disks in {packing.width:.4g} m x {packing.height:.4g} m, "
+        f"porosity {report.porosity:.4f}, {len(packing.pairs)} contacts"
+    )
+    yield (
+        f"  coordination number {report.coordination_number:.3f}, "
+        f"{report.coordination_number_without_rattlers:.3f} without {report.rattlers} rattlers"
+    )
+    stresses = zip(WALL_NAMES, report.wall_stress, strict=True)
+    yield f"  normal stress: {', '.join(f'{name} {stress:.1f} Pa' for name, stress in stresses)}"
+    mean, largest = (
+        f"{100.0 * overlap / float(packing.radius.mean()):.2g} %"
+        for overlap in (report.mean_overlap, report.largest_overlap)
+    )
+    yield (
+        f"  overlap: mean {mean}, largest {largest} of the mean radius; "
+        f"unbalanced-force ratio {report.unbalanced_ratio:.2g}; made in {report.seconds:.0f} s ({report.steps} steps)"
+    )
+    yield f"  content hash {packing.content_hash}"
+
+
+def _vs_table(store: Store, selection: Selection) -> Table:
+    """Table of Vs against content for selected cells of the store's campaign."""
+    columns = store.table((*STATUS_QUANTITIES, "effective_vs", "wavelengths_on_path", "broken_bonds"), selection)
+    found = CampaignStatus.of(store, columns, ())
+    velocities = ("mean m/s", "sd m/s", "reading m/s", "effective m/s", "its sd m/s")
+    table = make_table("Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda"))
+    table.add_column("other cells")
+    marks, is_near, counted = [], False, are_samples(columns["vs"], columns["content"])
+    for one in found.contents:
+        here = (columns["content"] == one.content) & counted
+        marks.append(_marks_of(one.counts, one.budget.loud))
+        median = median_known(columns["wavelengths_on_path"][here])
+        is_near |= (near := median < FEWEST_WAVELENGTHS)
+        effective = columns["effective_vs"][here].astype(float)
+        effective = effective[np.isfinite(effective)]
+        mean = float(effective.mean()) if effective.size else np.nan
+        deviation = float(effective.std(ddof=1)) if effective.size > 1 else np.nan
+        others = one.counts.keys() - {CellStatus.DONE}
+        table.add_row(
+            f"{one.content:g}",
+            f"{one.counts.get(CellStatus.DONE, 0)}/{len(one.statuses)}{marks[-1]}",
+            *map(format_number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
+            format_number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, "{:.4g}"),
+            format_number(median, "{:.2f}") + (" *" if near else ""),
+            ", ".join(f"{one.counts[status]} {status.words}" for status in CellStatus if status in others),
+        )
+    remarks = [f"standard error of Vs: {found.budget}; reading m/s: sd of Vs by reading errors alone"]
+    if is_near:
+        remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
+    remarks += _remarks_on(marks, found.budget.loud)
+    if count := int(np.count_nonzero(columns["broken_bonds"] > 0)):
+        remarks.append(
+            f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
+        )
+    if any(found.counts.get(status) for status in UNREAD):
+        remarks.append("'calcidem status DB' has reasons and remedies of cells without velocity")
+    table.caption = "\n".join(remarks)
+    return table
+
 
 _STATUS_CHARACTERS = {
     CellStatus.DONE: ("#", "green"),
@@ -45,8 +196,8 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
     columns = max(_NARROWEST_MATRIX, width - _WIDTH_OF_NUMBERS)
     parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
     parts += [_matrix_table(status, columns), _legend(status, columns)]
-    marks = [marks_of(content.counts, content.budget.loud) for content in status.contents]
-    parts += [Text(f"  {remark}") for remark in remarks_on(marks, status.budget.loud)]
+    marks = [_marks_of(content.counts, content.budget.loud) for content in status.contents]
+    parts += [Text(f"  {remark}") for remark in _remarks_on(marks, status.budget.loud)]
     if status.counts.get(CellStatus.DONE):
         parts.append(Text(f"  standard error of Vs: {status.budget}"))
     if half_width is not None:
@@ -95,7 +246,7 @@ def _matrix_table(status: CampaignStatus, columns: int) -> WholeTable:
             f"{content.content:g}",
             _matrix_row(content, status.seeds, per_character),
             f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}"
-            f"{marks_of(content.counts, content.budget.loud)}",
+            f"{_marks_of(content.counts, content.budget.loud)}",
             format_number(content.mean),
             format_number(content.interval.half_width, "+- {:.1f}"),
             format_number(content.deviation),
@@ -202,3 +353,25 @@ def status_as_json(status: CampaignStatus, half_width: float | None = None) -> d
             for trouble in status.troubles
         ],
     }
+
+
+def _marks_of(counts: Mapping[CellStatus, int], loud: int) -> str:
+    """Marks beside the number of cells of a content, if failed ones may bias the mean, or the pulse changes them.
+
+    `calcidem.analysis.intervals.is_in_doubt` explains the first; ``loud`` is the number of cells with the second.
+    """
+    done = counts.get(CellStatus.DONE, 0)
+    failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0)
+    return f"{' !' if is_in_doubt(done, failed) else ''}{' ~' if loud else ''}"
+
+
+def _remarks_on(marks: Iterable[str], loud: int) -> Iterator[str]:
+    """Meaning of these marks, and how to find the cells."""
+    if any("!" in mark for mark in marks):
+        yield "! possible selection bias: cells without velocity may shift the mean by more than its standard error"
+    if loud:
+        samples = pluralize(loud, "sample")
+        yield (
+            f"~ Vs of {samples} depends on the pulse by more than {100 * MOST_PULSE_EFFECT:g} %: "
+            "a smaller wave.amplitude measures the sample"
+        )

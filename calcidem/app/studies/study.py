@@ -1,15 +1,19 @@
-"""Cells of a study, measured with one experiment after another, and the deviations between two measurements."""
+"""What studies share: cells measured with one experiment after another, deviations, and the result in all forms."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from statistics import median
 from time import process_time
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 
+from calcidem.analysis.figures.style import save
 from calcidem.app.campaign.opened import open_campaign_of
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.checks import check_against_packing
@@ -20,6 +24,57 @@ from calcidem.dem.wave.check import check_content
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
 from calcidem.dem.wave.section import Section
+from calcidem.storage.files import write_text_atomically
+from calcidem.storage.netcdf.export import write_netcdf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StudyResult:
+    """Results of a study."""
+
+    text: str
+    """Markdown tables to show."""
+    page: str = ""
+    """Tables for the file, if they differ from those to show."""
+    rows: Sequence[Mapping[str, Any]] = ()
+    """One for each case, for CSV and Parquet."""
+    json: str = ""
+    """All results, for programs."""
+    dataset: xr.Dataset | None = None
+    """All results, for NetCDF."""
+    figures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
+    """Draws each figure by its name; without a name it has that of the table."""
+    formats: tuple[str, ...] = ("png",)
+    """Formats of the figures."""
+    is_wrong: bool = False
+    """Whether the program was wrong without saying so."""
+
+    def write(self, table: Path) -> Iterator[Path]:
+        """Write the tables, after NetCDF, figures and JSON beside them; yields each file."""
+        table.parent.mkdir(parents=True, exist_ok=True)
+        if self.dataset is not None:
+            write_netcdf(self.dataset, table.with_suffix(".nc"))
+            yield table.with_suffix(".nc")
+        for name, draw in self.figures.items():
+            yield from save(draw(), table.parent, name or table.stem, self.formats)
+        if self.json:
+            write_text_atomically(table.with_suffix(".json"), self.json)
+            yield table.with_suffix(".json")
+        write_text_atomically(table, self.page or self.text)
+        yield table
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Table with a line for each row; empty if there are no rows. Numbers with a point have two digits."""
+    entries = [[number(entry) if isinstance(entry, float | None) else str(entry) for entry in row] for row in rows]
+    lines = [f"| {' | '.join(row)} |" for row in entries]
+    return "\n".join([f"| {' | '.join(header)} |", f"|{'---|' * len(header)}", *lines]) if lines else ""
+
+
+def number(value: float | None, form: str = ".1e") -> str:
+    """Format a number, or a dash if it is missing."""
+    return "-" if value is None else format(value, form)
+
 
 ROUNDS = 3
 
