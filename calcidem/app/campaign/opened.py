@@ -31,8 +31,6 @@ from calcidem.analysis.packing_graph import Feature, PackingGraph, installed_fea
 from calcidem.analysis.predictor import FEWEST_ROWS, Prediction, VelocityPredictor, check_samples
 from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
 from calcidem.app.campaign.cells import pattern_of, stored_experiment, with_patterns
-from calcidem.app.campaign.identity import refuse_other_physics
-from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
@@ -127,22 +125,6 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
     (5, 'm s-1')
     """
     return Campaign(read_campaign(path_or_url, name))
-
-
-def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLike[str]) -> "Campaign":
-    """Open the campaign of a configuration in a database: the only one, or the one of its name.
-
-    `CampaignMismatchError`, with both hashes, if it has another configuration; `StoreError` as for `open_campaign`.
-    """
-    store = Store(path_or_url, read_only=True)
-    try:
-        several = len(store.campaigns()) > 1
-        record = store.use_campaign(configuration.campaign.name if several else None)
-        refuse_other_physics(record, configuration)
-    except BaseException:
-        store.close()
-        raise
-    return Campaign(store)
 
 
 class Campaign(Closable):

@@ -140,15 +140,16 @@ def accuracy_command(
 ) -> None:
     """Measure error against run time of every numerical setting, on cells of the campaign.
 
-    A table has what the computation leaves out, why that is safe, and what it would cost.
+    A table has what the computation leaves out, why that is safe, and what it would cost. After a stop, the same
+    command with --out continues.
     """
     from calcidem.app.config.reader import change_configuration, load_configuration
-    from calcidem.app.studies.accuracy.report import accuracy, choose_settings, parse_target
+    from calcidem.app.studies.accuracy import accuracy, choose_settings, parse_target
     from calcidem.app.studies.study import Cells, StudyResult
 
     loaded = load_configuration(configuration)
     planned = change_configuration(loaded, {"campaign.contents": sorted(set(content or loaded.campaign.contents))})
-    cells, velocities = Cells.of_campaign(planned, seeds, db, tell)
+    cells = Cells.of_campaign(planned, seeds, db, tell)
     try:
         choose_settings(cells, only or ())
         parse_target(target or "1%")
@@ -160,7 +161,8 @@ def accuracy_command(
         if table is not None:
             list(part.write(table))
 
-    result = accuracy(planned, cells, velocities, only=only or (), target=target, tell=write)
+    former = out and out / "accuracy.json"
+    result = accuracy(planned, cells, only=only or (), target=target, former=former, tell=write)
     tell_study(result, layout, table)
 
 
@@ -195,7 +197,7 @@ def stability_command(
 
     with as_file(files("calcidem.app.config.presets") / "quick.toml") as quick:
         loaded = load_configuration(configuration or quick)
-    cells, _ = Cells.of_campaign(loaded, 1, db, tell)
+    cells = Cells.of_campaign(loaded, 1, db, tell)
     middle = cells.contents[len(cells.contents) // 2]
     chosen = middle if content is None else content
     result = stability(loaded, cells.experiment, chosen, scenes=scenes, draw=draw, progress=tell)

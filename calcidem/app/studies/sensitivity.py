@@ -367,7 +367,7 @@ def vary_one(varied: str, database: str, contents: Sequence[float] | None, campa
     means = study["vs_peak"].mean([name for name in study["vs_peak"].dims if name == "seed"])
     unit = "Hz" if varied == "frequency" else "1"
     rows = [
-        (f"{content:g}", *(number(None if np.isnan(vs) else vs, ".0f") for vs in means.sel(content=content).values))
+        (f"{content:g}", *(number(vs, ".0f") for vs in means.sel(content=content).values))
         for content in study["content"].values
     ]
     table = markdown_table(("content, %", *(f"{value:g} {unit}" for value in study[varied].values)), rows) + "\n"
