@@ -13,7 +13,7 @@ from functools import cached_property
 from html import escape
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import networkx as nx
 import numpy as np
@@ -50,7 +50,6 @@ from calcidem.storage.records import (
     CellResult,
     CellStatus,
     CementPattern,
-    NetworkFeatures,
     PackingRecord,
     RecordedSection,
     RunRecord,
@@ -415,7 +414,11 @@ class Campaign(Closable):
         True
         """
         if pattern is None and seed is not None:
-            pattern = draw_pattern(self.experiment(), seed, content)
+            experiment = self.experiment()
+            try:
+                pattern = pattern_of(experiment.packing, experiment.ordering(seed).at(content))
+            except CementCapacityError as error:
+                raise QueryError(f"seed = {seed}: {error}.", "Choose a lower content.") from error
         return predict_velocity(self.analyse(), content, pattern, level, without_seed=seed)
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
@@ -573,17 +576,6 @@ def load_paper_campaign(preset: Literal["paper", "paper-as-printed"] = "paper") 
         return dataset.load()
 
 
-class _Samples(NamedTuple):
-    """Samples of a content that have a velocity."""
-
-    features: Floats
-    """(n, 1) logarithms of the conductance, or (n, 0)."""
-    vs: Floats
-    """(n,) m/s."""
-    seeds: Integers
-    """(n,)."""
-
-
 def predict_velocity(
     analysis: CampaignAnalysis,
     content: float,
@@ -593,9 +585,8 @@ def predict_velocity(
 ) -> Prediction:
     """Predict Vs of a sample of a content (%) of a campaign, with an interval.
 
-    With the sample's cement the prediction uses its conductance (`contact_network.NETWORK_FEATURES`), without it the
-    content alone. The seed to predict
-    takes no part in the fit. `QueryError` if the cement is not that of a sample of this content, or the campaign has
+    With the sample's cement the prediction uses its conductance (`contact_network.NETWORK_FEATURES`), of which Vs is
+    about a power, without it the content alone. The seed to predict takes no part in the fit. `QueryError` if the cement is not that of a sample of this content, or the campaign has
     too few velocities there.
     """
     if not 0.0 < level < 1.0:
@@ -604,9 +595,8 @@ def predict_velocity(
     if not np.isclose(contents, content).any():
         known = ", ".join(f"{known:g}" for known in contents)
         raise QueryError(f"content = {content:g} %: the campaign has no such cells.", f"Choose among {known} %.")
-    table, vs, seeds = _samples_at(
-        analysis, float(contents[np.argmin(np.abs(contents - content))]), with_cement=pattern is not None
-    )
+    nearest = float(contents[np.argmin(np.abs(contents - content))])
+    table, vs, seeds = _samples_at(analysis, nearest, with_cement=pattern is not None)
     others = np.ones(len(vs), dtype=bool) if without_seed is None else seeds != without_seed
     fewest = FEWEST_ROWS + 1 + table.shape[1]  # one more than a fit needs, for checking
     if others.sum() < fewest:
@@ -614,8 +604,20 @@ def predict_velocity(
         raise QueryError(problem, f"Compute at least {fewest} seeds.")
     features: Floats = np.empty(0)
     if pattern is not None and table.shape[1]:
-        features = np.array([_conductance_of(analysis.graphs[0], pattern)])
-        _refuse_far_conductance(content, float(features[0]), table[others, 0])
+        graph = analysis.graphs[0]
+        try:
+            found = graph.network.features(graph.bonded(pattern)).network_conductance or math.nan
+        except ValueError as error:
+            raise QueryError(f"{error}.", "Give the contacts of a sample of this campaign.") from error
+        features, known = np.array([math.log(found)]), table[others, 0]
+        low, high = float(known.min()), float(known.max())
+        if high > low and not 2.0 * low - high <= features[0] <= 2.0 * high - low:  # further away than their range
+            least, most = math.exp(low), math.exp(high)
+            raise QueryError(
+                f"network_conductance = {found:.3g} is far from the {least:.3g} to {most:.3g} of the samples at "
+                f"{content:g} %.",
+                "Give cement that a sample of this content has.",
+            )
     return VelocityPredictor.fit(table[others], vs[others], level).predict(features)
 
 
@@ -626,61 +628,22 @@ def check_predictions(
 
     Contents with few velocities or without scatter are left out; without cement all seeds are the same sample.
     """
-    contents = analysis.vs["content"].to_numpy().tolist()
-    found = {content: _samples_at(analysis, content, with_cement=with_cement) for content in contents}
-    return {
-        content: check_samples(samples.features, samples.vs, level)
-        for content, samples in found.items()
-        if len(samples.vs) > FEWEST_ROWS + samples.features.shape[1] and np.ptp(samples.vs) > 0.0
-    }
+    checks = {}
+    for content in analysis.vs["content"].to_numpy().tolist():
+        features, vs, _ = _samples_at(analysis, content, with_cement=with_cement)
+        if len(vs) > FEWEST_ROWS + features.shape[1] and np.ptp(vs) > 0.0:
+            checks[content] = check_samples(features, vs, level)
+    return checks
 
 
-def draw_pattern(experiment: Experiment, seed: int, content: float) -> CementPattern:
-    """Draw the cement of a seed at a content in percent; `QueryError` if the sample cannot hold it."""
-    try:
-        cement = experiment.ordering(seed).at(content)
-    except CementCapacityError as error:
-        raise QueryError(f"seed = {seed}: {error}.", "Choose a lower content.") from error
-    return pattern_of(experiment.packing, cement)
+def _samples_at(analysis: CampaignAnalysis, content: float, *, with_cement: bool) -> tuple[Floats, Floats, Integers]:
+    """Samples of a content with a velocity: logarithms of the conductance (n, 1) or (n, 0), Vs in m/s and seeds (n,).
 
-
-def conductances(analysis: CampaignAnalysis, content: float) -> dict[int, float]:
-    """Logarithm of the conductance of the samples of a content with a velocity and known cement, by seed."""
-    cells = analysis.outcomes_of(Selection(contents=content, statuses=CellStatus.DONE), ("cement",))
-    return {
-        cell.key.seed: _conductance_of(analysis.graphs[cell.packing_index], cell.cement, cell.network)
-        for cell in cells
-        if cell.cement is not None
-    }
-
-
-def _samples_at(analysis: CampaignAnalysis, content: float, *, with_cement: bool) -> _Samples:
-    """Samples of a content; those without known cement are left out, unless it cannot be drawn again for any."""
-    column = analysis.vs.sel(content=content).dropna("seed")
-    known = conductances(analysis, content) if with_cement else {}
-    if known:
-        column = column.sel(seed=[seed for seed in column["seed"].to_numpy().tolist() if seed in known])
-    seeds, vs = column["seed"].to_numpy(), column.to_numpy().astype(float)
-    table = np.array([[known[seed]] for seed in seeds.tolist()]) if known else np.empty((len(vs), 0))
-    return _Samples(table, vs, seeds)
-
-
-def _conductance_of(graph: PackingGraph, pattern: CementPattern, network: NetworkFeatures | None = None) -> float:
-    """Logarithm of the conductance of a pattern; `QueryError` if it cements grains that do not touch.
-
-    Vs is about a power of the conductance.
+    Those without a conductance are left out, unless none has one.
     """
-    try:
-        found = network or graph.network.features(graph.bonded(pattern))
-    except ValueError as error:
-        raise QueryError(f"{error}.", "Give the contacts of a sample of this campaign.") from error
-    return math.log(found.network_conductance or math.nan)
-
-
-def _refuse_far_conductance(content: float, value: float, known: Floats) -> None:
-    """Raise a `QueryError` if a conductance is outside the range of the samples, (n,), by more than this range."""
-    low, high = float(known.min()), float(known.max())
-    if high > low and not 2.0 * low - high <= value <= 2.0 * high - low:
-        shown, least, most = (f"{math.exp(one):.3g}" for one in (value, low, high))
-        problem = f"network_conductance = {shown} is far from the {least} to {most} of the samples at {content:g} %."
-        raise QueryError(problem, "Give cement that a sample of this content has.")
+    vs = analysis.vs.sel(content=content).to_numpy().astype(float)
+    conductance = analysis.cells["network_conductance"].sel(content=content).to_numpy().astype(float)
+    known = np.isfinite(vs) & (conductance > 0.0)
+    chosen = known if with_cement and known.any() else np.isfinite(vs)
+    features = np.log(conductance[chosen])[:, None] if chosen is known else np.empty((int(chosen.sum()), 0))
+    return features, vs[chosen], analysis.vs["seed"].to_numpy()[chosen]

@@ -57,20 +57,15 @@ def predict_command(
     The feature is the conductance of the cement as a network (network_conductance). Leaving out each sample in turn
     checks the intervals.
     """
-    from calcidem.analysis.campaign_analysis import CampaignAnalysis
-    from calcidem.app.campaign.cells import with_patterns
-    from calcidem.app.campaign.opened import check_predictions
-    from calcidem.storage.sql.store import read_campaign
+    from calcidem.app.campaign.opened import check_predictions, open_campaign
 
     if (seed is not None and pattern is not None) or (content is None and (seed, pattern) != (None, None)):
         raise typer.BadParameter("give --content, and one of --seed and --pattern or none of them")
     cement = None if pattern is None else _read_pattern(pattern)
-    with read_campaign(database, campaign) as store:
+    with open_campaign(database, campaign) as opened:
         predicted: dict[str, float] = {}
         if content is not None:
-            from calcidem.app.campaign.opened import Campaign  # a sample that was not simulated needs the engine
-
-            prediction = Campaign(store).predict(content=content, seed=seed, pattern=cement, level=level)
+            prediction = opened.predict(content=content, seed=seed, pattern=cement, level=level)
             low, high = prediction.interval.low, prediction.interval.high
             predicted = {"content": content, "vs": prediction.vs, "vs_interval_low": low, "vs_interval_high": high}
             if layout is Format.TABLE:
@@ -79,7 +74,7 @@ def predict_command(
                     f"{content:g} %: Vs {prediction.vs:.0f} m/s, {100.0 * level:g} % of such samples from {low:.0f} to "
                     f"{high:.0f} m/s, from {source}."
                 )
-        analysis = CampaignAnalysis(store, with_cement=with_patterns)
+        analysis = opened.analyse()
         checks = check_predictions(analysis, level)
         alone = check_predictions(analysis, level, with_cement=False)
     chosen = [known for known in checks if content is None or np.isclose(known, content)]

@@ -8,11 +8,10 @@ import unicodedata
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from calcidem.analysis.measured import Target
 from calcidem.app.config.checks import cross_check
 from calcidem.app.config.schema import (
     SECTIONS,
@@ -26,6 +25,9 @@ from calcidem.dem.engine.fields import FieldError, Settings, field_hints, quote,
 from calcidem.dem.sample.packing_file import checked_disks
 from calcidem.input_file import read_input, read_text
 from calcidem.table import Table, meaning_of, parse_number, unit_in_name, value_of
+
+if TYPE_CHECKING:
+    from calcidem.analysis.measured import Target
 
 
 def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any] | None = None) -> Configuration:
@@ -242,13 +244,15 @@ _UNITS = {  # dimension, unit without one in the file, and what is accepted
 }
 
 
-def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> tuple[Target, ...]:
+def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> "tuple[Target, ...]":
     """Read velocities from a table with a row for each specimen, or for the mean of several; ``tell`` what was read.
 
     A row without number and standard deviation of samples is a specimen, and so is each row of a table that names
     specimens. G0 and density give the velocity if the table has none. `ConfigurationError` with all problems: missing
     columns, invalid numbers, fractions or km/s without a unit; `InputFileError` if it cannot be read as text.
     """
+    from calcidem.analysis.measured import Target  # noqa: PLC0415 - statistics, which runs do not need
+
     table = Table.read(read_input(file, 1_000_000), file, KNOWN_COLUMNS, ("content",))  # bytes; no laboratory has more
     columns, meanings = table.places(KNOWN_COLUMNS), [meaning_of(name, KNOWN_COLUMNS) for name in table.names]
     needed = ("content", "vs") if "vs" in columns else ("content", "g0", "density")
@@ -306,7 +310,7 @@ def _problems_of_row(
         yield Problem(f"row {number}, samples = {count!r}: give a whole number of 1 or more")
 
 
-def _questions(targets: Sequence[Target], bare: Collection[str]) -> Iterator[Problem]:
+def _questions(targets: "Sequence[Target]", bare: Collection[str]) -> Iterator[Problem]:
     """Values that are more likely in another unit, if their columns are ``bare``: without a unit."""
     most, speeds = max(row.content for row in targets), [row.vs for row in targets]
     if "content" in bare and 0.0 < most <= 0.2:
