@@ -425,7 +425,8 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
                 )
     box, said = _box_of(place[kept, :2], radius[kept], bounds, given)
     if given is not None:
-        beyond = _reach_beyond(place, radius, box) & kept
+        gap = np.minimum(place[:, :2] - box[:, 0], box[:, 1] - place[:, :2]).min(axis=1)
+        beyond = (gap < (1.0 - LARGEST_OVERLAP) * radius) & kept
         left_out += [f"{beyond.sum()} disks that reach beyond the walls"] * bool(beyond.any())
         kept &= ~beyond
     if kept.sum() < FEWEST_DISKS:
@@ -559,12 +560,6 @@ def _box_of(place: Floats, radius: Floats, bounds: Floats | None, given: Floats 
         box = np.where(fits, bounds, box)
         said = "the box in the file" if fits[0].all() and fits[1, 0] else said
     return box, f"walls from {said}"
-
-
-def _reach_beyond(place: Floats, radius: Floats, box: Floats) -> Flags:
-    """Disks (N,) that overlap a wall or the lid too deeply."""
-    gap = np.minimum(place[:, :2] - box[:, 0], box[:, 1] - place[:, :2]).min(axis=1)
-    return np.asarray(gap < (1.0 - LARGEST_OVERLAP) * radius)
 
 
 def _suspicions(radius: Floats, pairs: int, deepest: float) -> Iterator[str]:

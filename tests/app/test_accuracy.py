@@ -17,9 +17,9 @@ from calcidem.app.studies.accuracy import (
     Summary,
     accuracy,
     accuracy_tables,
+    choose_settings,
     covered_share,
     draw_error_against_run_time,
-    parse_target,
     run_study,
     settings,
     signal_convergence,
@@ -61,7 +61,7 @@ def study(experiment: Experiment, request: pytest.FixtureRequest) -> Study:
     single = Setting("precision float32", unchecked(gentle).with_wave(precision="float32"))
     compared = [Setting(DEFAULT, gentle), single]
     contents, seeds = request.param
-    return run_study(Cells(gentle, contents, seeds), compared=compared, coarsest=0.1, rounds=1)
+    return run_study(Cells(gentle, contents, seeds), compared, coarsest=0.1, rounds=1)
 
 
 def test_a_refused_campaign_ends_a_study_with_its_reason(experiment: Experiment) -> None:
@@ -70,7 +70,7 @@ def test_a_refused_campaign_ends_a_study_with_its_reason(experiment: Experiment)
     with pytest.raises(ValueError, match="frequency"):
         Cells(fast, [0.66], SEEDS).take_turns({"default": fast, "another": experiment}, 0.66)
     with pytest.raises(ValueError, match="frequency"):
-        run_study(Cells(fast, [0.66], SEEDS), compared=[Setting(DEFAULT, fast)])
+        run_study(Cells(fast, [0.66], SEEDS), [Setting(DEFAULT, fast)])
 
 
 def test_the_error_is_as_large_as_stated(study: Study) -> None:
@@ -113,7 +113,8 @@ def test_what_is_left_out_has_a_reason_and_a_cost(experiment: Experiment, small_
     """Of each setting that computes more the table has one reason, the time and the change of Vs; nothing is open."""
     cells = Cells(replace(experiment.with_wave(amplitude=1e-4), frequencies=HIGH), [0.66], SEEDS[1:3])
     parts: list[StudyResult] = []
-    result = accuracy(small_configuration, cells, only=["law finite", "whole domain"], tell=parts.append)
+    compared = choose_settings(cells, ["law finite", "whole domain"])
+    result = accuracy(small_configuration, cells, compared, rounds=1, tell=parts.append)
     assert [part.page for part in parts] == [result.page]  # after the only content
     _, table = result.page.split("<!-- left_out -->\n")
     header, _, *rows = table.split("\n<!-- end -->")[0].splitlines()
@@ -132,7 +133,7 @@ def test_a_stopped_study_goes_on(
     """A second start takes what the first has written, and gives the same numbers; another study refuses the file."""
     gentle = replace(experiment.with_wave(amplitude=1e-4), frequencies=HIGH, is_checked=False)
     cells = Cells(gentle, [0.55, 0.66], SEEDS[1:2])
-    only, table = ["step_fraction 0.95"], tmp_path / "accuracy.md"
+    compared, table = choose_settings(cells, ["step_fraction 0.95"]), tmp_path / "accuracy.md"
     measured: list[float] = []
 
     def quick_reference(cells: Cells, content: float, _: float) -> object:
@@ -149,21 +150,21 @@ def test_a_stopped_study_goes_on(
 
     monkeypatch.setattr(accuracy_module, "find_reference", quick_reference)
     with pytest.raises(StopError):
-        accuracy(small_configuration, cells, only=only, tell=write)
+        accuracy(small_configuration, cells, compared, rounds=1, tell=write)
     former = table.with_suffix(".json")
     (first,) = json.loads(former.read_text())["parts"]
-    result = json.loads(accuracy(small_configuration, cells, only=only, former=former).json)
+    result = json.loads(accuracy(small_configuration, cells, compared, rounds=1, former=former).json)
     assert measured == [0.55, 0.66]  # each once
     assert [part["content"] for part in result["parts"]] == [0.55, 0.66]
     assert result["parts"][0] == first
     with pytest.raises(OutputRefusedError, match="seeds differ"):
-        accuracy(small_configuration, replace(cells, seeds=SEEDS[:2]), only=only, former=former)
+        accuracy(small_configuration, replace(cells, seeds=SEEDS[:2]), compared, rounds=1, former=former)
     another = replace(small_configuration, sand=replace(small_configuration.sand, friction=0.4))
     with pytest.raises(OutputRefusedError, match="campaign hash differ"):
-        accuracy(another, cells, only=only, former=former)
+        accuracy(another, cells, compared, rounds=1, former=former)
     former.write_text("{}")
     with pytest.raises(OutputRefusedError, match="not a file of this command"):
-        accuracy(small_configuration, cells, only=only, former=former)
+        accuracy(small_configuration, cells, compared, rounds=1, former=former)
 
 
 def test_nothing_is_left_out_that_is_computed(experiment: Experiment) -> None:
@@ -178,7 +179,7 @@ def test_nothing_is_left_out_that_is_computed(experiment: Experiment) -> None:
 def test_without_a_velocity_a_study_says_so(experiment: Experiment) -> None:
     """Tables and figure of a study in which no cell can be read."""
     deaf = replace(experiment, pick=replace(experiment.pick, largest_error=1e-9))
-    study = run_study(Cells(deaf, [0.66], SEEDS), compared=[Setting(DEFAULT, deaf)], rounds=1)
+    study = run_study(Cells(deaf, [0.66], SEEDS), [Setting(DEFAULT, deaf)], rounds=1)
     assert study.summaries[0].cells == 0
     tables = accuracy_tables(study)
     assert tables["opening"].startswith("No cell has a velocity")
@@ -255,16 +256,3 @@ def test_the_cheapest_setting_is_chosen_among_those_that_meet_the_target() -> No
     assert made_up.cheapest(0.0001) is None
     slow = replace(made_up, summaries=(*rows, summary_of("d", 0.02, 5.0)))
     assert [row.setting for row in slow.pareto] == ["a", "b", "c"]
-
-
-@pytest.mark.parametrize(("text", "value"), [("0.5%", 0.005), ("0.005", 0.005), ("2 %", 0.02)])
-def test_a_target_is_a_percentage_or_a_part(text: str, value: float) -> None:
-    """Both spellings mean the same."""
-    assert parse_target(text) == pytest.approx(value)
-
-
-@pytest.mark.parametrize("text", ["", "much", "-1%", "200%"])
-def test_a_senseless_target_is_refused(text: str) -> None:
-    """The message shows what was given and an example."""
-    with pytest.raises(ValueError, match=r"target = .*0\.5%"):
-        parse_target(text)

@@ -586,8 +586,8 @@ def predict_velocity(
     """Predict Vs of a sample of a content (%) of a campaign, with an interval.
 
     With the sample's cement the prediction uses its conductance (`contact_network.NETWORK_FEATURES`), of which Vs is
-    about a power, without it the content alone. The seed to predict takes no part in the fit. `QueryError` if the cement is not that of a sample of this content, or the campaign has
-    too few velocities there.
+    about a power, without it the content alone. The seed to predict takes no part in the fit. `QueryError` if the
+    cement is not that of a sample of this content, or the campaign has too few velocities there.
     """
     if not 0.0 < level < 1.0:
         raise QueryError(f"level = {level}: is not a probability.", "Give one between 0 and 1, such as 0.95.")
@@ -628,7 +628,7 @@ def check_predictions(
 
     Contents with few velocities or without scatter are left out; without cement all seeds are the same sample.
     """
-    checks = {}
+    checks: dict[float, tuple[Flags, Floats]] = {}
     for content in analysis.vs["content"].to_numpy().tolist():
         features, vs, _ = _samples_at(analysis, content, with_cement=with_cement)
         if len(vs) > FEWEST_ROWS + features.shape[1] and np.ptp(vs) > 0.0:

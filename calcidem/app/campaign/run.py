@@ -217,7 +217,10 @@ def prepared_store(
     An existing database is checked before the packing is made, so that one of another campaign is refused at once. A
     new one is created after the packing, so that a configuration that the packing cannot fulfil creates none.
     """
-    _refuse_before_writing(configuration)
+    if _exists(configuration.database):  # an empty one is refused for reading, and new for writing
+        with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as stored:
+            if choose_campaign(stored, configuration) and stored.packing_indices():
+                check_against_packing(configuration, stored_packing(stored.packing(), configuration.packing_hash))
     configuration.output.mkdir(parents=True, exist_ok=True)  # before hours of computation
     store = _become_master(configuration, check) if _exists(configuration.database) else None
     try:
@@ -414,20 +417,6 @@ def _acquire_lease(store: Store, check: Callable[[], None]) -> tuple[str, ...]:
         first = holder
         check()
         time.sleep(1.0)
-
-
-def _refuse_before_writing(configuration: Configuration) -> None:
-    """Refuse a configuration that does not match its database or the packing there, before any byte is written.
-
-    Errors are those of `choose_campaign`, and `ConfigurationError` if the packing cannot hold what is planned.
-    """
-    if not _exists(configuration.database):
-        return
-
-    # An empty database is refused for reading, and new for writing.
-    with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as store:
-        if choose_campaign(store, configuration) and store.packing_indices():
-            check_against_packing(configuration, stored_packing(store.packing(), configuration.packing_hash))
 
 
 def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) -> tuple[CellKey, ...]:

@@ -42,13 +42,8 @@ _TROUBLES = (
 )
 """Outcomes other than done, the most severe first."""
 
-_TROUBLE_NAMES = frozenset(status.value for status in _TROUBLES)
-
 UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 """Outcomes without a velocity that a new computation would repeat."""
-
-_MOST_TIMED = 20_000
-"""Number of cells whose computing times are read, enough for a mean at each content."""
 
 _STATUS_BY_NAME = {status.value: status for status in CellStatus}
 
@@ -175,7 +170,8 @@ class CampaignStatus:
         contents = np.array(sorted(set(columns["content"].tolist())))
         rows = [columns["content"] == content for content in contents]
         seconds = [_mean_or_nan(columns["seconds"][row].astype(float)) for row in rows]
-        expected = _expected_seconds(contents, np.array(seconds))
+        known = np.isfinite(seconds)  # between these contents, seconds are interpolated
+        expected = np.interp(contents, contents[known], np.array(seconds)[known]) if known.any() else seconds
         statuses = tuple(
             _content_status(float(content), {name: values[row] for name, values in columns.items()}, measured, cost)
             for content, row, measured, cost in zip(contents, rows, seconds, expected, strict=True)
@@ -226,7 +222,7 @@ def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArr
     """
     seconds = np.full(len(columns["seed"]), np.nan)
     seeds = np.unique(columns["seed"][columns["status"] != CellStatus.PENDING.value])
-    chosen = seeds[:: max(1, math.ceil(len(seconds) / _MOST_TIMED))]
+    chosen = seeds[:: max(1, math.ceil(len(seconds) / 20_000))]  # cells, enough for a mean at each content
     found = store.table(("seconds",), Selection(chosen.tolist()))["seconds"]
     places = np.isin(columns["seed"], chosen)
     if np.count_nonzero(places) == len(found):  # otherwise cells were planned meanwhile
@@ -267,14 +263,6 @@ def _mean_or_nan(values: NDArray[np.float64]) -> float:
     return float(finite.mean()) if finite.size else np.nan
 
 
-def _expected_seconds(contents: NDArray[np.float64], measured: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Seconds of a cell at each content: measured, or interpolated between measured contents; both (C,)."""
-    known = np.isfinite(measured)
-    if not known.any():
-        return np.full(contents.shape, np.nan)
-    return np.interp(contents, contents[known], measured[known])
-
-
 def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Trouble, ...]:
     """Failed cells, the most severe first, then repeated ones."""
     names = columns["status"].tolist()
@@ -284,7 +272,7 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
         keys = map(CellKey, columns["seed"][places].tolist(), columns["content"][places].tolist())
         return {key: CellStatus(names[place]) for key, place in zip(keys, places, strict=True)}
 
-    statuses = statuses_where(name in _TROUBLE_NAMES for name in names)
+    statuses = statuses_where(name in _TROUBLES for name in names)
 
     def texts(quantity: str, selection: Selection) -> dict[CellKey, str]:
         found = store.table(("seed", "content", quantity), selection)

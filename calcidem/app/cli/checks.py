@@ -131,9 +131,6 @@ def accuracy_command(
             help="Only this setting beside the default, such as 'step_fraction 0.4'; may be repeated.",
         ),
     ] = None,
-    target: Annotated[
-        str | None, typer.Option(help="Also name the cheapest setting with this error of Vs, such as 0.5%.")
-    ] = None,
     db: JudgedDatabase = None,
     out: StudyFolder = None,
     layout: FormatOption = Format.TABLE,
@@ -144,15 +141,14 @@ def accuracy_command(
     command with --out continues.
     """
     from calcidem.app.config.reader import change_configuration, load_configuration
-    from calcidem.app.studies.accuracy import accuracy, choose_settings, parse_target
-    from calcidem.app.studies.study import Cells, StudyResult
+    from calcidem.app.studies.accuracy import accuracy, choose_settings
+    from calcidem.app.studies.study import ROUNDS, Cells, StudyResult
 
     loaded = load_configuration(configuration)
     planned = change_configuration(loaded, {"campaign.contents": sorted(set(content or loaded.campaign.contents))})
     cells = Cells.of_campaign(planned, seeds, db, tell)
     try:
-        choose_settings(cells, only or ())
-        parse_target(target or "1%")
+        compared = choose_settings(cells, only or ())
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     table = out and out / "accuracy.md"
@@ -161,8 +157,8 @@ def accuracy_command(
         if table is not None:
             list(part.write(table))
 
-    former = out and out / "accuracy.json"
-    result = accuracy(planned, cells, only=only or (), target=target, former=former, tell=write)
+    former, rounds = table and table.with_suffix(".json"), 1 if only else ROUNDS
+    result = accuracy(planned, cells, compared, rounds=rounds, former=former, tell=write)
     tell_study(result, layout, table)
 
 

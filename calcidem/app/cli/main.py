@@ -22,11 +22,6 @@ from calcidem.storage.passwords import keep_passwords_back
 from calcidem.sweep.environment import THREAD_VARIABLES, launcher, whole_number
 from calcidem.version import __version__
 
-_OBJECTS_BEFORE_COLLECTING = 10_000
-"""Number of new objects between two garbage collections. Python's 700 cost a tenth of the time of a short command,
-while libraries load.
-"""
-
 PANELS = {
     "Compute": {
         "init": "Write a configuration to start from.",
@@ -85,10 +80,13 @@ def main() -> None:
     """Entry point: run a command, and report an error in one message."""
     for variable in THREAD_VARIABLES:
         os.environ.setdefault(variable, "1")  # each rank has one core; effective only before numpy is imported
-    gc.set_threshold(_OBJECTS_BEFORE_COLLECTING)
+    gc.set_threshold(10_000)  # new objects; Python's 700 cost a tenth of a short command, while libraries load
     warnings.formatwarning = _format_warning
-    _print_any_text()
-    _be_plain_under_mpi()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # unknown characters, and bytes of file names that are not text
+            stream.reconfigure(errors="backslashreplace")
+    if launcher() is not None:  # mpirun gives its ranks a pseudo-terminal, even if their output goes to a file
+        os.environ["TERM"] = "dumb"
     if wrong := _strange_argument(sys.argv[1:]):
         sys.stderr.write(f"Error: {wrong}\n")
         sys.exit(2)
@@ -189,22 +187,6 @@ def _format_warning(
     if issubclass(category, FutureWarning):
         return printable(f"Warning: {message}\n")
     return printable(f"{filename}:{lineno}: {category.__name__}: {message}\n" + (f"  {line}\n" if line else ""))
-
-
-def _be_plain_under_mpi() -> None:
-    """Let a rank write no colours and no cursor movements.
-
-    mpirun gives its ranks a pseudo-terminal, even if their output goes to a file or a pipe.
-    """
-    if launcher() is not None:
-        os.environ["TERM"] = "dumb"
-
-
-def _print_any_text() -> None:
-    """Write output in any encoding: unknown characters, and bytes of file names that are not text, as escapes."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
 
 
 def _strange_argument(arguments: Sequence[str]) -> str:

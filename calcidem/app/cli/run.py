@@ -125,8 +125,6 @@ def _write_new(file: Path, text: str, remedy: str) -> None:
         raise typer.BadParameter(f"{file} exists and was left unchanged; {remedy}") from None
 
 
-_parse_timeout = number_parser(1.0, 1e6, "is not a number of seconds from 1 to 1,000,000")
-
 _Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED"])
 
 
@@ -156,7 +154,11 @@ def run_command(
     ] = None,
     start_timeout: Annotated[
         float,
-        typer.Option(parser=_parse_timeout, metavar="SECONDS", help="With --ranks: time for the ranks to begin."),
+        typer.Option(
+            parser=number_parser(1.0, 1e6, "is not a number of seconds from 1 to 1,000,000"),
+            metavar="SECONDS",
+            help="With --ranks: time for the ranks to begin.",
+        ),
     ] = 120.0,
     with_report: Annotated[bool, typer.Option("--report", help="Also write the report.")] = False,
     retry: Annotated[

@@ -180,20 +180,13 @@ _STATUS_CHARACTERS = {
 }
 """Character and style of each status of a cell; the characters differ, so colours are not needed."""
 
-_UNPLANNED = " "
-
 _PARTLY_DONE = "+"
 """Character for cells of which some are done and the others pending."""
-
-_WIDTH_OF_NUMBERS = 78
-"""Number of columns that the table needs besides the matrix."""
-
-_NARROWEST_MATRIX = 10
 
 
 def status_view(status: CampaignStatus, width: int, half_width: float | None = None) -> RenderableType:
     """Whole status, for a terminal of this many columns, and the seeds for a half-width (m/s)."""
-    columns = max(_NARROWEST_MATRIX, width - _WIDTH_OF_NUMBERS)
+    columns = max(10, width - 78)  # the table needs so many besides the matrix
     parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
     parts += [_matrix_table(status, columns), _legend(status, columns)]
     marks = [_marks_of(content.counts, content.budget.loud) for content in status.contents]
@@ -267,7 +260,7 @@ def _matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: i
     for start in range(0, len(seeds), per_character):
         planned = [content.statuses[s] for s in seeds[start : start + per_character] if s in content.statuses]
         worst = min(planned, key=URGENCY.__getitem__, default=None)
-        symbol, style = _STATUS_CHARACTERS[worst] if worst is not None else (_UNPLANNED, "")
+        symbol, style = _STATUS_CHARACTERS[worst] if worst is not None else (" ", "")
         if worst is CellStatus.PENDING and CellStatus.DONE in planned:
             symbol = _PARTLY_DONE
         row.append(symbol, style)

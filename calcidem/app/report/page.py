@@ -4,7 +4,7 @@ import csv
 import os
 import re
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -162,7 +162,12 @@ def _render_page(
         watch(len(sections), parts)
         sections.append(_make_section(plan, analysis))
     watch(len(sections), parts)
-    sections.append(_PageSection("sensitivity", "Sensitivity", pictures=tuple(_study_pictures(studies))))
+    drawn = (
+        _picture_of(entry.draw(studies[entry.study]), entry.name, entry.title, entry.caption, pictorial=False)
+        for entry in STUDY_FIGURES
+        if entry.study in studies
+    )
+    sections.append(_PageSection("sensitivity", "Sensitivity", pictures=tuple(drawn)))
     environment = Environment(
         loader=PackageLoader("calcidem.app.report"),
         autoescape=True,
@@ -253,14 +258,6 @@ def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture
     if figure is None:
         return _Picture(entry.name, entry.title, entry.caption, reason=reason)
     return _picture_of(figure, entry.name, entry.title, entry.caption, pictorial=entry.pictorial)
-
-
-def _study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[_Picture]:
-    """Draw the figures of the studies given, named "frequency" and "damping"."""
-    for entry in STUDY_FIGURES:
-        if entry.study in studies:
-            figure = entry.draw(studies[entry.study])
-            yield _picture_of(figure, entry.name, entry.title, entry.caption, pictorial=False)
 
 
 def _picture_of(figure: Figure, name: str, title: str, caption: str, *, pictorial: bool) -> _Picture:

@@ -224,20 +224,8 @@ def _growth_table(analysis: CampaignAnalysis) -> Table | None:
     )
 
 
-def _feature_table(analysis: CampaignAnalysis) -> Table:
-    """The eight features of the path, their definitions, and their correlation with Vs."""
-    return _correlation_table("the preferential path", FEATURES, analysis.correlations, analysis.feature_tests)
-
-
-def _network_table(analysis: CampaignAnalysis) -> Table:
-    """The features of the cement as a network, likewise."""
-    return _correlation_table(
-        "the cement as a network", NETWORK_FEATURES, analysis.network_correlations, analysis.network_tests
-    )
-
-
 def _own_table(analysis: CampaignAnalysis) -> Table | None:
-    """Features of other packages, likewise; None without any."""
+    """Features of other packages, and their correlation with Vs; None without any."""
     if not analysis.features:
         return None
     table = analysis.own_table
@@ -382,8 +370,12 @@ RESULT_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "meaning": _meaning_table,
     "outcomes": _outcome_table,
     "growth": _growth_table,
-    "features": _feature_table,
-    "network_features": _network_table,
+    "features": lambda analysis: _correlation_table(
+        "the preferential path", FEATURES, analysis.correlations, analysis.feature_tests
+    ),
+    "network_features": lambda analysis: _correlation_table(
+        "the cement as a network", NETWORK_FEATURES, analysis.network_correlations, analysis.network_tests
+    ),
     "own_features": _own_table,
     "laws": _law_table,
     "errors_and_cost": _cost_table,

@@ -26,7 +26,7 @@ from calcidem.app.report.cell_data import (
     numbers_or_none,
     packing_block,
 )
-from calcidem.app.report.tables import EXCEPTIONAL, count_reasons
+from calcidem.app.report.tables import count_reasons
 from calcidem.dem.engine.material import Sand
 from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError
 from calcidem.storage.passwords import hide_passwords
@@ -98,7 +98,8 @@ class CellColumns:
         """Quantities with a displayed value in some cell; all as long as no cell has an outcome."""
         if not self.settled():
             return list(self.values)
-        return [name for name, column in self.values.items() if _tells(name, column)]
+        known = {name: c[c != "" if _holds_texts(name) else np.isfinite(c)] for name, c in self.values.items()}
+        return [name for name, column in known.items() if column.size and (name not in EXCEPTIONAL or np.any(column))]
 
     def described(self, places: Sequence[int], names: Sequence[str]) -> dict[str, list[Any]]:
         """Return quantities of some cells for JSON."""
@@ -136,13 +137,6 @@ def _as_kept(name: str, column: NDArray[Any]) -> NDArray[Any]:
     if name == "status":
         texts[texts == CellStatus.PENDING.value] = ""
     return texts
-
-
-def _tells(name: str, column: NDArray[Any]) -> bool:
-    if _holds_texts(name):
-        return bool(np.any(column != ""))
-    known = column[np.isfinite(column)]
-    return bool(known.size and (name not in EXCEPTIONAL or np.any(known)))
 
 
 def _as_array(name: str, column: NDArray[Any]) -> tuple[str, NDArray[Any], list[str]]:
@@ -275,13 +269,21 @@ class CampaignFeed:
             }
 
     def packing(self, index: int) -> dict[str, Any] | None:
-        """Return a packing as in the report, with its contact forces; None if none has that index."""
+        """Return a packing as in the report; None if none has that index.
+
+        With the normal contact forces before the wave, in percent of the mean force, (M,).
+        """
         with self._lock:
             self._open()
             graphs = self._graphs(self._analyse())
             if not 0 <= index < len(graphs):
                 return None
-            return packing_block(self._analyse(), graphs[index]) | {"forces": _relative_forces(graphs[index])}
+            packing, (first, second) = graphs[index].packing, graphs[index].graph.pairs.T
+            apart = np.hypot(packing.x[first] - packing.x[second], packing.y[first] - packing.y[second])
+            overlap = packing.radius[first] + packing.radius[second] - apart
+            force = Sand().hertz_coefficient(packing.radius[first], packing.radius[second]) * overlap**1.5
+            percent = np.rint(100.0 * force / force.mean()).astype(int).tolist()
+            return packing_block(self._analyse(), graphs[index]) | {"forces": percent}
 
     def _open(self) -> Store:
         """Return the store, opened again if its file was replaced."""
@@ -405,13 +407,3 @@ class CampaignFeed:
             {"outcome": outcome, "reason": reason, "contents": contents, "cells": count}
             for outcome, reason, contents, count in found
         ]
-
-
-def _relative_forces(graph: PackingGraph) -> list[int]:
-    """Normal contact forces before the wave, in percent of the mean force, (M,)."""
-    packing, (first, second) = graph.packing, graph.graph.pairs.T
-    apart = np.hypot(packing.x[first] - packing.x[second], packing.y[first] - packing.y[second])
-    overlap = packing.radius[first] + packing.radius[second] - apart
-    force = Sand().hertz_coefficient(packing.radius[first], packing.radius[second]) * overlap**1.5
-    percent: list[int] = np.rint(100.0 * force / force.mean()).astype(int).tolist()
-    return percent

@@ -288,22 +288,20 @@ class Study:
 def accuracy(
     configuration: Configuration,
     cells: Cells,
+    compared: Sequence[Setting],
     *,
-    only: Sequence[str] = (),
-    target: str | None = None,
+    rounds: int = ROUNDS,
     former: Path | None = None,
     tell: Callable[[StudyResult], object] = lambda _: None,
 ) -> StudyResult:
-    """Measure error over run time.
+    """Measure error over run time, see `run_study`.
 
-    With names of settings in ``only``, only these and the default are compared with the reference. ``target`` is an
-    error for which the text names the cheapest setting. ``tell`` receives the results after each content. Contents in
-    the JSON file ``former``, which may not exist, are not measured again.
+    ``tell`` receives the results after each content. Contents in the JSON file ``former``, which may not exist, are not
+    measured again.
 
-    `ValueError` for an unknown name or target, and if no content can be computed; `OutputRefusedError` if the file has
-    the results of another configuration, packing, choice of seeds or of settings.
+    `ValueError` if no content can be computed; `OutputRefusedError` if the file has the results of another
+    configuration, packing, choice of seeds or of settings.
     """
-    compared = choose_settings(cells, only)
     identity = {
         "campaign_hash": configuration.hash,
         "packing_hash": cells.experiment.packing.content_hash,
@@ -314,18 +312,13 @@ def accuracy(
     def result(study: Study) -> StudyResult:
         tables = accuracy_tables(study)
         text = "\n\n".join(tables.values())
-        if target is not None:
-            text += f"\nCheapest setting with an error of at most {target}: {_cheapest_in_words(study, target)}"
         page = "\n\n".join(f"<!-- {name} -->\n{table}\n<!-- end -->" for name, table in tables.items()) + "\n"
         told = TypeAdapter(dict[str, Any]).dump_json({**identity, **asdict(study)}).decode()
         rows = [asdict(cell) for cell in study.cells]
         return StudyResult(text, page, rows, told, figures={"": partial(draw_error_against_run_time, study)})
 
     known = {} if former is None or not former.exists() else _read_parts(former, identity)
-    study = run_study(
-        cells, compared=compared, known=known, rounds=1 if only else ROUNDS, tell=lambda study: tell(result(study))
-    )
-    return result(study)
+    return result(run_study(cells, compared, rounds=rounds, known=known, tell=lambda study: tell(result(study))))
 
 
 def _read_parts(file: Path, identity: Mapping[str, object]) -> dict[float, ContentErrors]:
@@ -353,22 +346,10 @@ def choose_settings(cells: Cells, only: Sequence[str]) -> list[Setting]:
     return [known[DEFAULT], *(known[name] for name in only or known if name != DEFAULT)]
 
 
-def parse_target(text: str) -> float:
-    """Parse ``0.5%`` or ``0.005`` as 0.005."""
-    digits, scale = (text[:-1], 0.01) if text.rstrip().endswith("%") else (text, 1.0)
-    try:
-        value = float(digits) * scale
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1.0:
-        raise ValueError(f"target = {text}: give a part of Vs such as 0.5% or 0.005")
-    return value
-
-
 def run_study(
     cells: Cells,
-    *,
     compared: Sequence[Setting],
+    *,
     coarsest: float = 0.4,
     rounds: int = ROUNDS,
     known: Mapping[float, ContentErrors] | None = None,
@@ -376,10 +357,10 @@ def run_study(
 ) -> Study:
     """Measure the errors of settings.
 
-    The experiment's own setting comes first in ``compared``. The search for the reference starts at a step of
-    ``coarsest`` times the limit. Settings are timed alternately in ``rounds``; with more than one the order of
-    convergence is measured, too. ``known`` contents are not measured again. ``tell`` receives the results after each
-    content. A refused content has none; `ValueError` if all are refused.
+    The experiment's own setting comes first in ``compared``, see `choose_settings`. The search for the reference starts
+    at a step of ``coarsest`` times the limit. Settings are timed alternately in ``rounds``; with more than one the
+    order of convergence is measured, too. ``known`` contents are not measured again. ``tell`` receives the results
+    after each content. A refused content has none; `ValueError` if all are refused.
     """
     parts: list[ContentErrors] = []
 
@@ -506,7 +487,11 @@ def signal_convergence(
 
 def accuracy_tables(study: Study) -> dict[str, str]:
     """Return all measured tables as Markdown, by name."""
-    wanted = [f"- {target}: {_cheapest_in_words(study, target)}" for target in ("0.5 %", "0.2 %", "0.1 %")]
+    cheapest = [(target, study.cheapest(target / 100.0)) for target in (0.5, 0.2, 0.1)]  # percent of Vs
+    wanted = [
+        f"- {target:g} %: {'none of those measured' if one is None else f'{one.setting}, {one.seconds:.2f} s a cell'}"
+        for target, one in cheapest
+    ]
     convergence = [row for part in study.parts for row in part.convergence]
     parts = {
         "opening": _opening(study),
@@ -519,12 +504,6 @@ def accuracy_tables(study: Study) -> dict[str, str]:
         else "",
     }
     return {name: table for name, table in parts.items() if table}
-
-
-def _cheapest_in_words(study: Study, target: str) -> str:
-    """Name and cost of the cheapest setting that meets a target."""
-    row = study.cheapest(parse_target(target))
-    return "none of those measured" if row is None else f"{row.setting}, {row.seconds:.2f} s a cell"
 
 
 def _left_out_table(study: Study) -> str:

@@ -21,9 +21,6 @@ from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, Ceme
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
-ExperimentOf = Callable[[int], Experiment]
-"""Function that returns the common experiment of a packing's cells by the packing's index."""
-
 _SHARES = ("coherence", "reading_error", "effective_error", "vs_bias", "numerical_error", "pulse_effect")
 """Numbers that are already relative, so their absolute difference counts."""
 
@@ -79,7 +76,7 @@ def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[C
 
 
 def verify(
-    store: Store, keys: Iterable[CellKey], experiment_of: ExperimentOf, *, lanes: int = 8
+    store: Store, keys: Iterable[CellKey], experiment_of: Callable[[int], Experiment], *, lanes: int = 8
 ) -> Iterator[Verification]:
     """Recompute stored cells and compare them, without changing the store; ``lanes`` cells run side by side.
 
