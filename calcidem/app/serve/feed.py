@@ -26,7 +26,7 @@ from calcidem.app.report.cell_data import (
     numbers_or_none,
     packing_block,
 )
-from calcidem.app.report.tables import count_reasons
+from calcidem.app.report.tables import EXCEPTIONAL, count_reasons
 from calcidem.dem.engine.material import Sand
 from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError
 from calcidem.storage.passwords import hide_passwords
