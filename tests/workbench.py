@@ -58,8 +58,8 @@ def begin_computing(*_arguments: object, **_options: object) -> NoReturn:
 
 LONG = (
     "calcidem.app.campaign.launch.Launch.run",
-    "calcidem.app.campaign.packing.make_packing",
-    "calcidem.app.campaign.packing.packing_from_csv",
+    "calcidem.dem.sample.compaction.make_packing",
+    "calcidem.dem.sample.packing_file.packing_from_csv",
     "calcidem.app.campaign.preview._describe_ranks",
     "calcidem.app.campaign.run.CampaignRun.compute",
     "calcidem.app.studies.stability.stability",

@@ -125,7 +125,7 @@ def test_the_packing_of_a_preset_comes_with_calcidem(
 ) -> None:
     """Nobody has to make the packing of an example, so everybody has the same; nor is it put into the cache."""
     missing = f"no packing of {preset} in the package: run python scripts/preset_packings.py"
-    monkeypatch.setattr(packing_source, "make_packing", lambda *_: pytest.fail(missing))
+    monkeypatch.setattr("calcidem.dem.sample.compaction.make_packing", lambda *_: pytest.fail(missing))
     (tmp_path / "c.toml").write_text(preset_text(preset), encoding="utf-8")
     configuration = load_configuration(tmp_path / "c.toml")
     found = provide_packing(configuration, None)

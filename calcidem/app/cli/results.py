@@ -6,9 +6,8 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -67,22 +66,18 @@ def status_command(
     """Show the progress of a campaign, also while it runs: cells, Vs so far, time left, failures."""
     from calcidem.app.campaign.status import CampaignStatus
 
-    read = partial(CampaignStatus.read, database, campaign)
-    found = _until_finished(read, interval) if watch else iter([read()])
+    def until_finished() -> Iterator[CampaignStatus]:
+        while True:
+            found = CampaignStatus.read(database, campaign)
+            yield found
+            if not (watch and found.pending):
+                return
+            time.sleep(interval)
+
     try:
-        _show_status(found, half_width, layout, one_per_line=watch)
+        _show_status(until_finished(), half_width, layout, one_per_line=watch)
     except KeyboardInterrupt:
         typer.echo()
-
-
-def _until_finished(read: "Callable[[], CampaignStatus]", interval: float) -> "Iterator[CampaignStatus]":
-    """Status of a campaign at intervals of some seconds, until all its cells have finished."""
-    while True:
-        found = read()
-        yield found
-        if not found.pending:
-            return
-        time.sleep(interval)
 
 
 def _show_status(

@@ -277,7 +277,10 @@ class _LiveApplication:
         of_campaign = "/campaigns/{campaign:number}"
         return Starlette(
             routes=[
-                *(Route(address, _static(kind, text)) for address, (kind, text) in _fixed(self.hub).items()),
+                *(
+                    Route(address, lambda _request, kind=kind, text=text: Response(text, media_type=kind))
+                    for address, (kind, text) in _fixed(self.hub).items()
+                ),
                 Route("/events", self._events),
                 Route(f"{of_campaign}/records", self._records),
                 Route(f"{of_campaign}/cell", self._cell),
@@ -326,15 +329,6 @@ class _LiveApplication:
         if number >= len(self.hub.feeds):
             raise HTTPException(404)
         return self.hub.feeds[number]
-
-
-def _static(kind: str, text: str) -> Callable[[Request], Response]:
-    """Return a function with a constant answer."""
-
-    def answer(_request: Request) -> Response:
-        return Response(text, media_type=kind)
-
-    return answer
 
 
 def _fixed(hub: Hub) -> dict[str, tuple[str, str]]:

@@ -107,7 +107,7 @@ def no_packing_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError
 
     monkeypatch.setenv("CALCIDEM_CACHE", str(tmp_path / "empty"))
-    monkeypatch.setattr("calcidem.app.campaign.packing.make_packing", fail)
+    monkeypatch.setattr("calcidem.dem.sample.compaction.make_packing", fail)
 
 
 @pytest.mark.usefixtures("no_packing_is_made")
