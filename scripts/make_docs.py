@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from typer.models import OptionInfo
 
 from calcidem.app.cli.main import PANELS, command_function
-from calcidem.app.config.reference import KeyReference, key_references
+from calcidem.app.config.examples import KeyReference, key_references
 from calcidem.app.config.schema import SECTIONS, Configuration
 from calcidem.dem.engine.fields import written
 from calcidem.storage.records import ARRAY_RECORDS, QUANTITY_BY_NAME

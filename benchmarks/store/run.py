@@ -27,8 +27,7 @@ import numpy as np
 
 from calcidem.analysis.distribution import tabulate
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.app.campaign.packing import provide_packing
-from calcidem.app.campaign.stored_packing import packing_record
+from calcidem.app.campaign.packing import packing_record, provide_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.netcdf.export import export_netcdf
 from calcidem.storage.netcdf.import_netcdf import import_netcdf

@@ -560,7 +560,7 @@ def left_out(x: Array, vs: Array) -> tuple[list[bool], list[float]]:
 @pytest.fixture
 def database(tmp_path: Path) -> Path:
     """Give a database of the shipped campaign, with its packing."""
-    from calcidem.app.cli.import_ import import_command  # noqa: PLC0415 - of this test alone
+    from calcidem.app.cli.exchange import import_command  # noqa: PLC0415 - of this test alone
 
     path = resources.files("calcidem.app.config.presets").joinpath("paper.nc")
     target = tmp_path / "paper.db"

@@ -1,17 +1,22 @@
-"""Cells of a study, measured with one experiment after another, and the deviations between two measurements."""
+"""What studies share: cells measured with one experiment after another, deviations, and the result in all forms."""
 
+import math
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from statistics import median
 from time import process_time
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 
-from calcidem.app.campaign.opened import open_campaign_of
-from calcidem.app.campaign.packing import provide_packing
+from calcidem.analysis.figures.style import save
+from calcidem.app.campaign.identity import refuse_other_physics
+from calcidem.app.campaign.packing import provide_packing, stored_packing
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.compiling import seconds_compiling
@@ -20,6 +25,58 @@ from calcidem.dem.wave.check import check_content
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
 from calcidem.dem.wave.section import Section
+from calcidem.storage.files import write_text_atomically
+from calcidem.storage.netcdf.export import write_netcdf
+from calcidem.storage.sql.store import Store
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StudyResult:
+    """Results of a study."""
+
+    text: str
+    """Markdown tables to show."""
+    page: str = ""
+    """Tables for the file, if they differ from those to show."""
+    rows: Sequence[Mapping[str, Any]] = ()
+    """One for each case, for CSV and Parquet."""
+    json: str = ""
+    """All results, for programs."""
+    dataset: xr.Dataset | None = None
+    """All results, for NetCDF."""
+    figures: Mapping[str, Callable[[], Figure]] = field(default_factory=dict)
+    """Draws each figure by its name; without a name it has that of the table."""
+    formats: tuple[str, ...] = ("png",)
+    """Formats of the figures."""
+    is_wrong: bool = False
+    """Whether the program was wrong without saying so."""
+
+    def write(self, table: Path) -> Iterator[Path]:
+        """Write the tables, after NetCDF, figures and JSON beside them; yields each file."""
+        table.parent.mkdir(parents=True, exist_ok=True)
+        if self.dataset is not None:
+            write_netcdf(self.dataset, table.with_suffix(".nc"))
+            yield table.with_suffix(".nc")
+        for name, draw in self.figures.items():
+            yield from save(draw(), table.parent, name or table.stem, self.formats)
+        if self.json:
+            write_text_atomically(table.with_suffix(".json"), self.json)
+            yield table.with_suffix(".json")
+        write_text_atomically(table, self.page or self.text)
+        yield table
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """Table with a line for each row; empty if there are no rows. Numbers with a point have two digits."""
+    entries = [[number(entry) if isinstance(entry, float | None) else str(entry) for entry in row] for row in rows]
+    lines = [f"| {' | '.join(row)} |" for row in entries]
+    return "\n".join([f"| {' | '.join(header)} |", f"|{'---|' * len(header)}", *lines]) if lines else ""
+
+
+def number(value: float | None, form: str = ".1e") -> str:
+    """Format a number, or a dash if it is missing or not finite."""
+    return "-" if value is None or not math.isfinite(value) else format(value, form)
+
 
 ROUNDS = 3
 
@@ -48,23 +105,23 @@ class Cells:
         seeds: int,
         database: str | os.PathLike[str] | None,
         progress: Callable[[str], None],
-    ) -> tuple[Self, dict[float, list[float]] | None]:
-        """Cells of all contents and the first seeds of a campaign.
+    ) -> Self:
+        """Cells of all contents and the first seeds of a campaign, whose packing a database may supply.
 
-        A database supplies the packing, and the campaign's velocities at each content, m/s, which are returned as well.
-        `CampaignMismatchError` if its campaign has another configuration.
+        `CampaignMismatchError`, with both hashes, if the database's campaign, the only one or the one of that name, has
+        another configuration.
         """
-        contents, velocities = sorted(configuration.campaign.contents), None
+        plan = configuration.campaign
         if database is None:
             packing = provide_packing(configuration, None)
         else:
-            with open_campaign_of(configuration, database) as campaign:
-                packing, vs = campaign.experiment().packing, campaign.vs()
-            known = [value for value in contents if value in vs.content.to_numpy()]
-            velocities = {value: vs.sel(content=value).dropna("seed").to_numpy().tolist() for value in known}
+            with Store(database, read_only=True) as store:
+                record = store.use_campaign(plan.name if len(store.campaigns()) > 1 else None)
+                refuse_other_physics(record, configuration)
+                packing = stored_packing(store.packing())
         check_against_packing(configuration, packing)
-        chosen = configuration.campaign.seed_numbers[:seeds]
-        return cls(configuration.experiment(packing), contents, chosen, configuration.run.lanes, progress), velocities
+        experiment, lanes = configuration.experiment(packing), configuration.run.lanes
+        return cls(experiment, sorted(plan.contents), plan.seed_numbers[:seeds], lanes, progress)
 
     def measure(self, experiment: Experiment, contents: Sequence[float] = (), seeds: Sequence[int] = ()) -> CellsFound:
         """Measure all cells, or those of some contents and seeds; `ValueError` if the experiment refuses one."""
@@ -129,12 +186,6 @@ class Cells:
 def relative_deviation(found: float | None, exact: float | None) -> float | None:
     """Relative deviation; None if either is missing."""
     return None if found is None or exact is None else found / exact - 1.0
-
-
-def errors_of_vs(found: CellsFound, exact: CellsFound) -> list[float]:
-    """Absolute relative errors of Vs of cells with a velocity in both."""
-    deviations = (relative_deviation(found[key].vs, exact[key].vs) for key in exact if key in found)
-    return [abs(error) for error in deviations if error is not None]
 
 
 def signal_distance(found: Section, exact: Section) -> float:

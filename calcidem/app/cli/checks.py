@@ -1,18 +1,30 @@
-"""``calcidem verify``: compute stored cells again and compare."""
+"""Check the method: ``calcidem verify``, ``accuracy`` and ``stability``."""
 
 import math
 from collections import Counter
+from importlib.resources import as_file, files
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calcidem.app.campaign.notices import printable
-from calcidem.app.cli.arguments import CampaignName, Database
-from calcidem.app.cli.formats import Format, FormatOption, tell_rows
+from calcidem.app.campaign.notices import printable, tell
+from calcidem.app.cli.options import (
+    DEFAULT_CONFIGURATION,
+    SEEDS_AT_ONCE,
+    CampaignName,
+    ConfigurationFile,
+    Database,
+    JudgedDatabase,
+    OnlyContents,
+    StudyFolder,
+    parse_percentage,
+)
+from calcidem.app.cli.output import Format, FormatOption, tell_rows, tell_study
 from calcidem.sweep.progress import pluralize
 from calcidem.sweep.sweep_end import EXIT_ERROR
 
-if TYPE_CHECKING:  # loaded by the command itself, not by its help
+if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign
     from calcidem.app.studies.verify import Verification
 
@@ -106,3 +118,85 @@ def _verification_line(verification: "Verification") -> str:
     others = len(verification.differences) - 1
     also = f"; {others} other{'s' if others > 1 else ''} differ{'' if others > 1 else 's'}" if others else ""
     return f"{text} (most of all {name}{amount}{also})"
+
+
+def accuracy_command(
+    configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
+    content: OnlyContents = None,
+    seeds: Annotated[int, typer.Option(min=1, max=SEEDS_AT_ONCE, help="Number of seeds to measure.")] = 4,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SETTING",
+            help="Only this setting beside the default, such as 'step_fraction 0.4'; may be repeated.",
+        ),
+    ] = None,
+    db: JudgedDatabase = None,
+    out: StudyFolder = None,
+    layout: FormatOption = Format.TABLE,
+) -> None:
+    """Measure error against run time of every numerical setting, on cells of the campaign.
+
+    A table has what the computation leaves out, why that is safe, and what it would cost. After a stop, the same
+    command with --out continues.
+    """
+    from calcidem.app.config.reader import change_configuration, load_configuration
+    from calcidem.app.studies.accuracy import accuracy, choose_settings
+    from calcidem.app.studies.study import ROUNDS, Cells, StudyResult
+
+    loaded = load_configuration(configuration)
+    planned = change_configuration(loaded, {"campaign.contents": sorted(set(content or loaded.campaign.contents))})
+    cells = Cells.of_campaign(planned, seeds, db, tell)
+    try:
+        compared = choose_settings(cells, only or ())
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+    table = out and out / "accuracy.md"
+
+    def write(part: StudyResult) -> None:
+        if table is not None:
+            list(part.write(table))
+
+    former, rounds = table and table.with_suffix(".json"), 1 if only else ROUNDS
+    result = accuracy(planned, cells, compared, rounds=rounds, former=former, tell=write)
+    tell_study(result, layout, table)
+
+
+def stability_command(
+    configuration: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="CONFIG", show_default=False, help="TOML file of the campaign; the preset quick if not given."
+        ),
+    ] = None,
+    content: Annotated[
+        float | None,
+        typer.Option(
+            parser=parse_percentage,
+            metavar="PERCENT",
+            help="Content of the scenes; the campaign's middle one if not given.",
+        ),
+    ] = None,
+    scenes: Annotated[int, typer.Option(min=0, help="Random scenes, instead of one quantity at a time.")] = 0,
+    draw: Annotated[int, typer.Option(min=0, metavar="SEED", help="Seed of the random scenes.")] = 1,
+    db: JudgedDatabase = None,
+    out: StudyFolder = None,
+    layout: FormatOption = Format.TABLE,
+) -> None:
+    """Show which extreme values of step, bonds, damping, pulse and content are stable, refused or stopped.
+
+    Exit code 1 if a velocity is silently wrong.
+    """
+    from calcidem.app.config.reader import load_configuration
+    from calcidem.app.studies.stability import stability
+    from calcidem.app.studies.study import Cells
+
+    with as_file(files("calcidem.app.config.presets") / "quick.toml") as quick:
+        loaded = load_configuration(configuration or quick)
+    cells = Cells.of_campaign(loaded, 1, db, tell)
+    middle = cells.contents[len(cells.contents) // 2]
+    chosen = middle if content is None else content
+    result = stability(loaded, cells.experiment, chosen, scenes=scenes, draw=draw, progress=tell)
+    tell_study(result, layout, out and out / "stability.md")
+    if result.is_wrong:
+        raise typer.Exit(EXIT_ERROR)

@@ -1,21 +1,28 @@
-"""Parameters of a configuration that studies vary, by name and range, and their output to a file."""
+"""Points of a study: configurations with other values of named parameters, each a campaign of one database."""
 
 import math
+import multiprocessing
 import os
 import re
+import sys
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Self, get_type_hints
 
 import numpy as np
 
+from calcidem.app.campaign.run import run
 from calcidem.app.config.checks import cross_check
-from calcidem.app.config.errors import ConfigurationError, Problem
 from calcidem.app.config.reader import read_configuration
-from calcidem.app.config.schema import SECTIONS, Configuration
+from calcidem.app.config.schema import SECTIONS, Configuration, ConfigurationError, Problem
+from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
+from calcidem.sweep.processes import die_with_parent
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,3 +166,44 @@ def refuse_unwritable(text: str, configuration: Configuration, values: Mapping[s
         raise ConfigurationError(os.fspath(file), [Problem(problem)]) from error
     if read_configuration(document, os.fspath(file), file.parent).hash != with_values(configuration, rounded).hash:
         raise ConfigurationError(os.fspath(file), [Problem(problem)])
+
+
+@contextmanager
+def study_workers(cores: int) -> Iterator[Executor | None]:
+    """Processes for the campaigns of a study, until the block ends; None for a single core."""
+    if cores == 1:
+        yield None
+        return
+    # Fresh processes: a fork would share open resources of libraries. They would outlive a command that is killed.
+    ending = partial(die_with_parent, os.getpid()) if sys.platform == "linux" else None
+    with ProcessPoolExecutor(cores, multiprocessing.get_context("spawn"), ending) as pool:
+        yield pool
+
+
+def point_of_study(
+    configuration: Configuration, database: Path, contents: Sequence[float], seeds: Sequence[int]
+) -> Configuration:
+    """The same physics as a campaign of the study's database, named by its hash; `ValueError` for impossible cells."""
+    name = f"point {configuration.hash[:16]}"
+    campaign = replace(configuration.campaign, name=name, contents=tuple(contents), seeds=tuple(seeds), until=None)
+    run_options = replace(
+        configuration.run, database=str(database), output=str(database.parent), store_sections=False, part=None
+    )
+    return replace(configuration, campaign=campaign, run=run_options)
+
+
+def point_velocities(point: Configuration, executor: Executor | None = None) -> Floats:
+    """Vs of the planned cells, m/s, (seeds, contents), NaN if missing; cells that the database has are not computed.
+
+    A content that the configuration makes impossible has no velocity: other values of the study may allow it.
+    """
+    plan = point.campaign
+    try:
+        with run(point, progress=False, executor=executor) as campaign:
+            vs = campaign.vs().reindex(seed=list(plan.seed_numbers), content=list(plan.contents))
+            return np.asarray(vs.transpose("seed", "content"), dtype=float)
+    except ConfigurationError:
+        if len(plan.contents) == 1:
+            return np.full((len(plan.seed_numbers), 1), np.nan)
+    single = (replace(point, campaign=replace(plan, contents=(content,))) for content in plan.contents)
+    return np.hstack([point_velocities(one, executor) for one in single])
