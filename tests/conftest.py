@@ -18,9 +18,9 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from calcidem.app.campaign.cells import cell_result
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_record
-from calcidem.app.campaign.task import cell_result
+from calcidem.app.campaign.packing import packing_from_bytes, packing_record
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import _write_files, write_report
 from calcidem.dem.sample.cement import CementRule

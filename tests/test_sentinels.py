@@ -22,7 +22,7 @@ SENTINELS = [
     ("sweep/batch.py", "self.losses > 1", "self.losses > 2", "sweep/test_batch.py"),
     ("app/campaign/run.py", "losses >= LOSSES_BEFORE_Q", "losses > LOSSES_BEFORE_Q", "app/test_until.py"),
     ("sweep/schedule.py", "default=-1) + 1", "default=-1) + 0", "sweep/test_schedule.py"),
-    ("app/campaign/progress.py", "seconds_left * status", "seconds_left / status", "app/test_progress.py"),
+    ("app/campaign/status.py", "seconds_left * status", "seconds_left / status", "app/test_progress.py"),
     ("sweep/schedule.py", "divmod(minutes, 60)", "divmod(minutes, 61)", "sweep/test_progress.py"),
 ]
 """Module, its text and what stands there instead, and the tests that know it."""

@@ -17,7 +17,7 @@ from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
-from calcidem.app.campaign.store_sink import StoreSink
+from calcidem.app.campaign.run import StoreSink
 from calcidem.storage.records import CellKey, PackedResult
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.attempt import StopRequest

@@ -2,7 +2,7 @@
 
     python benchmarks/dispatch/run.py [--json FILE] [--figure docs/scaling.png]
 
-Takes some five minutes; docs/scaling.md says what follows. The threads of the master share the interpreter lock, so
+Takes some five minutes; docs/performance.md says what follows. The threads of the master share the interpreter lock, so
 that a batch costs it the message and its share of the storing, and N workers with batches of T seconds compute at most
 T / (N cost) of their time. Workers that sleep stand in for those that compute, so that
 more of them than there are cores can be had; what they return is real, and the real master stores it in a real database.

@@ -12,8 +12,8 @@ import pytest
 from calcidem.app.campaign import identity
 from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing import packing_record, stored_packing
 from calcidem.app.campaign.run import run
-from calcidem.app.campaign.stored_packing import packing_record, stored_packing
 from calcidem.app.config import schema
 from calcidem.app.config.schema import PHYSICS_VERSION, CampaignPlan, Configuration
 from calcidem.app.report.page import write_report

@@ -19,8 +19,7 @@ from places import CHECKOUT, TUTORIAL
 from rich.console import Console
 
 import calcidem
-from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
-from calcidem.app.campaign.status import CampaignStatus
+from calcidem.app.campaign.status import CampaignStatus, ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch, BatchOutcome, Failure

@@ -9,16 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calcidem.app.campaign.cells import cell_result, section_of, section_reader
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.patterns import section_of, section_reader
-from calcidem.app.campaign.stored_packing import packing_record
-from calcidem.app.campaign.task import cell_result
+from calcidem.app.campaign.packing import packing_record
+from calcidem.app.config.examples import CALIBRATED, calibration_note
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import change_configuration, load_configuration
-from calcidem.app.config.reference import CALIBRATED, calibration_note
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import _velocity_remarks
-from calcidem.app.report.results import count_reasons
+from calcidem.app.report.tables import count_reasons
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.notices import listening
-from calcidem.app.campaign.parts import batches_of
+from calcidem.app.campaign.plan import batches_of
 from calcidem.app.campaign.provenance import describe_run
-from calcidem.app.campaign.store_sink import StoreSink
+from calcidem.app.campaign.run import StoreSink
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.schema import Configuration
 from calcidem.ends import CellStatus
@@ -40,7 +40,7 @@ class OftenLockedStore(Store):
 @pytest.mark.slow
 def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is dropped while another process has locked the database, and it is said why nothing happens."""
-    monkeypatch.setattr("calcidem.app.campaign.store_sink.time.sleep", lambda _: None)
+    monkeypatch.setattr("calcidem.app.campaign.run.time.sleep", lambda _: None)
     told: list[tuple[str, bool]] = []
     with OftenLockedStore(tmp_path / "one.db") as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1,), datetime.now(UTC)))

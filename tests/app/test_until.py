@@ -13,12 +13,11 @@ import pytest
 
 from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.plan import SeedDemand
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.run import CampaignRun
-from calcidem.app.campaign.until import SeedDemand
-from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.config.schema import CampaignPlan, Configuration, WantedIntervals
+from calcidem.app.config.schema import CampaignPlan, Configuration, ConfigurationError, WantedIntervals
 from calcidem.ends import CellStatus
 from calcidem.storage.records import CellKey, CellResult, PackedResult
 from calcidem.sweep.batch import Batch, BatchOutcome, Cell, plan_batches

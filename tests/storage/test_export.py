@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from calcidem.app.cli.exchange import _RAISED_BY_DAMAGE
 from calcidem.app.cli.exit_codes import _exit_code_of
-from calcidem.app.cli.import_ import _RAISED_BY_DAMAGE
 from calcidem.ends import CellStatus
 from calcidem.input_file import InputFileError
 from calcidem.storage import netcdf, netcdf_trial

@@ -18,7 +18,7 @@ import pytest
 
 import calcidem
 from calcidem.app.campaign.merge import merge_databases
-from calcidem.app.cli.import_ import _import_campaign
+from calcidem.app.cli.exchange import _import_campaign
 from calcidem.storage.errors import (
     DamagedStoreError,
     LeaseHeldError,
@@ -84,7 +84,7 @@ def import_of(source: Path, target: Path) -> None:
     with Store(source, read_only=True) as store:
         store.use_campaign()
         file = export_netcdf(store, source.with_suffix(".nc"))
-    with mock.patch("calcidem.app.campaign.stored_packing.stored_packing"):
+    with mock.patch("calcidem.app.campaign.packing.stored_packing"):
         _import_campaign(file, str(target))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.merge import merge_databases
-from calcidem.app.cli.import_ import _import_campaign
+from calcidem.app.cli.exchange import _import_campaign
 from calcidem.storage.errors import UnknownCampaignError
 from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.records import CellKey
@@ -73,7 +73,7 @@ class Trial:
     def import_(self, tell: Callable[[Told], None]) -> None:
         """Import the exported file; what reads it on trial is a process of its own, which writes nothing."""
         with (
-            mock.patch("calcidem.app.campaign.stored_packing.stored_packing"),
+            mock.patch("calcidem.app.campaign.packing.stored_packing"),
             mock.patch("calcidem.storage.netcdf.refuse_unreadable"),
         ):
             _import_campaign(self.file, str(self.target))

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import IO
 
 from calcidem.app.campaign.notices import tell
-from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.run import RunView, prepared_store, read_own_status
+from calcidem.app.campaign.status import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import StoreError
 from calcidem.storage.passwords import PASSWORDS_VARIABLE

@@ -16,10 +16,9 @@ from calcidem.analysis.velocity import FEWEST_GRAINS
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
 from calcidem.app.campaign.notices import listening
-from calcidem.app.campaign.packing import kept_packing
-from calcidem.app.campaign.parts import batches_of, planned_cells, time_of_wave
+from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder, kept_packing, stored_packing
+from calcidem.app.campaign.plan import batches_of, planned_cells, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
-from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder, stored_packing
 from calcidem.app.config.checks import (
     can_make_files,
     check_against_packing,
@@ -27,7 +26,7 @@ from calcidem.app.config.checks import (
     disks_in_box,
     limit_of_mean_disks,
 )
-from calcidem.app.config.reference import calibration_note
+from calcidem.app.config.examples import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import WAVELENGTHS, expected_speed

@@ -72,7 +72,7 @@ class WaveRule:
     band_friction: Annotated[Positive, "a positive coefficient: a smooth transmitter moves nothing"] = 0.7
     damping: Annotated[
         float,
-        Interval(ge=0.0, le=0.7),  # with more, Vs may depend on the step (docs/stability.md, "Drawn at random")
+        Interval(ge=0.0, le=0.7),  # with more, Vs may depend on the step (docs/accuracy.md, "Chatter")
         "a factor in [0, 0.7] (boundary_damping may be 1): with more the wave decays within a few grains, and "
         "its velocity depends on the time step",
     ] = 0.3

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_to_bytes
+from calcidem.app.campaign.packing import packing_from_bytes, packing_to_bytes
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.scene import Sand

@@ -17,8 +17,8 @@ from typing import Any
 from sqlalchemy import Engine, event
 
 from calcidem.app.campaign import run as campaign
-from calcidem.app.campaign.store_sink import StoreSink
-from calcidem.app.campaign.task import CellComputation
+from calcidem.app.campaign.cells import CellComputation
+from calcidem.app.campaign.run import StoreSink
 from calcidem.app.cli.main import main
 from calcidem.sweep.batch import Batch, BatchOutcome
 
