@@ -1,9 +1,13 @@
-"""The command in a process of its own that is forked from one with its libraries loaded, which saves their seconds."""
+"""Processes of tests, forked from one with the libraries loaded: each is there at once instead of after seconds."""
 
 import multiprocessing
 import os
+import runpy
+import signal
+import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -38,15 +42,13 @@ def run_forked(
         process = _SERVER.Process(target=_be_command, args=(words, folder, dict(variables), written))
         process.start()
         process.join(patience)
-        if process.exitcode is None:
-            process.kill()
-            process.join()
+        hangs = process.exitcode is None
+        process.kill()
+        process.join()
         output, errors = (path.read_text(errors="replace") if path.exists() else "" for path in written)
-        code = process.exitcode
-        process.close()
-    if code == -9:
+    if hangs:
         raise TimeoutError(f"still running after {patience} s:\n{output}\n{errors}")
-    return code, output, errors
+    return process.exitcode, output, errors
 
 
 def _be_command(words: Sequence[str], folder: Path, variables: Mapping[str, str], written: Sequence[Path]) -> None:
@@ -60,3 +62,47 @@ def _be_command(words: Sequence[str], folder: Path, variables: Mapping[str, str]
     from calcidem.app.cli.main import main  # noqa: PLC0415 - the process that starts the server need not load it
 
     main()
+
+
+class ForkedProgram:
+    """A program in Python that runs in the folder of the test, as much of `subprocess.Popen` as tests of kills need."""
+
+    def __init__(self, program: Path, *words: str) -> None:
+        reader, writer = _SERVER.Pipe(duplex=False)
+        self._process = _SERVER.Process(target=_be_program, args=(program, words, Path.cwd(), dict(os.environ), writer))
+        self._process.start()
+        writer.close()
+        self.pid = self._process.pid
+        self.stdout = os.fdopen(os.dup(reader.fileno()), encoding="utf-8")
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Send a signal."""
+        os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """Kill it, if it still runs."""
+        self._process.kill()
+
+    def poll(self) -> int | None:
+        """Exit code; None while it runs."""
+        return self._process.exitcode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for its end."""
+        self._process.join(timeout)
+        if self._process.exitcode is None:
+            raise subprocess.TimeoutExpired("program", timeout)
+        return self._process.exitcode
+
+
+def _be_program(
+    program: Path, words: Sequence[str], folder: Path, variables: Mapping[str, str], output: Connection
+) -> None:
+    """Take the surroundings of the program, and be it."""
+    os.dup2(output.fileno(), 1)
+    output.close()
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(variables)
+    sys.argv = [str(program), *words]
+    runpy.run_path(str(program), run_name="__main__")
