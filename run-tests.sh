@@ -20,4 +20,4 @@ ruff format --check .
 ruff check .
 mypy
 lint-imports
-exec python -m pytest -n "${JOBS:-2}" --dist loadfile ${chosen[@]+"${chosen[@]}"} "$@"
+exec python -m pytest -n "${JOBS:-2}" --dist loadfile --no-loadscope-reorder ${chosen[@]+"${chosen[@]}"} "$@"

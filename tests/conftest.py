@@ -50,6 +50,12 @@ CALLERS = ("CALCIDEM_", "PG", "SLURM_", "XDG_")
 """Beginnings of the names of variables that would let a test see what its caller does."""
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take long, so that of several processes none works on alone in the end."""
+    files = [{item.path for item in items if item.get_closest_marker(name)} for name in ("mpi", "slow")]
+    items.sort(key=lambda item: [item.path not in long for long in files])
+
+
 @contextmanager
 def _own_folders() -> Iterator[pytest.MonkeyPatch]:
     """Work in a new folder, with another one as home; subprocesses do so, too."""
