@@ -15,6 +15,7 @@ case "${1:-}" in
 esac
 . scripts/bootstrap.sh
 bootstrap "$extras"
+unset PYTHONDONTWRITEBYTECODE # without its compiled modules every process of a test compiles all libraries anew
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 ruff format --check .
 ruff check .
