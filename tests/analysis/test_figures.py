@@ -38,12 +38,10 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("entry", CAMPAIGN_FIGURES, ids=lambda entry: entry.name)
-def test_every_figure_is_drawn_and_written(
-    entry: CampaignFigure, analysis: CampaignAnalysis, small_folder: tuple[Path, dict[str, str]]
-) -> None:
+def test_every_figure_is_drawn_and_written(entry: CampaignFigure, analysis: CampaignAnalysis) -> None:
     """Each figure has labelled scales, lettered panels and free curves; it becomes PNG (150 dpi), SVG and PDF."""
     figure = entry.draw(analysis)
-    png, svg, pdf = (small_folder[0] / f"{entry.name}.{ending}" for ending in ("png", "svg", "pdf"))
+    png, svg, pdf = style.save(figure, Path.cwd(), entry.name)
     width, height = struct.unpack(">II", png.read_bytes()[16:24])
     assert np.allclose([width, height], figure.get_size_inches() * 150, atol=1)
     assert ET.parse(svg).getroot().tag.endswith("svg")  # noqa: S314 - written just above
