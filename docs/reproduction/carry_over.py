@@ -1,4 +1,4 @@
-"""What the packing does to the scatter of Vs, and how far the law between Vs and C_d,n carries over.
+"""What the packing does to the scatter of Vs, and how far the laws with G and with C_d,n carry over.
 
 `python docs/reproduction/carry_over.py DB` reads the database that `calcidem sensitivity docs/reproduction/beyond.toml`
 made, and prints two tables.
@@ -9,14 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from scipy import stats
 from variance import variance_parts
 
-from calcidem.analysis.fits import PowerLawFit, fit_power_law
+from calcidem.analysis.fits import fit_power_law
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.studies.variants import REFERENCE, Variant, read_variants
 from calcidem.storage.errors import UnknownCampaignError
 
 PLAN = Path(__file__).with_name("beyond.toml")
+FEATURES = {"network_conductance": "G", "path_normalized_connectivity": "C_d,n"}
 
 
 def main() -> None:
@@ -51,28 +53,45 @@ def print_parts(packings: list[xr.Dataset]) -> None:
 
 
 def print_carry_over(cells: dict[Variant, xr.Dataset]) -> None:
-    """Predict the samples of each variant with its own law and with that of the reference."""
+    """Correlate both features with Vs within a content, and predict each variant by the laws of the reference."""
     reference = next(found for variant, found in cells.items() if variant.name == REFERENCE)
-    law = fit_law(reference)
-    print(f"\nlaw of the reference: Vs = {law.a:.0f} C^{law.b:.2f} {law.c:+.0f}\n")
-    print("| sample | own law | rms error of own law, m/s | rms error of the reference's law | its bias |")
-    print("|---|---|---|---|---|")
+    laws = {name: fit_power_law(*columns(reference, name)) for name in FEATURES}
+    means = reference["vs"].mean("seed")
+    print(
+        "\nlaws of the reference: "
+        + ", ".join(f"Vs = {law.a:.0f} {FEATURES[name]}^{law.b:.2f} {law.c:+.0f}" for name, law in laws.items())
+    )
+    print("\n| sample | within a content: G | C_d,n | rms of the law with G, m/s | bias | with C_d,n | content alone |")
+    print("|---|---|---|---|---|---|---|")
     for variant, found in cells.items():
-        connectivity, vs = (found[name].to_numpy().ravel() for name in ("path_normalized_connectivity", "vs"))
-        error = vs - law.predict(connectivity)
-        error = error[np.isfinite(error)]
-        try:
-            own = fit_law(found)
-            shown = f"{own.a:.0f} C^{own.b:.2f} {own.c:+.0f} | {own.residual_standard_deviation:.0f}"
-        except ValueError:  # samples that a straight line in log C fits as well: a and c grow without end
-            shown = "does not converge |"
-        row = f"{variant.name} | {shown} | {float(np.sqrt(np.mean(error**2))):.0f}"
-        print(f"| {row} | {np.mean(error):+.0f} |")
+        ranks = [
+            np.mean(
+                [spearman(found[name].sel(content=each), found["vs"].sel(content=each)) for each in found["content"]]
+            )
+            for name in FEATURES
+        ]
+        errors = {
+            name: vs - laws[name].predict(x) for name, (x, vs) in ((name, columns(found, name)) for name in FEATURES)
+        }
+        alone = (found["vs"] - means).to_numpy()
+        conductance, path = errors.values()
+        row = f"{variant.name} | {ranks[0]:+.2f} | {ranks[1]:+.2f} | {rms(conductance):.0f}"
+        print(f"| {row} | {np.nanmean(conductance):+.0f} | {rms(path):.0f} | {rms(alone):.0f} |")
 
 
-def fit_law(found: xr.Dataset) -> PowerLawFit:
-    """Law of a campaign."""
-    return fit_power_law(found["path_normalized_connectivity"].to_numpy().ravel(), found["vs"].to_numpy().ravel())
+def columns(found: xr.Dataset, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """A feature and Vs of all samples."""
+    return found[name].to_numpy().ravel(), found["vs"].to_numpy().ravel()
+
+
+def spearman(x: xr.DataArray, vs: xr.DataArray) -> float:
+    """Rank correlation of the samples that have both."""
+    return float(stats.spearmanr(x, vs, nan_policy="omit").statistic)
+
+
+def rms(error: np.ndarray) -> float:
+    """Root mean square of the finite values."""
+    return float(np.sqrt(np.nanmean(error**2)))
 
 
 if __name__ == "__main__":

@@ -72,6 +72,27 @@ def test_the_walls_of_a_packing_carry_the_stress_of_the_lid(small: Packing) -> N
     np.testing.assert_array_equal(reactions[:, 1], 0.0)
 
 
+@pytest.mark.parametrize("ratio", [1.0, 0.7])
+def test_the_sides_carry_their_part_of_the_stress(ratio: float) -> None:
+    """On the box at rest, wherever its walls have moved; the fewer stress, the wider, and contacts turn upright."""
+    rule = replace(SMALL, lateral_stress_ratio=ratio)
+    packing = make_packing(rule, SAND, np.random.default_rng(1))
+    left, right, floor, lid = packing.report.wall_stress
+    assert (lid, floor) == pytest.approx((rule.stress, rule.stress), rel=2e-3)
+    assert (left, right) == pytest.approx((ratio * rule.stress, ratio * rule.stress), rel=2e-3)
+    contacts = contact_forces(rebuilt(packing, rule))
+    branch = np.column_stack([packing.x, packing.y])
+    branch = branch[contacts.pairs[:, 1]] - branch[contacts.pairs[:, 0]]
+    normal = branch / np.linalg.norm(branch, axis=1)[:, None]
+    assert ratio == 1.0 or np.average(normal[:, 1] ** 2, weights=contacts.normal) > 0.5
+
+
+def test_a_sample_that_the_sides_cannot_hold_yields_in_words() -> None:
+    """With little friction and a tenth of the stress no packing of disks is stable."""
+    with pytest.raises(PackingError, match=r"yields.*lateral_stress_ratio"):
+        make_packing(replace(SMALL, lateral_stress_ratio=0.1), SAND, np.random.default_rng(1))
+
+
 def test_the_report_of_a_packing_agrees_with_its_disks(small: Packing) -> None:
     """Porosity, contacts, rattlers and overlaps follow from positions and radii."""
     report = small.report
@@ -123,7 +144,7 @@ def test_a_stack_of_disks_under_the_lid_is_pressed_as_hertz_says() -> None:
     radius = np.array([1.2e-3, 1.0e-3, 1.1e-3, 1.3e-3])
     rule = PackingRule(width=0.01, height=float(2.0 * radius.sum()) + 1e-7, diameter=(2e-3, 2.2e-3))
     height = np.cumsum(2.0 * radius) - radius
-    walls = box_walls(rule.width, rule.height, rule.stress * rule.width)
+    walls = box_walls(rule.width, rule.height, rule.stress)
     scene = Scene(np.full(4, 0.005), height, radius, SAND, walls, damping=rule.damping)
     state = relax(scene, None, rule, Cost(expansion_step=1), lambda: None)
     expected = (rule.stress * rule.width / SAND.hertz_coefficient(radius[:-1], radius[1:])) ** (2 / 3)

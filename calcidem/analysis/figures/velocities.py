@@ -88,7 +88,9 @@ def draw_range(
         return figure
     pairs = [pair for panel, _ in parts for pair in zip(*panel.get_legend_handles_labels(), strict=True)]
     legend = {label: handle for handle, label in pairs}
-    figure.legend([*legend.values()], [*legend], loc="outside lower center", ncols=2 if measured else 3)
+    figure.legend(
+        [*legend.values()], [*legend], loc="outside lower center", ncols=3 if len(parts) > 1 and not measured else 2
+    )
     return figure
 
 

@@ -1,6 +1,7 @@
 """Packing by radius expansion in a box and compression by a servo-controlled lid (section 2.2.2 of the paper).
 
-The radii grow stepwise to the initial porosity; then the lid applies its stress. Both follow the PFC manual (radius
+The radii grow stepwise to the initial porosity; then the lid applies its stress, and the right side its own if a ratio
+of stresses is asked for. Both follow the PFC manual (radius
 expansion, wall servo). Disks come to rest by the explicit scheme of Cundall and Strack (1979,
 doi:10.1680/geot.1979.29.1.47) with local damping.
 """
@@ -22,10 +23,10 @@ from calcidem.dem.engine.state import SKIN, advance, choose_features, start
 from calcidem.dem.engine.step_control import UnstableRunError, step_limit
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
-from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingReport, PackingRule, PackingStage
+from calcidem.dem.sample.packing import LID, RIGHT, Packing, PackingError, PackingReport, PackingRule, PackingStage
 
 _FILLING_RATIO = 1e-2  # unbalanced-force ratio at which the lid may start to press
-_STRESS_TOLERANCE = 1e-3  # relative deviation of the lid's stress; ten times finer than promised
+_STRESS_TOLERANCE = 1e-3  # relative deviation of the stress on a pressing wall; ten times finer than promised
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +113,32 @@ def make_packing(
         contacts = contact_forces(state)
         preload = Preload(contacts.pairs, contacts.shear)
     cost.expansion_step += 1
-    lid_force = rule.stress * rule.width
-    scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height, lid_force), damping=rule.damping)
-    state = relax(scene, preload, rule, cost, check)
-    return packing_at_rest(state, rule, cost)
+    scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
+    return press(scene, preload, rule, cost, check)
+
+
+def press(
+    scene: Scene,
+    preload: Preload | None,
+    rule: PackingRule,
+    cost: Cost,
+    check: Callable[[], None],
+    manner: _Manner = _PRESSED,
+) -> Packing:
+    """Packing of disks in a box under the stresses of a rule; `PackingError` as of `relax`."""
+    box = _size_of(scene)
+    while True:
+        walls = box_walls(*box, rule.stress, rule.lateral_stress_ratio)
+        state = relax(replace(scene, walls=walls), preload, rule, cost, check, manner)
+        held = _size_of(state.scene)
+        box = _size_of(state.scene, state)
+        # The walls hold forces, those of the stresses on the box before it gave way.
+        apart = max(abs(before / after - 1.0) for before, after in zip(held, box, strict=True))
+        if rule.lateral_stress_ratio is None or apart < _STRESS_TOLERANCE:
+            return _packing_at_rest(state, rule, cost)
+        x, y = state.position().T
+        contacts = contact_forces(state)
+        scene, preload = replace(scene, x=x.copy(), y=y.copy()), Preload(contacts.pairs, contacts.shear)
 
 
 def _draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
@@ -173,14 +196,24 @@ def _square(value: float) -> float:
     return value * value
 
 
-def box_walls(width: float, height: float, lid_force: float | None = None) -> tuple[Wall, ...]:
-    """Four frictionless walls; a servo holds the force on the lid, if given."""
+def box_walls(
+    width: float, height: float, stress: float | None = None, lateral_ratio: float | None = None
+) -> tuple[Wall, ...]:
+    """Four frictionless walls; servos hold the stress, Pa, on the lid and its ratio on the right side, if given."""
+    lid = None if stress is None else stress * width
+    side = None if stress is None or lateral_ratio is None else lateral_ratio * stress * height
     return (
         Wall((0.0, 0.0), (1.0, 0.0)),
-        Wall((width, 0.0), (-1.0, 0.0)),
+        Wall((width, 0.0), (-1.0, 0.0), servo_force=side, servo_gain=0.9),
         Wall((0.0, 0.0), (0.0, 1.0)),
-        Wall((0.0, height), (0.0, -1.0), servo_force=lid_force, servo_gain=0.9),
+        Wall((0.0, height), (0.0, -1.0), servo_force=lid, servo_gain=0.9),
     )
+
+
+def _size_of(scene: Scene, state: State | None = None) -> tuple[float, float]:
+    """Width and height of a box; given a state, those after the motion of its walls."""
+    right, lid = (0.0, 0.0) if state is None else state.assembly.walls.motion[[RIGHT, LID], NORMAL_PATH, 0].tolist()
+    return scene.walls[RIGHT].point[0] - right, scene.walls[LID].point[1] - lid
 
 
 def relax(
@@ -223,11 +256,15 @@ def relax(
         if manner.apart:
             if ratio < _FILLING_RATIO or overlaps(state).max(initial=0.0) < manner.apart * scene.radius.min():
                 return state
-        elif (
-            ratio < rule.unbalanced_force_ratio
-            and abs(_lid_stress(state, rule) / rule.stress - 1.0) < _STRESS_TOLERANCE
-        ):
+        elif ratio < rule.unbalanced_force_ratio and _stress_apart(state) < _STRESS_TOLERANCE:
             return state
+        if any(
+            abs(now / before - 1.0) > 0.2 for now, before in zip(_size_of(scene, state), _size_of(scene), strict=True)
+        ):
+            raise PackingError(
+                "the sample yields: a wall has moved by a fifth of the box under its stress; choose a "
+                "lateral_stress_ratio nearer to 1, more friction_preparation, or a porosity nearer to that at rest"
+            )
 
 
 def _advance_to_look(state: State, manner: _Manner, unrest: float, limit: Floats | None) -> tuple[State, Floats | None]:
@@ -291,31 +328,36 @@ def _stage_of(cost: Cost, rule: PackingRule, ratios: list[float]) -> PackingStag
 
 def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str:
     """Remedy for a packing with these unbalanced-force ratios; more steps only if the ratio still decreases."""
-    half, stress = len(ratios) // 2, _lid_stress(state, rule)
-    if abs(stress / rule.stress - 1.0) >= _STRESS_TOLERANCE:
-        return f"the lid carries {stress:.3g} of {rule.stress:.3g} Pa; raise most_steps or lower stress"
+    half = len(ratios) // 2
+    if (apart := _stress_apart(state)) >= _STRESS_TOLERANCE:
+        return f"a wall is {apart:.1%} off its part of stress = {rule.stress:g} Pa; raise most_steps or lower stress"
     if half and min(ratios[half:]) > 0.8 * min(ratios[:half]):
         return "raise damping or unbalanced_force_ratio; more steps will not help, since the ratio no longer falls"
     return "raise most_steps, damping or unbalanced_force_ratio"
 
 
-def _lid_stress(state: State, rule: PackingRule) -> float:
-    """Normal stress on the lid, Pa."""
-    return float(wall_reactions(state)[LID, 0]) / rule.width
+def _stress_apart(state: State) -> float:
+    """Largest relative departure of a servo's force from its target."""
+    reactions = wall_reactions(state)[:, 0]
+    return max(
+        abs(float(found) / wall.servo_force - 1.0)
+        for wall, found in zip(state.scene.walls, reactions, strict=True)
+        if wall.servo_force is not None
+    )
 
 
-def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
+def _packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
     """Packing and report of a state at rest; `PackingError` if no disk touches another."""
-    height = rule.height - float(state.assembly.walls.motion[LID, NORMAL_PATH, 0])
+    width, height = _size_of(state.scene, state)
     position = state.position()
     contacts = contact_forces(state)
     if not len(contacts.pairs):
         raise PackingError(f"no two disks touch under the lid: make the box narrower than width = {rule.width:g} m")
     backbone = _coordination_without_rattlers(contacts.pairs, state)
     reactions = wall_reactions(state)[:, 0]
-    lengths = np.array([height, height, rule.width, rule.width])
+    lengths = np.array([height, height, width, width])
     report = PackingReport(
-        porosity=1.0 - float(np.pi * np.sum(state.scene.radius**2)) / (rule.width * height),
+        porosity=1.0 - float(np.pi * np.sum(state.scene.radius**2)) / (width * height),
         coordination_number=2.0 * len(contacts.pairs) / state.scene.count,
         coordination_number_without_rattlers=backbone[0],
         rattlers=backbone[1],
@@ -330,7 +372,7 @@ def packing_at_rest(state: State, rule: PackingRule, cost: Cost) -> Packing:
         x=position[:, 0].copy(),
         y=position[:, 1].copy(),
         radius=np.asarray(state.scene.radius, dtype=float).copy(),
-        width=rule.width,
+        width=width,
         height=height,
         preload=Preload(contacts.pairs, contacts.shear),
         report=report,

@@ -15,7 +15,7 @@ from calcidem.dem.engine.scene import Preload
 from calcidem.dem.kernels.layout import Floats, Integers
 
 WALL_NAMES = ("left", "right", "floor", "lid")
-LID = WALL_NAMES.index("lid")
+RIGHT, LID = WALL_NAMES.index("right"), WALL_NAMES.index("lid")
 PACKING_METHOD = 2
 """Increased when the same rule and generator produce other packings; those of campaigns stay."""
 
@@ -47,6 +47,9 @@ class PackingRule:
         Coulomb coefficient between grains during packing.
     stress
         Vertical stress on the lid, Pa.
+    lateral_stress_ratio
+        Horizontal stress on the right side over that on the lid, held by a servo, too: 1 is isotropic, less is sheared.
+        Without it the sides stand, and the sample determines the ratio, as in an oedometer.
     damping
         Local damping factor during packing.
     unbalanced_force_ratio
@@ -69,6 +72,10 @@ class PackingRule:
     expansion_steps: Annotated[int, Interval(ge=1, le=100)] = 5
     friction_preparation: NotNegative = 0.2
     stress: Annotated[Positive, Unit("Pa")] = 5.0e3
+    lateral_stress_ratio: (
+        Annotated[float, Interval(ge=0.1, le=10.0), "a ratio between 0.1 and 10; leave it out if the sides stand"]
+        | None
+    ) = None
     damping: Annotated[float, Interval(gt=0.0, lt=1.0), "a factor in (0, 1): without it disks never come to rest"] = 0.7
     unbalanced_force_ratio: Annotated[float, Interval(gt=0.0, le=1e-3)] = 1.0e-6  # no equilibrium above this
     most_steps: Annotated[int, Interval(ge=1)] = 2_000_000

@@ -11,7 +11,7 @@ import numpy as np
 from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.scene import Scene
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.sample.compaction import OWN_DISKS, Cost, box_walls, packing_at_rest, relax
+from calcidem.dem.sample.compaction import OWN_DISKS, Cost, box_walls, press
 from calcidem.dem.sample.judgement import LARGEST_OVERLAP, overlapping_pairs
 from calcidem.dem.sample.packing import Packing, PackingFileError, PackingRule, PackingStage
 from calcidem.input_file import MOST_BYTES, read_input
@@ -60,7 +60,7 @@ def packing_from_csv(
     sand
         Material; the rule's friction of preparation replaces its own while the disks come to rest.
     rule
-        Its width, stress, damping and unbalanced-force ratio apply; the file determines sizes and porosity.
+        Its width, stresses, damping and unbalanced-force ratio apply; the file determines sizes and porosity.
     check
         Called every fraction of a second; may raise to end the work.
     watch
@@ -70,10 +70,9 @@ def packing_from_csv(
     height = float(np.max(y + radius))
     boxed = replace(rule, height=height)
     slippery = replace(sand, friction=rule.friction_preparation)
-    walls = box_walls(rule.width, height, rule.stress * rule.width)
     cost = Cost(watch=watch, expansion_step=1)
-    scene = Scene(x, y, radius, slippery, walls, damping=rule.damping)
-    return packing_at_rest(relax(scene, None, boxed, cost, check, OWN_DISKS), boxed, cost)
+    scene = Scene(x, y, radius, slippery, box_walls(rule.width, height), damping=rule.damping)
+    return press(scene, None, boxed, cost, check, OWN_DISKS)
 
 
 def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Floats, Floats, str]:
