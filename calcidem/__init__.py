@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from calcidem.app.studies.laboratory_signal import read_signal
     from calcidem.dem.sample.packing import PackingError
     from calcidem.storage.errors import StoreError
-    from calcidem.sweep.sweep_end import LaunchError, WorkersLostError
+    from calcidem.sweep.schedule import LaunchError, WorkersLostError
 
 __all__ = [
     "PRESETS",
@@ -63,12 +63,12 @@ _HOMES = {
     "PRESETS": "calcidem.app.config.presets",
     "Configuration": "calcidem.app.config.schema",
     "ConfigurationError": "calcidem.app.config.schema",
-    "LaunchError": "calcidem.sweep.sweep_end",
+    "LaunchError": "calcidem.sweep.schedule",
     "PackingError": "calcidem.dem.sample.packing",
     "RunProgress": "calcidem.app.campaign.status",
     "RunStage": "calcidem.app.campaign.status",
     "StoreError": "calcidem.storage.errors",
-    "WorkersLostError": "calcidem.sweep.sweep_end",
+    "WorkersLostError": "calcidem.sweep.schedule",
     "import_packing": "calcidem.app.disks",
     "load_configuration": "calcidem.app.config.reader",
     "load_paper_campaign": "calcidem.app.campaign.opened",

@@ -21,7 +21,7 @@ from calcidem.app.campaign.packing import (
 from calcidem.app.cli.run import Preset
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.netcdf import import_netcdf
 from calcidem.storage.sql.store import Store
 
 PRESETS = Path(presets.__file__).parent

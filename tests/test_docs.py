@@ -25,10 +25,10 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.dem import UnstableRunError
 from calcidem.dem.engine.fields import written
 from calcidem.dem.sample.cement import CementCapacityError
+from calcidem.dem.sample.compaction import SettlingError
 from calcidem.dem.sample.packing import PackingFileError
-from calcidem.dem.sample.settling import SettlingError
 from calcidem.ends import CellStatus, Verdict
-from calcidem.sweep.sweep_end import LaunchError
+from calcidem.sweep.schedule import LaunchError
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -18,8 +18,9 @@ from unchanged import digests
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.main import main
 from calcidem.app.config.presets import preset_text
-from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.ends import CellStatus
+from calcidem.storage.netcdf import export_netcdf
+from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store
 
 PLAN = b'configuration = "good.toml"\ncontents = [5.0]\nseeds = 2\n[[variant]]\nchoice="a"\nvalue="b"'

@@ -18,10 +18,10 @@ from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import load_configuration, read_configuration
 from calcidem.app.config.schema import SECTIONS, CampaignPlan, Configuration, ConfigurationError, Excitation, RunOptions
 from calcidem.dem.engine.fields import FieldError
-from calcidem.dem.engine.material import Cement
+from calcidem.dem.engine.scene import Cement
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.storage.records.canonical import canonical_hash
+from calcidem.storage.encoding import canonical_hash
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -22,11 +22,10 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.reading import Reading, describe_refusal, read_section
-from calcidem.dem.wave.section import Section
-from calcidem.dem.wave.strip_wave import fitness
+from calcidem.dem.wave.section import Section, fitness
 from calcidem.ends import Verdict
+from calcidem.storage.encoding import canonical_json
 from calcidem.storage.records import CampaignRecord
-from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import Store
 
 SEEDS, CONTENT = (1, 2, 3, 4), 0.66

@@ -41,8 +41,9 @@ from calcidem.app.report.tables import (
     significant,
 )
 from calcidem.app.studies.sensitivity import run_studies
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
-from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store, read_campaign
 
 pytestmark = pytest.mark.slow

@@ -41,7 +41,7 @@ _NEEDED = {
 @pytest.fixture(scope="module")
 def exported(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give an exported file of the small campaign."""
-    from calcidem.storage.netcdf.export import export_netcdf  # noqa: PLC0415 - what is tested is what others import
+    from calcidem.storage.netcdf import export_netcdf  # noqa: PLC0415 - what is tested is what others import
     from calcidem.storage.sql.store import read_campaign  # noqa: PLC0415
 
     with read_campaign(small_database) as store:

@@ -24,9 +24,9 @@ from calcidem.app.campaign.plots import CampaignPlots
 from calcidem.app.cli.exit_codes import _EXIT_BAD_INPUT, EXIT_ROUNDING
 from calcidem.app.cli.main import PANELS, _build_application
 from calcidem.app.config.examples import key_references
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.sql.store import Store
-from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE
+from calcidem.sweep.schedule import EXIT_ERROR, EXIT_RESUMABLE
 
 FILE = Path(__file__).with_name("promise.json")
 

@@ -11,7 +11,7 @@ from unchanged import digests
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.main import _build_application
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.netcdf import import_netcdf
 from calcidem.storage.sql.store import Store
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -26,7 +26,7 @@ from calcidem.storage.errors import (
     StoreError,
     StoreUnavailableError,
 )
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.sql import reading
 from calcidem.storage.sql.engine import find_damage
 from calcidem.storage.sql.lease import Lease, replace_database

@@ -14,13 +14,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
-from calcidem.analysis.shear_wave import median_diameter_by_mass, wavelengths
+from calcidem.analysis.velocity import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.identity import physics_version
 from calcidem.app.campaign.packing import cache_folder, packing_record, stored_packing
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
-from calcidem.dem.sample.cement import CementCapacityError, CementOrdering, PlacedCement, content_of_contacts
-from calcidem.dem.sample.own_pattern import GIVEN, Pattern, UnknownPatternError, give_patterns
+from calcidem.dem.sample.cement import (
+    GIVEN,
+    CementCapacityError,
+    CementOrdering,
+    Pattern,
+    PlacedCement,
+    UnknownPatternError,
+    content_of_contacts,
+    give_patterns,
+)
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import Check, check_content, kernels_of
 from calcidem.dem.wave.experiment import Experiment
@@ -28,9 +36,8 @@ from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.reading import PickRule, Reading, read_section
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.dem.wave.section import RESOLUTION, Section
+from calcidem.dem.wave.section import RESOLUTION, Section, clamp_of_strip
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
-from calcidem.dem.wave.strip_wave import clamp_of_strip
 from calcidem.ends import Verdict
 from calcidem.storage.errors import OutputRefusedError, StoreError
 from calcidem.storage.files import write_atomically
@@ -45,8 +52,8 @@ from calcidem.storage.records import (
     RecordedSection,
 )
 from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.processes import keep_freed_memory
-from calcidem.sweep.sweep_end import LaunchError
+from calcidem.sweep.ranks import keep_freed_memory
+from calcidem.sweep.schedule import LaunchError
 from calcidem.version import __version__
 
 if TYPE_CHECKING:

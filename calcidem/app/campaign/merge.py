@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from calcidem.app.campaign.identity import physics_version
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError, StoreError
-from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
+from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, PackingRecord
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import replace_database
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
-from calcidem.sweep.progress import first_of
+from calcidem.sweep.schedule import first_of
 
 _Values: TypeAlias = tuple[Any, ...] | None
 """`EXACT_QUANTITIES` of a done cell, else None."""

@@ -23,13 +23,10 @@ import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_cells
 from calcidem.analysis.dispersion import Dispersion
-from calcidem.analysis.distribution import budget_dataset, describe_contents, tabulate
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES
-from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
-from calcidem.analysis.outcomes import name_outcomes
+from calcidem.analysis.distribution import budget_dataset, describe_contents, name_outcomes, tabulate
+from calcidem.analysis.fits import FEWEST_ROWS, Prediction, VelocityPredictor, check_samples
 from calcidem.analysis.packing_graph import Feature, PackingGraph, installed_features
-from calcidem.analysis.predictor import FEWEST_ROWS, Prediction, VelocityPredictor, check_samples
-from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
+from calcidem.analysis.velocity import BUDGET_QUANTITIES, NOTE_QUANTITIES, damping_ratio, notes_on, small_strain_modulus
 from calcidem.app.campaign.cells import pattern_of, stored_experiment, with_patterns
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -37,9 +34,9 @@ from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.cement import CementCapacityError, CementKind
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import write_packing_csv
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.scene import wave_scene
+from calcidem.dem.wave.experiment import Experiment, wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
+from calcidem.ends import CellStatus
 from calcidem.storage.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
@@ -48,13 +45,12 @@ from calcidem.storage.records import (
     AttemptRecord,
     CampaignRecord,
     CellResult,
-    CellStatus,
     CementPattern,
     PackingRecord,
     RecordedSection,
     RunRecord,
+    depends_on_pulse,
 )
-from calcidem.storage.records.error_budget import depends_on_pulse
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Closable, Selection
 
@@ -322,7 +318,7 @@ class Campaign(Closable):
         kurtosis, Jarque-Bera test, confidence and prediction intervals. They are over distinct samples with a velocity:
         without cement all seeds are one sample, and the interval is that of its error. Intervals cover the seeds of one
         packing. Errors of the velocities are medians of the relative standard errors, and the standard deviation by
-        reading errors alone (m/s), see `calcidem.analysis.error_budget`.
+        reading errors alone (m/s), see `calcidem.analysis.velocity`.
 
         Examples
         --------
@@ -404,7 +400,7 @@ class Campaign(Closable):
 
         Nothing is simulated. Give a seed, whose cement is drawn and which takes no part in the fit, or a cement
         pattern; without both the prediction uses the content alone. The feature of the cement is its conductance, see
-        `contact_network.NETWORK_FEATURES`. `QueryError` if the campaign has too few velocities at the content, or if
+        `packing_graph.NETWORK_FEATURES`. `QueryError` if the campaign has too few velocities at the content, or if
         the pattern does not match it.
 
         Examples

@@ -32,9 +32,9 @@ from calcidem.app.campaign.status import (
 )
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.sample.own_pattern import Pattern, give_patterns
+from calcidem.dem.sample.cement import Pattern, give_patterns
 from calcidem.dem.sample.packing import Packing, PackingStage
-from calcidem.ends import DECIDED_BY_PHYSICS
+from calcidem.ends import DECIDED_BY_PHYSICS, CellStatus
 from calcidem.storage.errors import (
     ForeignDatabaseError,
     LeaseHeldError,
@@ -42,19 +42,22 @@ from calcidem.storage.errors import (
     StoreLockedError,
     StoreUnavailableError,
 )
-from calcidem.storage.records import AttemptCount, CellKey, CellResult, CellStatus, PackedResult
+from calcidem.storage.records import AttemptCount, CellKey, CellResult, PackedResult
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
-from calcidem.sweep.attempt import SweepInterrupted
-from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.environment import COMMAND_VARIABLE, refuse_singletons
-from calcidem.sweep.outcome import BatchOutcome
-from calcidem.sweep.processes import keep_freed_memory
+from calcidem.sweep.attempt import StopRequest, SweepInterrupted
+from calcidem.sweep.batch import Batch, BatchOutcome, Cell
+from calcidem.sweep.ranks import COMMAND_VARIABLE, keep_freed_memory, refuse_singletons
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE
-from calcidem.sweep.signals import StopRequest
-from calcidem.sweep.sweep_end import EXIT_RESUMABLE, LaunchError, SweepEnd, SweepState, WorkersLostError
+from calcidem.sweep.schedule import (
+    EXIT_RESUMABLE,
+    LOSSES_BEFORE_QUARANTINE,
+    LaunchError,
+    SweepEnd,
+    SweepState,
+    WorkersLostError,
+)
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign  # for statistics, which the ranks do not need
@@ -545,7 +548,7 @@ class StoreSink:
             reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
             keys = [CellKey(*cell) for cell in outcome.batch.cells]
             found = [CellResult(key, outcome.failure.kind, reason, seconds=seconds).packed() for key in keys]
-        origin = {"rank": outcome.place.rank, "host": outcome.place.host}
+        origin = {"rank": outcome.rank, "host": outcome.host}
         found = [
             replace(result, columns=result.columns | origin | {"attempt": self._attempt_of(result.key)})
             for result in found

@@ -19,20 +19,19 @@ from rich.progress import Progress as Bars
 from rich.table import Column
 from rich.text import Text
 
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES, ErrorBudget, are_samples, error_budget
 from calcidem.analysis.intervals import Interval
+from calcidem.analysis.velocity import BUDGET_QUANTITIES, ErrorBudget, are_samples, error_budget
 from calcidem.app.campaign.notices import listening, printable, tell
 from calcidem.dem.sample.packing import PackingStage
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError
 from calcidem.storage.passwords import hide_passwords
-from calcidem.storage.records import CellKey, CellStatus, RunRecord
+from calcidem.storage.records import CellKey, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
-from calcidem.sweep.batch import Batch
-from calcidem.sweep.environment import launcher
-from calcidem.sweep.outcome import BatchOutcome
-from calcidem.sweep.progress import Progress, duration, pluralize
-from calcidem.sweep.sweep_end import SweepEnd
+from calcidem.sweep.batch import Batch, BatchOutcome
+from calcidem.sweep.ranks import launcher
+from calcidem.sweep.schedule import Progress, SweepEnd, duration, pluralize
 
 STATUS_QUANTITIES = ("seed", "content", "status", "seconds", *BUDGET_QUANTITIES)
 """Quantities of each cell that the status needs."""
@@ -337,7 +336,7 @@ class RunProgress:
     finished, total
         Cells with an outcome, and all planned cells of this run.
     outcomes
-        Numbers of cells by outcome, with the names of `calcidem.storage.records.CellStatus`.
+        Numbers of cells by outcome, with the names of `calcidem.ends.CellStatus`.
     contents
         (content in percent, finished cells, planned cells), ascending.
     """
@@ -518,7 +517,7 @@ class ProgressReporter(Progress):
         """Report a failure."""
         if outcome.failure is not None:
             cells = ", ".join(f"seed {seed}, {content:g} %" for seed, content in outcome.batch.cells)
-            place = f"rank {outcome.place.rank} ({outcome.place.host})"
+            place = f"rank {outcome.rank} ({outcome.host})"
             tell(f"{outcome.failure.kind}: {cells} on {place}: {outcome.failure.message}")
 
     def on_heartbeat(self) -> None:

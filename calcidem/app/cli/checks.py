@@ -21,8 +21,7 @@ from calcidem.app.cli.options import (
     parse_percentage,
 )
 from calcidem.app.cli.output import Format, FormatOption, tell_rows, tell_study
-from calcidem.sweep.progress import pluralize
-from calcidem.sweep.sweep_end import EXIT_ERROR
+from calcidem.sweep.schedule import EXIT_ERROR, pluralize
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign

@@ -45,7 +45,7 @@ def export_command(
     as CSV (x, y, radius in m).
     """
     if seed is None and content is None:
-        from calcidem.storage.netcdf.export import export_netcdf
+        from calcidem.storage.netcdf import export_netcdf
         from calcidem.storage.sql.store import read_campaign
 
         if out.suffix.lower() in {".vtu", ".csv"}:
@@ -125,7 +125,7 @@ def _import_campaign(file: Path, database: str) -> None:
     """Rebuild a campaign's database from its exported file."""
     from calcidem.app.campaign.packing import stored_packing
     from calcidem.storage.errors import DamagedStoreError, InvalidRecordError
-    from calcidem.storage.netcdf.import_netcdf import import_netcdf
+    from calcidem.storage.netcdf import import_netcdf
     from calcidem.storage.sql.engine import Address
     from calcidem.storage.sql.lease import replace_database
     from calcidem.storage.sql.store import Store

@@ -26,7 +26,7 @@ from calcidem.storage.errors import (
     StoreLockedError,
 )
 from calcidem.storage.passwords import hide_passwords
-from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepError
+from calcidem.sweep.schedule import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepError
 from calcidem.version import __version__
 
 _EXIT_BAD_INPUT = 2

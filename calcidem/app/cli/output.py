@@ -18,7 +18,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from calcidem.app.campaign.notices import printable
-from calcidem.sweep.environment import launcher
+from calcidem.sweep.ranks import launcher
 
 if TYPE_CHECKING:
     from calcidem.app.studies.study import StudyResult

@@ -30,11 +30,10 @@ from calcidem.app.cli.options import (
     progress_bar,
 )
 from calcidem.app.cli.output import Format, FormatOption, RecordRows, tell_rows
-from calcidem.ends import Verdict
+from calcidem.ends import CellStatus, Verdict
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import CellStatus
 from calcidem.storage.store import Selection
-from calcidem.sweep.progress import pluralize
+from calcidem.sweep.schedule import pluralize
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign
@@ -334,7 +333,6 @@ def show_command(
 
     With --out also figures: cement, path, signals, and the section with the candidates for the S wave.
     """
-    from calcidem.app.cli.results import as_rows
     from calcidem.storage.records import QUANTITY_BY_NAME
     from calcidem.storage.sql.store import read_campaign
     from calcidem.storage.store import Selection

@@ -19,7 +19,7 @@ from calcidem.app.cli.options import (
     refuse_options,
 )
 from calcidem.app.config.presets import PRESETS, preset_text, slurm_job
-from calcidem.sweep.progress import first_of, pluralize
+from calcidem.sweep.schedule import first_of, pluralize
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -201,8 +201,8 @@ def run_command(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )
     with _live_page(configuration, overrides) if serve else nullcontext():
+        from calcidem.sweep.attempt import StopRequest
         from calcidem.sweep.ranks import run_on_ranks
-        from calcidem.sweep.signals import StopRequest
 
         load = partial(_read_overridden, configuration, overrides, retry or ())
         if ranks is not None and ranks != 1:
@@ -255,7 +255,7 @@ def _make_packing_alone(configuration: "Configuration") -> None:
 def _live_page(configuration: Path, overrides: dict[str, str | None]) -> AbstractContextManager[None]:
     """Live page of the campaign while the command runs."""
     from calcidem.app.serve.address import page_beside_run
-    from calcidem.sweep.environment import launcher
+    from calcidem.sweep.ranks import launcher
 
     if launcher() is not None:
         raise typer.BadParameter(
@@ -278,7 +278,7 @@ def _read_overridden(
         tell(f"Note: {place}. To continue it, stop this run and give --db {beside}")
     if retry:
         from calcidem.app.campaign.run import retry_cells
-        from calcidem.storage.records import CellStatus
+        from calcidem.ends import CellStatus
 
         pending = retry_cells(loaded, [CellStatus(outcome.value) for outcome in retry])
         head = f"{pluralize(len(pending), 'cell')} to compute again:" if pending else "There is nothing to retry."

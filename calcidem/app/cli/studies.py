@@ -25,8 +25,8 @@ from calcidem.app.cli.options import (
 from calcidem.app.cli.output import Format, FormatOption, tell_rows
 from calcidem.input_file import read_input
 from calcidem.storage.records import P_CONTACT, CementPattern
-from calcidem.sweep.environment import available_cores
-from calcidem.sweep.sweep_end import EXIT_ERROR
+from calcidem.sweep.ranks import available_cores
+from calcidem.sweep.schedule import EXIT_ERROR
 from calcidem.table import Table
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from calcidem.analysis.error_budget import are_samples, median_known
 from calcidem.analysis.intervals import is_in_doubt
-from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, small_strain_modulus
+from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, are_samples, median_known, small_strain_modulus
 from calcidem.app.campaign.notices import printable, tell
 from calcidem.app.campaign.status import (
     FEWEST_TO_PLAN,
@@ -32,17 +31,16 @@ from calcidem.app.cli.output import WholeTable, format_number, make_console, mak
 from calcidem.app.config.examples import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import WALL_NAMES, Packing
-from calcidem.ends import Verdict
-from calcidem.storage.records import CellStatus
-from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT
+from calcidem.ends import CellStatus, Verdict
+from calcidem.storage.records import MOST_PULSE_EFFECT
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.environment import COMMAND_VARIABLE, available_cores, launcher
-from calcidem.sweep.progress import duration, first_of, pluralize
+from calcidem.sweep.ranks import COMMAND_VARIABLE, available_cores, launcher
+from calcidem.sweep.schedule import duration, first_of, pluralize
 
 if TYPE_CHECKING:
-    from calcidem.analysis.planning import SeedPlan
+    from calcidem.analysis.intervals import SeedPlan
 
 
 class TerminalView:
@@ -76,7 +74,7 @@ class TerminalView:
         """Show the velocities, export them and write the report if requested; in haste show them only."""
         if self.is_told_by_command:
             return
-        from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf  # imported after the cells
+        from calcidem.storage.netcdf import belongs_to_another, export_netcdf  # imported after the cells
 
         plan = configuration.campaign
         self.console.print(_vs_table(store, Selection(None if plan.until else plan.seed_numbers, plan.contents)))
@@ -306,7 +304,7 @@ def _trouble_line(trouble: Trouble) -> str:
 
 def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":
     """Seeds that a content needs for a half-width in m/s; None if its scatter is unknown."""
-    from calcidem.analysis.planning import SeedPlan  # statistics of SciPy, which take half a second
+    from calcidem.analysis.intervals import SeedPlan  # statistics of SciPy, which take half a second
 
     if len(content.vs) < FEWEST_TO_PLAN:
         return None

@@ -17,18 +17,16 @@ from annotated_types import Interval, Predicate, Unit
 
 from calcidem.dem.engine.fields import Positive, checked, field_hints, quote, require, table_of
 from calcidem.dem.engine.fields import Problem as Problem  # noqa: PLC0414 - for all who raise the error
-from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.scene import Installation
+from calcidem.dem.engine.scene import Cement, Installation, Sand
 from calcidem.dem.kernels.features import LANE_COUNTS
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment, suitable_frequency
-from calcidem.dem.wave.pulse import EXCITATION
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.rule import EXCITATION, WaveRule
+from calcidem.storage.encoding import canonical_hash, canonical_json
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import LARGEST_SEED, CampaignRecord, canonical_content
-from calcidem.storage.records.canonical import canonical_hash, canonical_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only

@@ -14,14 +14,14 @@ import xarray as xr
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlations
 from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
-from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render, save
+from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.analysis.measured import Target
-from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
 from calcidem.analysis.packing_graph import installed_features
+from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
 from calcidem.app.campaign.cells import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
@@ -29,9 +29,9 @@ from calcidem.app.report.tables import ABSENT, Table, decimal
 from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
-from calcidem.storage.netcdf.export import write_netcdf
+from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.sweep.progress import duration
+from calcidem.sweep.schedule import duration
 
 _MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",
@@ -317,8 +317,8 @@ def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dic
     exact: dict[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
         "distributions": lambda analysis: tabulate(analysis.distributions),
         "features": lambda analysis: analysis.table,
-        "correlations_overall": lambda analysis: analysis.correlations.overall,
-        "correlations_within_content": lambda analysis: analysis.correlations.within,
+        "correlations_overall": lambda analysis: correlations(analysis.table).overall,
+        "correlations_within_content": lambda analysis: correlations(analysis.table).within,
         "correlations_by_content": lambda analysis: analysis.content_correlations,
     }
     for name, gather in exact.items():

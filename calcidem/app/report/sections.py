@@ -17,11 +17,11 @@ from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import is_covered, misfits, root_mean_square_misfit
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
-from calcidem.analysis.shear_wave import median_diameter_by_mass
+from calcidem.analysis.velocity import median_diameter_by_mass
 from calcidem.app.report.tables import ABSENT, RESULT_TABLES, Table, decimal, significant, with_bounds
+from calcidem.storage.encoding import flat_parameters
 from calcidem.storage.records import RunRecord
-from calcidem.storage.records.canonical import flat_parameters
-from calcidem.sweep.progress import duration
+from calcidem.sweep.schedule import duration
 
 Made = TypeVar("Made")
 

@@ -10,16 +10,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.contact_network import NETWORK_FEATURES
-from calcidem.analysis.correlation import Correlations, correlate, seed_permutation_test
-from calcidem.analysis.error_budget import median_known
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlation_tests, correlations
 from calcidem.analysis.intervals import Interval
-from calcidem.analysis.packing_graph import FEATURES, describe_feature
+from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES, describe_feature
 from calcidem.analysis.published import published_study
-from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, damping_ratio, small_strain_modulus
+from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, damping_ratio, median_known, small_strain_modulus
 from calcidem.ends import Verdict
-from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT, NORMAL_95
+from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95
 
 ABSENT = "\N{EN DASH}"
 
@@ -228,15 +225,13 @@ def _own_table(analysis: CampaignAnalysis) -> Table | None:
     """Features of other packages, and their correlation with Vs; None without any."""
     if not analysis.features:
         return None
-    table = analysis.own_table
     told = {name: (name.replace("_", " "), describe_feature(feature)) for name, feature in analysis.features.items()}
-    return _correlation_table("other packages", told, correlate(table), seed_permutation_test(table, "vs"))
+    return _correlation_table("other packages", told, analysis.own_table)
 
 
-def _correlation_table(
-    subject: str, features: Mapping[str, tuple[str, str]], matrices: Correlations, tests: xr.Dataset
-) -> Table:
+def _correlation_table(subject: str, features: Mapping[str, tuple[str, str]], table: xr.Dataset) -> Table:
     """Features with symbol and definition, and their correlation with Vs."""
+    matrices, tests = correlations(table), correlation_tests(table)
 
     def coefficient(matrix: xr.Dataset, name: str) -> str:
         cell = matrix.sel(variable=name, other="vs")
@@ -370,11 +365,9 @@ RESULT_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "meaning": _meaning_table,
     "outcomes": _outcome_table,
     "growth": _growth_table,
-    "features": lambda analysis: _correlation_table(
-        "the preferential path", FEATURES, analysis.correlations, analysis.feature_tests
-    ),
+    "features": lambda analysis: _correlation_table("the preferential path", FEATURES, analysis.table),
     "network_features": lambda analysis: _correlation_table(
-        "the cement as a network", NETWORK_FEATURES, analysis.network_correlations, analysis.network_tests
+        "the cement as a network", NETWORK_FEATURES, analysis.network_table
     ),
     "own_features": _own_table,
     "laws": _law_table,

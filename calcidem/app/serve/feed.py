@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES
 from calcidem.analysis.packing_graph import PackingGraph
+from calcidem.analysis.velocity import BUDGET_QUANTITIES
 from calcidem.app.campaign.cells import with_patterns
 from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
 from calcidem.app.report.cell_data import (
@@ -27,10 +27,11 @@ from calcidem.app.report.cell_data import (
     packing_block,
 )
 from calcidem.app.report.tables import EXCEPTIONAL, count_reasons
-from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Sand
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError
 from calcidem.storage.passwords import hide_passwords
-from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
+from calcidem.storage.records import QUANTITY_BY_NAME
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection, StoreMark

@@ -52,7 +52,7 @@ from calcidem.app.serve.feed import CampaignFeed, Event
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.passwords import hide_passwords, keep_passwords_back
 from calcidem.storage.records import LARGEST_SEED, canonical_content, checked_seed
-from calcidem.sweep.environment import available_cores
+from calcidem.sweep.ranks import available_cores
 
 T = TypeVar("T")
 

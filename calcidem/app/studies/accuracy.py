@@ -28,15 +28,13 @@ from calcidem.app.studies.study import (
     signal_distance,
 )
 from calcidem.dem.wave.check import cheapest_law
-from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.experiment import Experiment, domain_of
 from calcidem.dem.wave.measurement import Measurement
-from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.reading import smooth
-from calcidem.dem.wave.rule import WHOLE_DOMAIN, Law
-from calcidem.dem.wave.scene import domain_of
+from calcidem.dem.wave.rule import WHOLE_DOMAIN, Law, Pulse
 from calcidem.input_file import read_text
 from calcidem.storage.errors import OutputRefusedError
-from calcidem.storage.records.error_budget import NORMAL_95
+from calcidem.storage.records import NORMAL_95
 
 DEFAULT = "default"
 REFERENCE_SAMPLES = 1600  # samples per period of the pulse

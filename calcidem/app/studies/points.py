@@ -22,7 +22,7 @@ from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import SECTIONS, Configuration, ConfigurationError, Problem
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
-from calcidem.sweep.processes import die_with_parent
+from calcidem.sweep.ranks import die_with_parent
 
 
 @dataclass(frozen=True, slots=True)

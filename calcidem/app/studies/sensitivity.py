@@ -17,8 +17,8 @@ import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
-from calcidem.analysis.sensitivity import Change, paired_changes
+from calcidem.analysis.distribution import Change, paired_changes
+from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.app.campaign.cells import stored_experiment
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run

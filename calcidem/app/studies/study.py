@@ -26,7 +26,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
 from calcidem.dem.wave.section import Section
 from calcidem.storage.files import write_text_atomically
-from calcidem.storage.netcdf.export import write_netcdf
+from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store
 
 

@@ -24,8 +24,9 @@ from calcidem.app.studies.study import Cells
 from calcidem.app.studies.verify import Agreement, _compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import CampaignMismatchError
-from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 

@@ -25,7 +25,7 @@ from calcidem.dem.engine.fields import FieldError, Problem
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import spreadsheet_value
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.sql.store import Store
 
 Change = Callable[[Configuration], Configuration]

@@ -13,16 +13,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import netCDF4
-
 from calcidem.input_file import open_input
 from calcidem.storage.errors import DamagedStoreError
 
 _TIME_FOR_A_BLOCK = 30.0
 """Seconds for opening a file, and for reading each block."""
-
-_BLOCK = 1 << 20
-"""Number of elements read at a time."""
 
 _ERRORS_OF_READING = (OSError, RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
 
@@ -43,7 +38,7 @@ def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False)
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        env={"HDF5_USE_FILE_LOCKING": "FALSE"} | os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
     )
     if ended.returncode != 0:
         raise DamagedStoreError(
@@ -54,6 +49,8 @@ def refuse_unreadable(path: str | os.PathLike[str], *, names_only: bool = False)
 
 def _read_file(path: str, seconds: float, amount: str) -> None:
     """Open and read the file; a thread that needs no lock ends the process if reading does not return."""
+    import netCDF4  # noqa: PLC0415 - the process that starts this one sets how it locks files first
+
     faulthandler.dump_traceback_later(seconds, exit=True)
     with suppress(*_ERRORS_OF_READING), netCDF4.Dataset(path, "r") as file:
         file.set_auto_mask(False)
@@ -67,7 +64,7 @@ def _read(group: Any, seconds: float, most: int) -> None:  # noqa: ANN401 - the 
         if math.prod(variable.shape) * getattr(variable.dtype, "itemsize", 8) > most:
             sys.exit(1)
         with suppress(*_ERRORS_OF_READING):
-            rows = max(_BLOCK // (math.prod(variable.shape[1:]) or 1), 1)
+            rows = max((1 << 20) // (math.prod(variable.shape[1:]) or 1), 1)  # a million elements at a time
             for start in range(0, variable.shape[0] if variable.shape else 1, rows):
                 faulthandler.dump_traceback_later(seconds, exit=True)
                 _ = variable[start : start + rows] if variable.shape else variable[...]
