@@ -146,7 +146,7 @@ _TIME_LIMIT = 600.0
 
 _PROGRAM = """
 import os, runpy, sys
-from calcidem.sweep.processes import die_with_parent
+from calcidem.sweep.ranks import die_with_parent
 parent = int(sys.argv.pop(1))
 if sys.platform == "linux":
     die_with_parent(parent)
