@@ -17,16 +17,17 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_record
-from calcidem.app.campaign.task import cell_result
+from calcidem.app.campaign.cells import cell_result
+from calcidem.app.campaign.packing import packing_from_bytes, packing_record
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import write_report
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, RunRecord
-from calcidem.storage.records.canonical import canonical_json
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_json
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, RunRecord
 from calcidem.storage.sql.store import Store
 
 sys.path.append(str(Path(__file__).parent))  # marked_processes.py and others, which tests use

@@ -12,19 +12,18 @@ import pytest
 from calcidem.app.campaign import identity
 from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing import packing_record, stored_packing
 from calcidem.app.campaign.run import run
-from calcidem.app.campaign.stored_packing import packing_record, stored_packing
 from calcidem.app.config import schema
 from calcidem.app.config.schema import PHYSICS_VERSION, CampaignPlan, Configuration
 from calcidem.app.report.page import write_report
 from calcidem.app.report.sections import PAGE_SECTIONS
 from calcidem.app.studies.verify import random_cells, verify
+from calcidem.dem.sample.cement import RandomPurpose, random_generator
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
-from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.netcdf import export_netcdf, import_netcdf
 from calcidem.storage.sql.store import Store
 
 pytestmark = pytest.mark.slow

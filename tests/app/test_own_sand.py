@@ -10,8 +10,7 @@ import pytest
 
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.checks import check_against_packing
-from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.own_sand import (
+from calcidem.app.config.examples import (
     OwnDisks,
     OwnSand,
     parse_quantity,
@@ -20,7 +19,7 @@ from calcidem.app.config.own_sand import (
     uniform_limits,
 )
 from calcidem.app.config.reader import read_configuration
-from calcidem.app.config.schema import Configuration, Excitation
+from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import packing_from_csv, write_disks_csv
 from calcidem.dem.wave.measurement import measure

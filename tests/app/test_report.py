@@ -23,7 +23,6 @@ from calcidem.app.report import cell_data
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
 from calcidem.app.report.page import _MEANINGS, _as_numbers, _explained_terms, _write_files, unnamed_page, write_report
-from calcidem.app.report.results import _growth_table, _outcome_table, _velocity_table
 from calcidem.app.report.sections import (
     TABLES,
     _configuration_table,
@@ -31,10 +30,20 @@ from calcidem.app.report.sections import (
     _published_table,
     make_or_explain,
 )
-from calcidem.app.report.wording import ABSENT, Table, decimal, probability, significant
-from calcidem.app.studies.frequency_and_damping import run_studies
+from calcidem.app.report.tables import (
+    ABSENT,
+    Table,
+    _growth_table,
+    _outcome_table,
+    _velocity_table,
+    decimal,
+    probability,
+    significant,
+)
+from calcidem.app.studies.sensitivity import run_studies
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
-from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store, read_campaign
 
 pytestmark = pytest.mark.slow

@@ -21,15 +21,13 @@ from live_page import ADDRESS, PATIENCE, Live, serve, start
 
 from calcidem.app.campaign.status import CampaignStatus
 from calcidem.app.serve.address import PageAddress, page_beside_run
-from calcidem.app.serve.columns import CellColumns
-from calcidem.app.serve.feed import CampaignFeed
-from calcidem.app.serve.hub import Hub
-from calcidem.app.serve.movies import MovieMaker
-from calcidem.app.serve.server import LivePage
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
-from calcidem.storage.records.canonical import canonical_hash
+from calcidem.app.serve.feed import CampaignFeed, CellColumns
+from calcidem.app.serve.server import Hub, LivePage, MovieMaker
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_hash
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult
 from calcidem.storage.sql.store import Store
-from calcidem.sweep.environment import available_cores
+from calcidem.sweep.ranks import available_cores
 
 pytestmark = pytest.mark.slow
 

@@ -11,8 +11,8 @@ from calcidem.app.studies import stability as study
 from calcidem.app.studies.stability import SceneVerdict, stability
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.experiment import wave_scene
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.scene import wave_scene
 from calcidem.ends import CellStatus
 
 sys.path.append(str(CHECKOUT / "benchmarks" / "stability"))

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
+from calcidem.dem.engine.scene import Bonds, Cement, Preload, Sand, Scene, Wall
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import Packing, PackingReport

@@ -5,9 +5,8 @@ import pytest
 from scenes import BONDED, GROUPED, RADIUS, SOFT, SOFT_CEMENT, pair_scene
 
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Cement
 from calcidem.dem.engine.readout import contact_forces
-from calcidem.dem.engine.scene import Bonds, Installation, Preload
+from calcidem.dem.engine.scene import Bonds, Cement, Installation, Preload
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.layout import NORMAL, SHEAR
 

@@ -8,8 +8,7 @@ import pytest
 from scenes import ACCOUNT, BONDED, GROUPED, HERTZ, LINEAR, SOFT_CEMENT, jumble, throw
 
 from calcidem.dem.engine import leapfrog
-from calcidem.dem.engine.bundles import plan_bundles
-from calcidem.dem.engine.leapfrog import State
+from calcidem.dem.engine.leapfrog import State, plan_bundles
 from calcidem.dem.engine.scene import Bonds, Precision, Regime, Scene
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import ABREAST, Features

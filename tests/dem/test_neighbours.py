@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scenes import GROUPED, HERTZ, RADIUS, SOFT, SOFT_CEMENT, jumble, throw
 
 from calcidem.dem.engine import state as state_module
-from calcidem.dem.engine.assembly import assemble, is_among, near_pairs
-from calcidem.dem.engine.histories import listed_pairs
+from calcidem.dem.engine.assembly import assemble, is_among, listed_pairs, near_pairs
 from calcidem.dem.engine.leapfrog import State, _renew_neighbours
 from calcidem.dem.engine.readout import contact_forces
 from calcidem.dem.engine.scene import Bonds, Regime, Scene, Wall

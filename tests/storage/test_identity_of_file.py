@@ -18,7 +18,7 @@ import pytest
 from forked import ForkedProgram
 
 from calcidem.app.campaign.merge import merge_databases
-from calcidem.app.cli.import_ import _import_campaign
+from calcidem.app.cli.exchange import _import_campaign
 from calcidem.storage.errors import (
     DamagedStoreError,
     LeaseHeldError,
@@ -26,7 +26,7 @@ from calcidem.storage.errors import (
     StoreError,
     StoreUnavailableError,
 )
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.sql import reading
 from calcidem.storage.sql.engine import find_damage
 from calcidem.storage.sql.lease import Lease, replace_database
@@ -81,7 +81,7 @@ def import_of(source: Path, target: Path) -> None:
     with Store(source, read_only=True) as store:
         store.use_campaign()
         file = export_netcdf(store, source.with_suffix(".nc"))
-    with mock.patch("calcidem.app.campaign.stored_packing.stored_packing"):
+    with mock.patch("calcidem.app.campaign.packing.stored_packing"):
         _import_campaign(file, str(target))
 
 
