@@ -17,6 +17,7 @@ from calcidem.app.campaign.run import run
 from calcidem.app.config import schema
 from calcidem.app.config.schema import PHYSICS_VERSION, CampaignPlan, Configuration
 from calcidem.app.report.page import write_report
+from calcidem.app.report.sections import PAGE_SECTIONS
 from calcidem.app.studies.verify import random_cells, verify
 from calcidem.dem.sample.cement import RandomPurpose, random_generator
 from calcidem.dem.sample.compaction import make_packing
@@ -136,8 +137,11 @@ def test_an_earlier_physics_version_is_still_read(small_database: Path, tmp_path
         assert list(merged.select(with_arrays=True)) == expected
 
 
-def test_the_database_of_an_earlier_calcidem_is_read_but_not_continued(tmp_path: Path) -> None:
+def test_the_database_of_an_earlier_calcidem_is_read_but_not_continued(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What physics version 1 computed is opened, reported and exported; a run names both versions."""
+    monkeypatch.setattr("calcidem.app.report.page.PAGE_SECTIONS", PAGE_SECTIONS[:1])  # figures take seconds
     former = Path(shutil.copy(TUTORIAL, tmp_path / "former.db"))
     with sqlite3.connect(former) as connection:
         connection.execute("UPDATE campaign SET config = json_set(config, '$.physics_version', 1)")

@@ -39,7 +39,12 @@ def part_with_velocity(own: OwnSand, seeds: int) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "own", [("0.1mm", "1MPa", "carbonate"), ("5mm", "20kPa", "quartz"), ("0.1mm,0.3mm,0.9mm", "1bar", "glass")]
+    "own",
+    [
+        pytest.param(("0.1mm", "1MPa", "carbonate"), marks=pytest.mark.full),  # some seconds each
+        pytest.param(("5mm", "20kPa", "quartz"), marks=pytest.mark.full),
+        ("0.1mm,0.3mm,0.9mm", "1bar", "glass"),
+    ],
 )
 def test_a_written_configuration_needs_no_edit(own: tuple[str, str, str]) -> None:
     """Sands unlike the paper's have the velocity that the file expects, also those of many sizes."""

@@ -181,7 +181,7 @@ def run_in_terminal(workshop: "Workshop", *arguments: str) -> Iterator[str]:
 )
 @pytest.mark.parametrize(
     ("ranks", "own_packing"),
-    [(3, False), pytest.param(3, True, marks=pytest.mark.full), pytest.param(1, True, marks=pytest.mark.full)],
+    [(2, False), pytest.param(3, True, marks=pytest.mark.full), pytest.param(1, True, marks=pytest.mark.full)],
 )
 def test_a_terminal_is_never_without_news(workshop: "Workshop", ranks: int, own_packing: bool) -> None:
     """Frames advance through all stages, the same under MPI and without, and tear no line of the ranks' text."""

@@ -243,7 +243,7 @@ def test_flags_and_units_are_in_the_file(exported: Path) -> None:
         assert file["section/across"].filters()["zlib"]
 
 
-@pytest.mark.slow
+@pytest.mark.full  # the checker takes seconds to load
 @pytest.mark.filterwarnings("ignore:The ioos_sos checker")
 def test_cf_checker(exported: Path) -> None:
     """The IOOS compliance checker finds no error against CF 1.11."""

@@ -336,7 +336,7 @@ class RunProgress:
     finished, total
         Cells with an outcome, and all planned cells of this run.
     outcomes
-        Numbers of cells by outcome, with the names of `calcidem.storage.records.CellStatus`.
+        Numbers of cells by outcome, with the names of `calcidem.ends.CellStatus`.
     contents
         (content in percent, finished cells, planned cells), ascending.
     """

@@ -333,7 +333,6 @@ def show_command(
 
     With --out also figures: cement, path, signals, and the section with the candidates for the S wave.
     """
-    from calcidem.app.cli.results import as_rows
     from calcidem.storage.records import QUANTITY_BY_NAME
     from calcidem.storage.sql.store import read_campaign
     from calcidem.storage.store import Selection
