@@ -184,6 +184,9 @@ def new_packing(
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
     """New packing of a configuration, without search in storage; see `provide_packing`."""
+    from calcidem.dem.sample.compaction import make_packing  # noqa: PLC0415 - the engine, which most commands do not need
+    from calcidem.dem.sample.packing_file import packing_from_csv  # noqa: PLC0415 - as above
+
     draw = configuration.packing_draw
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")
