@@ -15,7 +15,6 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
-import networkx as nx
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
@@ -27,15 +26,12 @@ from calcidem.analysis.distribution import budget_dataset, describe_contents, na
 from calcidem.analysis.fits import FEWEST_ROWS, Prediction, VelocityPredictor, check_samples
 from calcidem.analysis.packing_graph import Feature, PackingGraph, installed_features
 from calcidem.analysis.velocity import BUDGET_QUANTITIES, NOTE_QUANTITIES, damping_ratio, notes_on, small_strain_modulus
-from calcidem.app.campaign.cells import pattern_of, stored_experiment, with_patterns
-from calcidem.dem.engine.assembly import pair_keys
+from calcidem.app.campaign.patterns import pattern_of, stored_experiment, with_patterns
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.cement import CementCapacityError, CementKind
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.packing_file import write_packing_csv
 from calcidem.dem.wave.experiment import Experiment, wave_scene
-from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
 from calcidem.ends import CellStatus
 from calcidem.storage.dataset import campaign_dataset, cell_matrices
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
@@ -55,7 +51,10 @@ from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Closable, Selection
 
 if TYPE_CHECKING:
+    import networkx as nx
+
     from calcidem.app.campaign.plots import CampaignPlots
+    from calcidem.dem.wave.static_speed import StaticSpeed  # loads the engine
 
 
 SUFFIXES = (".vtu", ".csv")
@@ -100,6 +99,8 @@ class Sample:
             raise ValueError(f"{file} ends with '{suffix}': give it one of the endings {', '.join(SUFFIXES)}")
         with write_atomically(file) as temporary:
             if suffix == ".csv":
+                from calcidem.dem.sample.packing_file import write_packing_csv  # noqa: PLC0415 - loads the engine
+
                 write_packing_csv(self.packing, temporary)
             else:
                 _write_vtu(self, temporary)
@@ -363,7 +364,7 @@ class Campaign(Closable):
         """Damping ratio D = alpha / pi of the samples."""
         return damping_ratio(self.config["wave"]["damping"])
 
-    def static_speed(self, *, seed: int, content: float) -> StaticSpeed:
+    def static_speed(self, *, seed: int, content: float) -> "StaticSpeed":
         """Compute the speed of long shear waves of a sample, m/s, from the stiffness of its inner part, and its error.
 
         `UnknownCellError` if the cell has no outcome, or its cement is unknown.
@@ -375,6 +376,8 @@ class Campaign(Closable):
         >>> 0.5 < campaign.cell(seed=1, content=5.0).vs / static.speed < 1.0  # local damping slows the wave
         True
         """
+        from calcidem.dem.wave.static_speed import static_speed  # noqa: PLC0415 - loads the engine
+
         return static_speed(*self.cemented(seed=seed, content=content))
 
     def dispersion(self, *, content: float) -> Dispersion:
@@ -511,6 +514,8 @@ def _contact_kinds(packing: Packing, cement: CementPattern) -> npt.NDArray[np.ui
 
     `ValueError` if the pattern cements two disks that do not touch.
     """
+    from calcidem.dem.engine.assembly import pair_keys  # noqa: PLC0415 - loads the engine, which reading needs not
+
     count = len(packing.radius)
     contacts, cemented = (pair_keys(pairs, count) for pairs in (packing.pairs, cement.contacts))
     kinds = dict(zip(cemented.tolist(), cement.kind.tolist(), strict=True))

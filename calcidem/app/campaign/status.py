@@ -9,7 +9,7 @@ from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import compress
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from rich.text import Text
 from calcidem.analysis.intervals import Interval
 from calcidem.analysis.velocity import BUDGET_QUANTITIES, ErrorBudget, are_samples, error_budget
 from calcidem.app.campaign.notices import listening, printable, tell
-from calcidem.dem.sample.packing import PackingStage
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError
 from calcidem.storage.passwords import hide_passwords
@@ -32,6 +31,9 @@ from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, BatchOutcome
 from calcidem.sweep.ranks import launcher
 from calcidem.sweep.schedule import Progress, SweepEnd, duration, pluralize
+
+if TYPE_CHECKING:
+    from calcidem.dem.sample.packing import PackingStage  # which readers do not need
 
 STATUS_QUANTITIES = ("seed", "content", "status", "seconds", *BUDGET_QUANTITIES)
 """Quantities of each cell that the status needs."""
@@ -493,7 +495,7 @@ class ProgressReporter(Progress):
         """Report the beginning of a stage without further progress."""
         self._display.show(RunProgress(stage, detail))
 
-    def on_packing(self, packing: PackingStage) -> None:
+    def on_packing(self, packing: "PackingStage") -> None:
         """Report the progress of the packing."""
         step, steps = packing.expansion_step, packing.expansion_steps
         part = f"radius step {step} of {steps}" if step <= steps else "pressed by the lid"

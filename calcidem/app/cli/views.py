@@ -25,12 +25,8 @@ from calcidem.app.campaign.status import (
     ProgressDisplay,
     Trouble,
 )
-from calcidem.app.cli.exit_codes import tell_error
 from calcidem.app.cli.options import IS_QUIET
 from calcidem.app.cli.output import WholeTable, format_number, make_console, make_table
-from calcidem.app.config.examples import calibration_note
-from calcidem.app.config.schema import Configuration
-from calcidem.dem.sample.packing import WALL_NAMES, Packing
 from calcidem.ends import CellStatus, Verdict
 from calcidem.storage.records import MOST_PULSE_EFFECT
 from calcidem.storage.sql.engine import Address
@@ -39,8 +35,10 @@ from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import COMMAND_VARIABLE, available_cores, launcher
 from calcidem.sweep.schedule import duration, first_of, pluralize
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the status needs no configuration and no packing
     from calcidem.analysis.intervals import SeedPlan
+    from calcidem.app.config.schema import Configuration
+    from calcidem.dem.sample.packing import Packing
 
 
 class TerminalView:
@@ -59,18 +57,20 @@ class TerminalView:
         """Display of the progress, unless only results are wanted."""
         return ProgressDisplay(None if self.quiet else self.console, shows_progress=not self.is_told_by_command)
 
-    def begin(self, configuration: Configuration, packing: Packing) -> None:
+    def begin(self, configuration: "Configuration", packing: "Packing") -> None:
         """Report on the packing, and on idle cores."""
         if self.is_told_by_command:
             return
         for line in packing_lines(packing):
             tell(line)
+        from calcidem.app.config.examples import calibration_note
+
         if note := calibration_note(configuration):
             tell(note)
         if not self.cores_used and sys.platform == "linux" and (cores := available_cores()) > 1:
             tell(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
 
-    def finish(self, store: Store, configuration: Configuration, code: int, *, in_haste: bool) -> None:
+    def finish(self, store: Store, configuration: "Configuration", code: int, *, in_haste: bool) -> None:
         """Show the velocities, export them and write the report if requested; in haste show them only."""
         if self.is_told_by_command:
             return
@@ -100,10 +100,12 @@ class TerminalView:
 
     def refuse(self, error: Exception) -> int:
         """Report an error, and return its exit code."""
+        from calcidem.app.cli.exit_codes import tell_error
+
         return tell_error(error)
 
 
-def packing_lines(packing: Packing) -> Iterator[str]:
+def packing_lines(packing: "Packing") -> Iterator[str]:
     """Report on a packing."""
     report = packing.report
     yield (
@@ -114,6 +116,8 @@ def packing_lines(packing: Packing) -> Iterator[str]:
         f"  coordination number {report.coordination_number:.3f}, "
         f"{report.coordination_number_without_rattlers:.3f} without {report.rattlers} rattlers"
     )
+    from calcidem.dem.sample.packing import WALL_NAMES
+
     stresses = zip(WALL_NAMES, report.wall_stress, strict=True)
     yield f"  normal stress: {', '.join(f'{name} {stress:.1f} Pa' for name, stress in stresses)}"
     mean, largest = (

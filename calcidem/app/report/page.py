@@ -22,10 +22,10 @@ from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.analysis.measured import Target
 from calcidem.analysis.packing_graph import installed_features
 from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
-from calcidem.app.campaign.cells import with_patterns
+from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
-from calcidem.app.report.tables import ABSENT, Table, decimal
+from calcidem.app.report.wording import ABSENT, Table, decimal
 from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically

@@ -18,7 +18,8 @@ from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import is_covered, misfits, root_mean_square_misfit
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
 from calcidem.analysis.velocity import median_diameter_by_mass
-from calcidem.app.report.tables import ABSENT, RESULT_TABLES, Table, decimal, significant, with_bounds
+from calcidem.app.report.tables import RESULT_TABLES
+from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
 from calcidem.storage.encoding import flat_parameters
 from calcidem.storage.records import RunRecord
 from calcidem.sweep.schedule import duration

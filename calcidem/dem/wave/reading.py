@@ -173,19 +173,23 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
 
 
 def _peaks_of_wave(section: Section, wave: StripWave, places: tuple[float, ...]) -> list[float]:
-    """Samples of the peak of a wave at places, m."""
-    # In a strip a peak is early, by less than a period.
-    soon = [
-        (place / wave.velocity - 0.5 / section.frequency - section.start_time) / section.sampling_interval
-        for place in places
-    ]
-    begin, end = np.array([(int(one), int(one + 1.5 * section.period) + 2) for one in soon]).T
+    """Samples of the peak of a wave at places, m: of its crests the one next to the arrival at the wave's velocity.
+
+    The highest may be a later one on a path of a wavelength, where two are nearly equal.
+    """
+    arrival = [(place / wave.velocity - section.start_time) / section.sampling_interval for place in places]
+    # The pulse has its peak half a period after it begins. In a strip a peak is early, by less than a period.
+    begin, end = np.array([(int(one - 0.5 * section.period), int(one + section.period) + 2) for one in arrival]).T
     sample = begin[:, None] + np.arange((end - begin).max())
     motion = waveform(wave, section.frequency, places, section.start_time + section.sampling_interval * sample)
-    highest = [int(one[1:count].argmax()) + 1 for one, count in zip(motion, end - begin - 1, strict=True)]
-    return [
-        float(first + top) + parabola_vertex(one, top) for first, top, one in zip(begin, highest, motion, strict=True)
-    ]
+    found = []
+    for first, count, when, one in zip(begin.tolist(), (end - begin - 1).tolist(), arrival, motion, strict=True):
+        crests = [i for i in range(1, count) if one[i - 1] < one[i] >= one[i + 1] and one[i] > 0.0]
+        top = min(
+            crests, key=lambda i: abs(first + i - when - 0.5 * section.period), default=int(one[1:count].argmax()) + 1
+        )
+        found.append(float(first + top) + parabola_vertex(one, top))
+    return found
 
 
 def _peak_near(signal: Floats, when: float, period: float) -> float:
