@@ -24,6 +24,7 @@ from calcidem.app.campaign.stored_packing import packing_record, stored_packing
 from calcidem.app.campaign.task import CellComputation, kernel_compilations
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.engine.gpu import refuse_missing_gpu
 from calcidem.dem.sample.own_pattern import Pattern, give_patterns
 from calcidem.dem.sample.packing import Packing, PackingStage
 from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError, StoreUnavailableError
@@ -407,8 +408,11 @@ def _acquire_lease(store: Store, check: Callable[[], None]) -> tuple[str, ...]:
 def _refuse_before_writing(configuration: Configuration) -> None:
     """Refuse a configuration that does not match its database or the packing there, before any byte is written.
 
-    Errors are those of `choose_campaign`, and `ConfigurationError` if the packing cannot hold what is planned.
+    Errors are those of `choose_campaign`, `GpuError` without the GPU that it needs, and `ConfigurationError` if the
+    packing cannot hold what is planned.
     """
+    if configuration.run.gpu:
+        refuse_missing_gpu()
     if not _exists(configuration.database):
         return
 

@@ -10,12 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calcidem.dem.engine.fields import require
+from calcidem.dem.engine.gpu import gpu_steps
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.readout import net_forces
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Flags, Floats
+from calcidem.dem.kernels.steps import advance_steps
 from calcidem.dem.sample.cement import CementOrdering
 from calcidem.dem.sample.settling import settle
 from calcidem.dem.wave.experiment import Experiment
@@ -122,6 +124,7 @@ def prepare_recorder(
         unbalanced_speed=speed,
         signs=np.array([*signs, *[1.0] * (lanes - len(signs))]),
         breakable=rule.most_broken_bonds,
+        kernel=gpu_steps() if experiment.gpu else advance_steps,
     )
 
 

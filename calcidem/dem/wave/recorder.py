@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calcidem.dem.engine.leapfrog import State, run_in_place
+from calcidem.dem.engine.leapfrog import Kernel, State, run_in_place
 from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.kernels.layout import LISTENED, XY, Floats, Integers, Recording, X, Y
+from calcidem.dem.kernels.steps import advance_steps
 from calcidem.dem.wave.guards import broken_bonds, problems_of
 from calcidem.dem.wave.pulse import Pulse
 from calcidem.dem.wave.scene import RECEIVER, TRANSMITTER
@@ -43,6 +44,8 @@ class Recorder:
     """(L,) sense of the pulse: 1, or -1 for a reversed one. Sections are positive as the pulse."""
     breakable: float = 0.0
     """See `guards.problems_of`."""
+    kernel: Kernel = advance_steps
+    """Advances the samples: on the processor, or on a GPU."""
     counts: Counts = field(init=False)
     """(L, 2, X, S) motion across and along so far, see `Section`."""
     broken: Integers = field(init=False)
@@ -87,7 +90,7 @@ class Recorder:
             axes=np.repeat([Y, X], len(self.listeners)),
             samples=np.zeros((samples, 1 + len(groups), lanes), dtype),
         )
-        self.state = run_in_place(self.state, steps, recording)
+        self.state = run_in_place(self.state, steps, recording, self.kernel)
         self.broken = broken_bonds(self.state)
         recorded = recording.samples[:, LISTENED:].astype(float).transpose(2, 1, 0)
         recorded *= self.signs[:, None, None]
