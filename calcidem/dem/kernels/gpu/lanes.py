@@ -11,7 +11,7 @@ the types of constants and for rewrites. NVVM lacks some LLVM functions of vecto
 import re
 from typing import Any
 
-from numba.cuda.core import ir
+from numba.cuda.core import config, ir
 from numba.cuda.core.imputils import lower_constant
 from numba.cuda.core.rewrites.registry import Rewrite, register_rewrite
 from numba.cuda.cudadrv import nvvm
@@ -19,6 +19,8 @@ from numba.cuda.typing.typeof import typeof_impl
 
 from calcidem.dem.kernels import switches
 from calcidem.dem.kernels.features import Features
+
+config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # a batch has a block for each of its samples, at most 32
 
 typeof_impl.register(Features)(switches._type_of_features)
 
