@@ -15,9 +15,10 @@ case "${1:-}" in
 esac
 . scripts/bootstrap.sh
 bootstrap "$extras"
+unset PYTHONDONTWRITEBYTECODE # without its compiled modules every process of a test compiles all libraries anew
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 ruff format --check .
 ruff check .
 mypy
 lint-imports
-exec python -m pytest -n "${JOBS:-2}" --dist loadfile ${chosen[@]+"${chosen[@]}"} "$@"
+exec python -m pytest -n "${JOBS:-2}" --dist loadfile --no-loadscope-reorder ${chosen[@]+"${chosen[@]}"} "$@"

@@ -24,17 +24,16 @@ if TYPE_CHECKING:
     from calcidem import dem
     from calcidem.app.campaign.notices import CampaignWarning
     from calcidem.app.campaign.opened import Campaign, load_paper_campaign, open_campaign
-    from calcidem.app.campaign.progress import RunProgress, RunStage
     from calcidem.app.campaign.run import run
-    from calcidem.app.config.errors import ConfigurationError
+    from calcidem.app.campaign.status import RunProgress, RunStage
     from calcidem.app.config.presets import PRESETS, preset_text
     from calcidem.app.config.reader import load_configuration
-    from calcidem.app.config.schema import Configuration
-    from calcidem.app.disks.packing_import import import_packing
+    from calcidem.app.config.schema import Configuration, ConfigurationError
+    from calcidem.app.disks import import_packing
     from calcidem.app.studies.laboratory_signal import read_signal
     from calcidem.dem.sample.packing import PackingError
     from calcidem.storage.errors import StoreError
-    from calcidem.sweep.sweep_end import LaunchError, WorkersLostError
+    from calcidem.sweep.schedule import LaunchError, WorkersLostError
 
 __all__ = [
     "PRESETS",
@@ -63,14 +62,14 @@ _HOMES = {
     "CampaignWarning": "calcidem.app.campaign.notices",
     "PRESETS": "calcidem.app.config.presets",
     "Configuration": "calcidem.app.config.schema",
-    "ConfigurationError": "calcidem.app.config.errors",
-    "LaunchError": "calcidem.sweep.sweep_end",
+    "ConfigurationError": "calcidem.app.config.schema",
+    "LaunchError": "calcidem.sweep.schedule",
     "PackingError": "calcidem.dem.sample.packing",
-    "RunProgress": "calcidem.app.campaign.progress",
-    "RunStage": "calcidem.app.campaign.progress",
+    "RunProgress": "calcidem.app.campaign.status",
+    "RunStage": "calcidem.app.campaign.status",
     "StoreError": "calcidem.storage.errors",
-    "WorkersLostError": "calcidem.sweep.sweep_end",
-    "import_packing": "calcidem.app.disks.packing_import",
+    "WorkersLostError": "calcidem.sweep.schedule",
+    "import_packing": "calcidem.app.disks",
     "load_configuration": "calcidem.app.config.reader",
     "load_paper_campaign": "calcidem.app.campaign.opened",
     "open_campaign": "calcidem.app.campaign.opened",

@@ -11,12 +11,17 @@ import os
 import tempfile
 from pathlib import Path
 
-from calcidem.app.campaign.packing import provide_packing
-from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, packing_from_bytes, packing_to_bytes, stored_packing
-from calcidem.app.cli.init import Preset
+from calcidem.app.campaign.packing import (
+    CACHE_VARIABLE,
+    packing_from_bytes,
+    packing_to_bytes,
+    provide_packing,
+    stored_packing,
+)
+from calcidem.app.cli.run import Preset
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.netcdf import import_netcdf
 from calcidem.storage.sql.store import Store
 
 PRESETS = Path(presets.__file__).parent

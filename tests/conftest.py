@@ -1,7 +1,6 @@
 """Shared by all tests: a small campaign that is really packed, cemented and measured, once for a whole session."""
 
 import fcntl
-import json
 import os
 import pwd
 import shutil
@@ -18,17 +17,17 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_record
-from calcidem.app.campaign.task import cell_result
+from calcidem.app.campaign.cells import cell_result
+from calcidem.app.campaign.packing import packing_from_bytes, packing_record
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration, Excitation, FrequencyTable
-from calcidem.app.report.page import _write_files, write_report
+from calcidem.app.report.page import write_report
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, RunRecord
-from calcidem.storage.records.canonical import canonical_json
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_json
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, RunRecord
 from calcidem.storage.sql.store import Store
 
 sys.path.append(str(Path(__file__).parent))  # marked_processes.py and others, which tests use
@@ -48,6 +47,12 @@ ROOM_OF_A_SERVER = 1e9
 
 CALLERS = ("CALCIDEM_", "PG", "SLURM_", "XDG_")
 """Beginnings of the names of variables that would let a test see what its caller does."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take long, so that of several processes none works on alone in the end."""
+    files = [{item.path for item in items if item.get_closest_marker(name)} for name in ("mpi", "slow")]
+    items.sort(key=lambda item: [item.path not in long for long in files])
 
 
 @contextmanager
@@ -168,19 +173,6 @@ def _fill_database(path: Path, small_configuration: Configuration, small_packing
 def small_report(small_database: Path, make_once: MakeOnce) -> Path:
     """Give the report of the small campaign."""
     return make_once("report", lambda path: write_report(small_database, path / "report.html")) / "report.html"
-
-
-@pytest.fixture(scope="session")
-def small_folder(small_database: Path, make_once: MakeOnce) -> tuple[Path, dict[str, str]]:
-    """Give the folder of figures, tables and numbers of the small campaign, and what could not be made."""
-
-    def fill(path: Path) -> None:
-        with open_campaign(small_database) as campaign:
-            missing = _write_files(campaign.analyse(), path / "out")
-        (path / "missing.json").write_text(json.dumps(missing), encoding="utf-8")
-
-    folder = make_once("analysis", fill)
-    return folder / "out", json.loads((folder / "missing.json").read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="session")

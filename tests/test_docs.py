@@ -19,16 +19,16 @@ from typer.testing import CliRunner
 import calcidem.storage.errors
 from calcidem.app.campaign.merge import MergeConflictError
 from calcidem.app.cli.main import _COMMON_OPTIONS, PANELS, _build_application
+from calcidem.app.config.examples import full_text, key_references
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.config.reference import full_text, key_references
 from calcidem.dem import UnstableRunError
 from calcidem.dem.engine.fields import written
 from calcidem.dem.sample.cement import CementCapacityError
+from calcidem.dem.sample.compaction import SettlingError
 from calcidem.dem.sample.packing import PackingFileError
-from calcidem.dem.sample.settling import SettlingError
 from calcidem.ends import CellStatus, Verdict
-from calcidem.sweep.sweep_end import LaunchError
+from calcidem.sweep.schedule import LaunchError
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -9,26 +9,26 @@ from places import CHECKOUT
 SENTINELS = [
     ("analysis/intervals.py", "np.sqrt((n - 1) / scipy", "np.sqrt((n - 2) / scipy", "analysis/test_intervals.py"),
     ("analysis/published.py", "(y[-1] - y[0]) / (x[-1]", "(y[-1] + y[0]) / (x[-1]", "analysis/test_stages.py"),
-    ("analysis/sensitivity.py", "np.divide(*pair.std", "np.multiply(*pair.std", "analysis/test_sensitivity.py"),
-    ("analysis/weights.py", ") / np.sqrt(variance_x", ") * np.sqrt(variance_x", "analysis/test_weights.py"),
-    ("analysis/predictor.py", "np.array([-half, 0.0", "np.array([half, 0.0", "analysis/test_predictor.py"),
+    ("analysis/distribution.py", "np.divide(*pair.std", "np.multiply(*pair.std", "analysis/test_sensitivity.py"),
+    ("analysis/correlation.py", ") / np.sqrt(variance_x", ") * np.sqrt(variance_x", "analysis/test_weights.py"),
+    ("analysis/fits.py", "np.array([-half, 0.0", "np.array([half, 0.0", "analysis/test_predictor.py"),
     ("analysis/intervals.py", "+ 2.0 / (1.0 - level)", "+ 3.0 / (1.0 - level)", "analysis/test_predictor.py"),
-    ("dem/wave/pulse.py", "self.amplitude / self.frequency", "self.amplitude * self.frequency", "dem/test_pulse.py"),
-    ("dem/wave/pulse.py", "(cycle - sine_of_turns", "(cycle + sine_of_turns", "dem/test_pulse.py"),
+    ("dem/wave/rule.py", "self.amplitude / self.frequency", "self.amplitude * self.frequency", "dem/test_pulse.py"),
+    ("dem/wave/rule.py", "(cycle - sine_of_turns", "(cycle + sine_of_turns", "dem/test_pulse.py"),
     ("dem/wave/check.py", "0.5 * step_fraction", "1.0 * step_fraction", "dem/test_check.py"),
     ("dem/engine/portable.py", "0.5 * (left", "0.4 * (left", "dem/test_maxima.py"),
-    ("dem/engine/material.py", "(2.0 / 3.0 * self.shear", "(1.0 / 3.0 * self.shear", "dem/test_verification.py"),
+    ("dem/engine/scene.py", "(2.0 / 3.0 * self.shear", "(1.0 / 3.0 * self.shear", "dem/test_verification.py"),
     ("dem/sample/judgement.py", "LARGEST_OVERLAP = 0.1\n", "LARGEST_OVERLAP = 0.13\n", "dem/test_judgement.py"),
     ("sweep/batch.py", "self.losses > 1", "self.losses > 2", "sweep/test_batch.py"),
     ("app/campaign/run.py", "losses >= LOSSES_BEFORE_Q", "losses > LOSSES_BEFORE_Q", "app/test_until.py"),
     ("sweep/schedule.py", "default=-1) + 1", "default=-1) + 0", "sweep/test_schedule.py"),
-    ("app/campaign/progress.py", "seconds_left * status", "seconds_left / status", "app/test_progress.py"),
-    ("sweep/progress.py", "divmod(minutes, 60)", "divmod(minutes, 61)", "sweep/test_progress.py"),
+    ("app/campaign/status.py", "seconds_left * status", "seconds_left / status", "app/test_progress.py"),
+    ("sweep/schedule.py", "divmod(minutes, 60)", "divmod(minutes, 61)", "sweep/test_progress.py"),
 ]
 """Module, its text and what stands there instead, and the tests that know it."""
 
 NUMBERS = {
-    "reading": (
+    ("reading", "reading"): (
         ("SILENCE = 0.001\n", "SILENCE = 0.0013\n"),
         ("_ONSET = 0.1\n", "_ONSET = 0.13\n"),
         ("smoothing: PositivePart = 0.3 ", "smoothing: PositivePart = 0.39 "),
@@ -36,20 +36,23 @@ NUMBERS = {
         ("+ 1.25 / frequency", "+ 1.6 / frequency"),
         ("< 0.5 * period", "< 0.65 * period"),
     ),
-    "strip_wave": (
+    ("section", "reading"): (
         ("P_OVER_S = 1.4\n", "P_OVER_S = 1.8\n"),
         ("_SPACING = 8\n", "_SPACING = 6\n"),
         ("_TERMS = 24\n", "_TERMS = 16\n"),
         ("1.15 * clamp", "1.5 * clamp"),
         (">= 0.5 * places", ">= 0.65 * places"),
     ),
-    "section": (("RESOLUTION = 2.0**-20", "RESOLUTION = 2.0**-19"), ("< 2**30, steps, 2**30", "< 2**29, steps, 2**29")),
-    "scene": (("min(9, max", "min(12, max"),),
+    ("section", "section"): (
+        ("RESOLUTION = 2.0**-20", "RESOLUTION = 2.0**-19"),
+        ("< 2**30, steps, 2**30", "< 2**29, steps, 2**29"),
+    ),
+    ("experiment", "section"): (("min(9, max", "min(12, max"),),
 }
 """Numbers of the reading, the fit, the section and the stations, each moved by about 30 %."""
 SENTINELS += [
-    (f"dem/wave/{name}.py", *change, f"dem/test_{'reading' if name in {'reading', 'strip_wave'} else 'section'}.py")
-    for name, changes in NUMBERS.items()
+    (f"dem/wave/{name}.py", *change, f"dem/test_{judge}.py")
+    for (name, judge), changes in NUMBERS.items()
     for change in changes
 ]
 

@@ -18,8 +18,9 @@ from unchanged import digests
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.main import main
 from calcidem.app.config.presets import preset_text
-from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.ends import CellStatus
+from calcidem.storage.netcdf import export_netcdf
+from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store
 
 PLAN = b'configuration = "good.toml"\ncontents = [5.0]\nseeds = 2\n[[variant]]\nchoice="a"\nvalue="b"'
@@ -58,16 +59,16 @@ def begin_computing(*_arguments: object, **_options: object) -> NoReturn:
 
 LONG = (
     "calcidem.app.campaign.launch.Launch.run",
-    "calcidem.app.campaign.packing.make_packing",
-    "calcidem.app.campaign.packing.packing_from_csv",
+    "calcidem.dem.sample.compaction.make_packing",
+    "calcidem.dem.sample.packing_file.packing_from_csv",
     "calcidem.app.campaign.preview._describe_ranks",
     "calcidem.app.campaign.run.CampaignRun.compute",
     "calcidem.app.studies.stability.stability",
-    "calcidem.app.cli.status.time.sleep",
+    "calcidem.app.cli.results.time.sleep",
     "calcidem.app.campaign.plots.CampaignAnalysis",
     "calcidem.app.report.page.CampaignAnalysis",
-    "calcidem.app.studies.frequency_and_damping.send_waves",
-    "calcidem.app.studies.campaigns.ProcessPoolExecutor",
+    "calcidem.app.studies.sensitivity.send_waves",
+    "calcidem.app.studies.points.ProcessPoolExecutor",
     "calcidem.app.studies.verify.measure",
     "calcidem.dem.wave.check.send_waves",
     "calcidem.dem.wave.measurement.send_waves",

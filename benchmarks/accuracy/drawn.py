@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 
 from calcidem.dem.engine.fields import FieldError
-from calcidem.dem.engine.material import Cement, Sand
+from calcidem.dem.engine.scene import Cement, Sand
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementCapacityError, CementRule
 from calcidem.dem.sample.compaction import make_packing
@@ -25,7 +25,7 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.static_speed import static_speed
-from calcidem.storage.records.error_budget import NORMAL_95
+from calcidem.storage.records import NORMAL_95
 
 _PACKINGS, _SEEDS = 24, 8
 _WRONG = 0.05  # of the velocity

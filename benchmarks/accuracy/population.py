@@ -14,7 +14,7 @@ import numpy as np
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import change_configuration
-from calcidem.app.studies.accuracy.study import CellError, covered_share
+from calcidem.app.studies.accuracy import CellError, covered_share
 from calcidem.dem.wave.measurement import measure_all
 
 _FILE = Path(__file__).resolve().parents[2] / "calcidem" / "app" / "config" / "presets" / "paper.toml"

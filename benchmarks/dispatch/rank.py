@@ -17,14 +17,13 @@ from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
-from calcidem.app.campaign.store_sink import StoreSink
+from calcidem.app.campaign.run import StoreSink
 from calcidem.storage.records import CellKey, PackedResult
 from calcidem.storage.sql.store import Store
-from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.attempt import StopRequest
+from calcidem.sweep.batch import Batch, BatchOutcome, Cell
 from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.signals import StopRequest
 
 CELLS = 8
 """Cells in a batch, as in a campaign on processors with AVX-512."""

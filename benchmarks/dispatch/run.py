@@ -2,7 +2,7 @@
 
     python benchmarks/dispatch/run.py [--json FILE] [--figure docs/scaling.png]
 
-Takes some five minutes; docs/scaling.md says what follows. The threads of the master share the interpreter lock, so
+Takes some five minutes; docs/performance.md says what follows. The threads of the master share the interpreter lock, so
 that a batch costs it the message and its share of the storing, and N workers with batches of T seconds compute at most
 T / (N cost) of their time. Workers that sleep stand in for those that compute, so that
 more of them than there are cores can be had; what they return is real, and the real master stores it in a real database.
@@ -28,7 +28,7 @@ import numpy as np
 from rank import CELLS, Group, TimedSink, durations, moved, numbered, open_sink, real_outcomes
 
 from calcidem.app.campaign.launch import find_mpirun, launcher_options
-from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.sweep.batch import BatchOutcome
 
 HERE = Path(__file__).resolve().parent
 REAL = HERE.parents[1] / "docs" / "tutorial" / "quick.db"
@@ -101,12 +101,17 @@ def measure_storing() -> list[Group]:
         payload = real_outcomes(database)
         batches = numbered(ROUNDS * sum(GROUPS))
         store, stored = open_sink(database, batches)
-        sink, place, remaining = TimedSink(stored), Place(1, "node"), iter(batches)
+        sink, remaining = TimedSink(stored), iter(batches)
         with store:
             for size in GROUPS * ROUNDS:
                 group = [next(remaining) for _ in range(size)]
                 sink.mark(group)
-                sink.store([BatchOutcome(batch, place, SECONDS, results=moved(payload, batch)) for batch in group])
+                sink.store(
+                    [
+                        BatchOutcome(batch, SECONDS, results=moved(payload, batch), rank=1, host="node")
+                        for batch in group
+                    ]
+                )
     pairs = zip(sink.groups[::2], sink.groups[1::2], strict=True)
     return [
         Group(late.batches, mark.cpu + late.cpu, mark.queue + late.queue, mark.wall + late.wall) for mark, late in pairs

@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "app" / "robustness
 
 from fault_matrix import CONFIGURATION, NO_LIMIT, SMALL_PACKING, Cells, RunEnd, Trial
 
-from calcidem.app.campaign.stored_packing import packing_from_bytes
+from calcidem.app.campaign.packing import packing_from_bytes
 from calcidem.storage.errors import StoreError
 
 SEEDS = 6

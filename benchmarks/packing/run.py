@@ -19,9 +19,9 @@ import numpy as np
 
 from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.cement import RandomPurpose, random_generator
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.wave.measurement import measure
 
 ROOT = Path(__file__).resolve().parents[2]

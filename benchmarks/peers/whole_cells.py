@@ -35,7 +35,7 @@ from scipy.interpolate import CubicSpline
 
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
-from calcidem.storage.records.error_budget import NORMAL_95
+from calcidem.storage.records import NORMAL_95
 
 PRESET = "paper-small-pulse"
 CASES: tuple[tuple[str, Ingredients, tuple[int, ...]], ...] = (

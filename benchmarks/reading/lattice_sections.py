@@ -29,12 +29,11 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "verification"))
 from reference import Grain, Springs, bloch_matrices, stiffness_matrix
 
 from calcidem.dem.engine.leapfrog import run_in_place
-from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.scene import Bonds, Scene, Wall
+from calcidem.dem.engine.scene import Bonds, Cement, Sand, Scene, Wall
 from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.layout import Flags, Floats, Integers, Recording
-from calcidem.dem.wave.pulse import Pulse
-from calcidem.dem.wave.strip_wave import clamp_of_strip
+from calcidem.dem.wave.rule import Pulse
+from calcidem.dem.wave.section import clamp_of_strip
 
 KINDS = ("hexagonal", "square", "tilted", "jittered", "mixed", "patches")
 LANES = 8

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calcidem.dem.kernels.layout import Flags, Floats
-from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.wave.rule import Pulse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class Section:
     aperture
         Half-height of the transmitter over the wavelength; infinite for a plane wave.
     clamp
-        K of the strip between damped layers, 1/m (`calcidem.dem.wave.strip_wave`); 0 without layers.
+        K of the strip between damped layers, 1/m (`calcidem.dem.wave.section`); 0 without layers.
     readable
         Whether the largest value up to 1.5 delays is a peak within 5 % of the known delay, without the noise, and the
         noise is less than a tenth of it.

@@ -25,8 +25,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 from chromium import Chromium, find_chromium, open_chromium
 from live_page import serve
 
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
-from calcidem.storage.records.canonical import canonical_hash
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_hash
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult
 from calcidem.storage.sql.store import Store
 
 CONTENTS = tuple(place / 10 for place in range(100))

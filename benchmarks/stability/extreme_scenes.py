@@ -14,16 +14,13 @@ import numpy as np
 
 from calcidem.app.studies.stability import Judgement, capacity, draw_latin, judge_scene, pressed_stiffness
 from calcidem.dem.engine.assembly import near_pairs
-from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.scene import Preload, Scene
+from calcidem.dem.engine.scene import Cement, Preload, Sand, Scene
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.pulse import cutoff_frequency
+from calcidem.dem.wave.experiment import Experiment, lane_bonds, wave_scene
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import Law, WaveRule
-from calcidem.dem.wave.scene import lane_bonds, wave_scene
+from calcidem.dem.wave.rule import Law, WaveRule, cutoff_frequency
 
 _RADIUS = 1.25e-3  # radius of the largest disks, m
 _DISKS_ACROSS, _DISKS_UP = 6, 10

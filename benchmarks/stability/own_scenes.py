@@ -12,11 +12,9 @@ from step_limits import fastest_mode
 
 from calcidem.app.studies.stability import Judgement, SceneVerdict, draw_latin
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import energies, unbalanced_ratio, wall_reactions
-from calcidem.dem.engine.scene import Bonds, Scene, Wall
-from calcidem.dem.engine.state import advance, choose_features, start
-from calcidem.dem.engine.step_control import UnstableRunError
+from calcidem.dem.engine.scene import Bonds, Cement, Sand, Scene, Wall
+from calcidem.dem.engine.state import UnstableRunError, advance, choose_features, start
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.compaction import box_walls
 from calcidem.dem.sample.packing import LID

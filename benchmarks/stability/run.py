@@ -1,4 +1,4 @@
-"""Extreme scenes beyond one campaign: tables and figure of docs/stability.md.
+"""Extreme scenes beyond one campaign: tables and figure of docs/accuracy.md.
 
     python benchmarks/stability/run.py --out DIR            # along each quantity, small packings, limits, long runs
     python benchmarks/stability/run.py --scenes 512 --draw 1    # drawn at random, waves and scenes of one's own
@@ -21,8 +21,8 @@ from own_scenes import OwnScene
 from step_limits import Limits, detections, endurance
 
 from calcidem.analysis.figures.style import apply_style, letter_panels, new_figure, save
-from calcidem.app.studies.results import markdown_table
 from calcidem.app.studies.stability import VERDICT_COLOURS, Judgement, SceneVerdict, count_verdicts
+from calcidem.app.studies.study import markdown_table
 
 Scene = Extreme | Packed | OwnScene
 Judged = Mapping[str, Sequence[tuple[Scene, Judgement]]]

@@ -28,18 +28,18 @@ ROOT = Path(__file__).resolve().parents[2]
 LIBRARIES = {
     "Python alone": "pass",
     "a worker": "import calcidem.app.campaign.run",
-    "rank 0": "import calcidem.app.campaign.run, calcidem.app.cli.run_view, calcidem.app.config.reader",
+    "rank 0": "import calcidem.app.campaign.run, calcidem.app.cli.views, calcidem.app.config.reader",
 }
 
 KERNELS = """
 import json, sys, time
 from calcidem.app.campaign.packing import kept_packing
-from calcidem.app.campaign.task import kernel_compilations
+from calcidem.app.campaign.cells import kernel_compilations
 from calcidem.app.config.reader import load_configuration
-from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Sand
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.sample.compaction import make_packing
-from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
+from calcidem.dem.sample.cement import RandomPurpose, random_generator
 configuration = load_configuration(sys.argv[1], {})
 found = {}
 def clock(name, action):
@@ -65,12 +65,12 @@ PHASES = {
     "looks at the records": ("calcidem.dem.wave.propagation.is_settled",),
     "guards": ("calcidem.dem.wave.recorder.problems_of",),
     "readings and their errors": ("calcidem.dem.wave.measurement.interpret",),
-    "other work of the checks": ("calcidem.app.campaign.task.check_content",),
-    "other work of a batch": ("calcidem.app.campaign.task.measure",),
-    "path and graph": ("calcidem.app.campaign.task._describe_graph",),
-    "rows, compressed": ("calcidem.app.campaign.task.cell_result", "calcidem.storage.records.cell.pack_arrays"),
+    "other work of the checks": ("calcidem.app.campaign.cells.check_content",),
+    "other work of a batch": ("calcidem.app.campaign.cells.measure",),
+    "path and graph": ("calcidem.app.campaign.cells._describe_graph",),
+    "rows, compressed": ("calcidem.app.campaign.cells.cell_result", "calcidem.storage.records.pack_arrays"),
     "other work of the sweep": ("calcidem.app.campaign.run.run_sweep",),
-    "NetCDF": ("calcidem.storage.netcdf.export.export_netcdf",),
+    "NetCDF": ("calcidem.storage.netcdf.export_netcdf",),
 }
 
 
@@ -138,7 +138,7 @@ def run_command(configuration: Path, ranks: int, folder: Path, cache: Path) -> d
 
 def sample_costs(configuration: Path, content: float, lanes: int = 16) -> dict[str, float]:
     """Cost of the samples of one batch, in the second of two runs, whose constants the worker has kept."""
-    task = importlib.import_module("calcidem.app.campaign.task")
+    task = importlib.import_module("calcidem.app.campaign.cells")
     packing = importlib.import_module("calcidem.app.campaign.packing")
     reader = importlib.import_module("calcidem.app.config.reader")
     values = {"campaign.seeds": lanes, "campaign.contents": [content], "run.lanes": lanes}
@@ -172,7 +172,7 @@ def campaign_phases(configuration: Path, seeds: int) -> dict[str, float]:
     """Processor seconds of the phases of a campaign in this process, kernels taken from the cache."""
     phases = Phases()
     run = importlib.import_module("calcidem.app.campaign.run")
-    export = importlib.import_module("calcidem.storage.netcdf.export")
+    export = importlib.import_module("calcidem.storage.netcdf")
     store_module = importlib.import_module("calcidem.storage.sql.store")
     with scratch() as folder:
         values = {"campaign.seeds": seeds, "run.database": str(folder / "c.db"), "run.output": str(folder)}

@@ -27,13 +27,12 @@ import numpy as np
 
 from calcidem.analysis.distribution import tabulate
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.app.campaign.packing import provide_packing
-from calcidem.app.campaign.stored_packing import packing_record
+from calcidem.app.campaign.packing import packing_record, provide_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus, NetworkFeatures, PathFeatures
-from calcidem.storage.records.canonical import canonical_hash, canonical_json
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_hash, canonical_json
+from calcidem.storage.netcdf import export_netcdf, import_netcdf
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, NetworkFeatures, PathFeatures
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 
@@ -231,7 +230,7 @@ def draw(rows: list[Row], file: Path) -> None:
 
 
 def markdown(rows: list[Row]) -> str:
-    """Return the answers as the table of docs/store.md: a line a question, two columns a database."""
+    """Return the answers as a table: a line a question, two columns a database."""
     counts = list(dict.fromkeys(count for count, *_ in rows))
     head = "".join(f" {count:,} cells: s (computing) | MB |" for count in counts)
     lines = [f"| question |{head}", "|---|" + "---:|---:|" * len(counts)]

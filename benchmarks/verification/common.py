@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from reference import Floats, Grain, Integers, Springs
 
-from calcidem.app.campaign.stored_packing import packing_from_bytes
+from calcidem.app.campaign.packing import packing_from_bytes
 from calcidem.dem import Sand, Scene, State, advance, choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import Packing

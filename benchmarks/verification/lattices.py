@@ -136,7 +136,7 @@ def _stiffness_over_mass() -> tuple[float, float]:
     # Hexagonal lattice: c_s^2 = 3/8 (k_n + k_s) a^2 / m, c_p^2 = 3/8 (3 k_n + k_s) a^2 / m in all directions.
     "Hexagonal lattice: speeds of long S and P waves",
     source="continuum limit; the arms cancel for disks that rotate freely", tolerance=2e-4,
-    reason="waves of 200 spacings: (q a)^2 / 24 to / 8 = 4e-5 to 1.2e-4", quick=True,
+    reason="waves of 200 spacings: (q a)^2 / 24 to / 8 = 4e-5 to 1.2e-4",
 )  # fmt: skip
 def _hexagonal_speeds() -> float:
     normal, shear = _stiffness_over_mass()
@@ -148,7 +148,7 @@ def _hexagonal_speeds() -> float:
     # Square lattice: c_p^2 = k_n a^2 / m and c_s^2 = k_s a^2 / (2 m) along its axes.
     "Square lattice: speeds of long S and P waves along its axes",
     source="continuum limit; half the shear goes into rotation", tolerance=2e-4,
-    reason="waves of 200 spacings, as above", quick=True,
+    reason="waves of 200 spacings, as above",
 )  # fmt: skip
 def _square_speeds() -> float:
     normal, shear = _stiffness_over_mass()

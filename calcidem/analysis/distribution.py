@@ -1,6 +1,10 @@
-"""Vs at each calcite content: its distribution and normality (sections 2.4 and 3.2 of the paper)."""
+"""Vs at each calcite content: counts of cells, distribution and normality (sections 2.4 and 3.2 of the paper).
+
+Also what changes them: a setting, for the same seeds, and the number of seeds.
+"""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Self
@@ -10,13 +14,86 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from calcidem.analysis.error_budget import are_samples, error_budget
 from calcidem.analysis.intervals import (
+    BOOTSTRAP_SEED,
+    UNDEFINED,
     Interval,
+    finite_values,
     mean,
+    mean_half_width,
     standard_deviation,
 )
-from calcidem.analysis.outcomes import arrange_matrix, count_outcomes
+from calcidem.analysis.velocity import are_samples, error_budget
+from calcidem.ends import CellStatus
+from calcidem.storage.records import NOT_PLANNED, STATUS_CODES
+
+_REPEATED = "repeated"
+
+
+def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.Dataset:
+    """Count the cells of each content by outcome.
+
+    A cell that was not computed yet carries no information about Vs. A failed cell may, since the arrival of slow
+    samples is hard to pick. The two are therefore never added. Without cement all seeds are one sample and count once.
+
+    Both arguments are along (seed, content): Vs in m/s, NaN if missing, and the outcome as text. It is "done" if Vs is
+    a number, "" if the cell was not computed, and else the name of the failure. Without `status` every NaN counts as
+    not computed. Returns `measured`, `missing` and `failed` along content, and `failures` along (outcome, content).
+    `ValueError` if `vs` has other dimensions, an infinite value, or disagrees with `status`.
+    """
+    vs = arrange_matrix(vs)
+    measured = np.isfinite(vs.to_numpy())
+    text = np.where(measured, "done", "") if status is None else _check_status(vs, status, measured)
+    for column in np.flatnonzero(vs["content"].to_numpy() == 0.0):
+        best = max(range(len(text)), key=lambda seed: (text[seed, column] == "done", text[seed, column] != ""))
+        text = text.copy()
+        text[np.arange(len(text)) != best, column] = _REPEATED
+        measured[np.arange(len(text)) != best, column] = False
+    names = sorted(set(text.ravel().tolist()) - {"done", "", _REPEATED})
+    failures = np.array([(text == name).sum(axis=0) for name in names], dtype=np.int64)
+    failures = failures.reshape(len(names), vs.sizes["content"])
+    return xr.Dataset(
+        {
+            "measured": ("content", measured.sum(axis=0)),
+            "missing": ("content", (text == "").sum(axis=0)),
+            "failed": ("content", failures.sum(axis=0)),
+            "failures": (("outcome", "content"), failures),
+        },
+        coords={"content": vs["content"], "outcome": np.array(names, dtype=str)},
+    )
+
+
+def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
+    """Outcome of each cell as text along (seed, content), from its `STATUS_CODES`; empty if there is none."""
+    names = np.full(max(STATUS_CODES.values()) + 1, "", dtype=object)
+    for name, code in STATUS_CODES.items():
+        if name not in (CellStatus.PENDING, NOT_PLANNED):
+            names[code] = str(name)
+    return xr.DataArray(names[codes.to_numpy()], codes.coords, codes.dims)
+
+
+def arrange_matrix(vs: xr.DataArray) -> xr.DataArray:
+    """Return `vs` along (seed, content); `ValueError` if it has other dimensions or holds an infinite value."""
+    if set(vs.dims) != {"seed", "content"}:
+        raise ValueError(f"vs has the dimensions {vs.dims}; give it the dimensions ('seed', 'content')")
+    if bool(np.isinf(vs).any()):
+        raise ValueError("vs holds infinite values; put NaN where a cell has no velocity")
+    return vs.transpose("seed", "content")
+
+
+def _check_status(vs: xr.DataArray, status: xr.DataArray, measured: NDArray[np.bool_]) -> NDArray[np.object_]:
+    if dict(status.sizes) != dict(vs.sizes):
+        raise ValueError(f"status has shape {dict(status.sizes)}, vs {dict(vs.sizes)}; make them equal")
+    text = status.transpose("seed", "content").to_numpy().astype(object)
+    wrong = np.argwhere((text == "done") != measured)
+    if wrong.size:
+        row, column = wrong[0]
+        seed, content = vs["seed"].to_numpy()[row], vs["content"].to_numpy()[column]
+        raise ValueError(
+            f"seed {seed} at {content} %: status is {text[row, column]!r} but vs is "
+            f"{vs.to_numpy()[row, column]}; vs must be a number exactly where status is 'done'"
+        )
+    return text
 
 
 def normality_of_moments(n: int, skewness: float, kurtosis: float) -> tuple[float, float, float]:
@@ -219,3 +296,93 @@ def budget_dataset(cells: xr.Dataset) -> xr.Dataset:
         {name: ("content", values, {"units": unit, "long_name": text}) for name, (unit, text, values) in named.items()},
         coords={"content": cells["content"]},
     )
+
+
+def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, replicates: int = 2000) -> xr.Dataset:
+    """Forecast the half-widths of mean, standard deviation and skewness for at least 3 seeds.
+
+    They are along `count`, the first two in the unit of the values (n,); NaN are left out. That of the mean is
+    t s / sqrt(count). The other two are bootstrap results without assumed distribution: half the width of the central
+    `level` over samples of `count` values. Few values underestimate the half-width of skewness, which depends on rare
+    values. `ValueError` for fewer than two values, or a count below 3.
+    """
+    sample = finite_values(values)
+    if min(counts, default=3) < 3:  # fewer values always have the same skewness
+        raise ValueError(f"counts holds {min(counts)}; a standard deviation and a skewness need at least 3 seeds")
+    deviation = float(standard_deviation(sample))
+    ends, generator = [(1 - level) / 2, (1 + level) / 2], np.random.default_rng(BOOTSTRAP_SEED)
+    centre, spread, skew = [], [], []
+    for count in counts:
+        resampled = sample[generator.integers(sample.size, size=(replicates, count))]
+        varied = resampled[np.ptp(resampled, axis=1) > 0]  # equal values have no skewness
+        centre.append(mean_half_width(deviation, count, level))
+        spread.append(np.ptp(np.quantile(np.std(resampled, axis=1, ddof=1), ends)) / 2)
+        skew.append(np.ptp(np.quantile(stats.skew(varied, axis=1), ends)) / 2 if len(varied) else math.nan)
+    return xr.Dataset(
+        {"mean": ("count", centre), "standard_deviation": ("count", spread), "skewness": ("count", skew)},
+        coords={"count": list(counts)},
+        attrs={"level": level, "present": sample.size},
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Comparison of a variant with the same seeds of the reference at one content."""
+
+    content: float
+    """Percent."""
+    planned: int
+    measured: int
+    """Number of cells of the variant, and of those with a velocity."""
+    mean: float
+    standard_deviation: float
+    """Of all measured cells of the variant, m/s."""
+    mean_ratio: float
+    deviation_ratio: float
+    """Mean and standard deviation over those of the reference, for seeds with a velocity in both."""
+    deviation_ratio_interval: Interval
+    """Bootstrap interval of the deviation ratio; the same seeds are drawn with replacement on both sides."""
+
+
+def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float = 0.95) -> tuple[Change, ...]:
+    """Compare two matrices of Vs (m/s) along (seed, content), NaN if missing, on their common seeds.
+
+    Contents that the reference lacks are left out.
+    """
+    first, second = xr.align(variant, reference, join="inner")
+    changes = []
+    for content in first["content"].to_numpy().tolist():
+        own = variant.sel(content=content).to_numpy()
+        pair = np.stack([first.sel(content=content).to_numpy(), second.sel(content=content).to_numpy()])
+        measured = own[np.isfinite(own)]
+        mean_ratio, deviation_ratio, interval = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)], level)
+        changes.append(
+            Change(
+                content=content,
+                planned=own.size,
+                measured=measured.size,
+                mean=float(measured.mean()) if measured.size else math.nan,
+                standard_deviation=float(measured.std(ddof=1)) if measured.size > 1 else math.nan,
+                mean_ratio=mean_ratio,
+                deviation_ratio=deviation_ratio,
+                deviation_ratio_interval=interval,
+            )
+        )
+    return tuple(changes)
+
+
+def _paired_ratios(pair: np.ndarray, level: float) -> tuple[float, float, Interval]:
+    """Ratios of means and of standard deviations of two rows of equal seeds, shape (2, n); interval of the latter."""
+    count = pair.shape[1]
+    if count < 4:  # common seeds, for a meaningful ratio of standard deviations
+        return math.nan, math.nan, UNDEFINED
+    drawn = pair[:, np.random.default_rng(BOOTSTRAP_SEED).integers(0, count, (4000, count))]
+    # A reference without scatter (no cement, one packing) has no deviation ratio.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        deviations = drawn[0].std(axis=1) / drawn[1].std(axis=1)
+        ratio = float(np.divide(*pair.std(axis=1)))
+    mean_ratio, finite = float(np.divide(*pair.mean(axis=1))), deviations[np.isfinite(deviations)]
+    if not finite.size:
+        return mean_ratio, ratio, UNDEFINED
+    low, high = np.quantile(finite, [(1 - level) / 2, (1 + level) / 2]).tolist()
+    return mean_ratio, ratio, Interval(low, high)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calcidem.analysis.connectivity import ContactWeights
+from calcidem.analysis.contact_graph import ContactWeights
 from calcidem.analysis.intervals import Interval
 
 STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 9.0)}

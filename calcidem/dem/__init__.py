@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from calcidem.dem.engine.leapfrog import State
-    from calcidem.dem.engine.material import Cement, Sand
     from calcidem.dem.engine.readout import (
         ContactForces,
         Energies,
@@ -26,10 +25,9 @@ if TYPE_CHECKING:
         wall_overlaps,
         wall_reactions,
     )
-    from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
+    from calcidem.dem.engine.scene import Bonds, Cement, Preload, Sand, Scene, Wall
     from calcidem.dem.engine.stability import critical_time_step
-    from calcidem.dem.engine.state import advance, choose_features, start
-    from calcidem.dem.engine.step_control import UnstableRunError
+    from calcidem.dem.engine.state import UnstableRunError, advance, choose_features, start
 
 __all__ = [
     "Bonds",
@@ -61,13 +59,11 @@ _MODULES = {
     name: f"calcidem.dem.engine.{module}"
     for module, names in {
         "leapfrog": "State",
-        "material": "Cement Sand",
         "readout": "ContactForces Energies WallForces contact_forces energies net_forces overlaps unbalanced_ratio "
         "wall_contacts wall_overlaps wall_reactions",
-        "scene": "Bonds Preload Scene Wall",
+        "scene": "Bonds Cement Preload Sand Scene Wall",
         "stability": "critical_time_step",
-        "state": "advance choose_features start",
-        "step_control": "UnstableRunError",
+        "state": "UnstableRunError advance choose_features start",
     }.items()
     for name in names.split()
 }

@@ -9,14 +9,9 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Self
 
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import (
-    CellStatus,
-    canonical_content,
-    checked_seed,
-)
-
-RETRIED_BY_DEFAULT = (CellStatus.FAILED, CellStatus.TIMED_OUT)
+from calcidem.storage.records import canonical_content, checked_seed
 
 STALE_AFTER = timedelta(minutes=5)
 """Time without a heartbeat after which a master on another machine counts as dead."""
@@ -33,7 +28,7 @@ class Selection:
     statuses: tuple[CellStatus, ...] | None
     """May include `CellStatus.PENDING` for planned cells without an outcome."""
     where: str | None
-    """Filter expression (`calcidem.storage.sql.where.parse_where`)."""
+    """Filter expression (`calcidem.storage.sql.tables.parse_where`)."""
     since: datetime | None
     """Only cells with an attempt recorded at this time or later."""
 

@@ -1,9 +1,12 @@
-"""Batches: cells that are computed side by side, and the order in which they are handed out."""
+"""Batches: cells that are computed side by side, the order in which they are handed out, and their outcomes."""
 
+import traceback
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Generic, Self, TypeAlias, TypeVar
+
+from calcidem.ends import CellStatus
 
 CellT = TypeVar("CellT", bound=Hashable)
 
@@ -102,3 +105,59 @@ def plan_batches(
     # The first seed of a batch determines its round, since this seed has waited longest.
     batches.sort(key=lambda batch: (batch.losses, round_of_seed[batch.cells[0][0]], -batch.cost, batch.cells[0]))
     return tuple(replace(batch, identifier=number) for number, batch in enumerate(batches))
+
+
+ResultT = TypeVar("ResultT")
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Failure of a batch."""
+
+    kind: CellStatus
+    """What the cells of the batch end with: failed, timed out or quarantined."""
+    message: str
+    """One sentence for the user."""
+    traceback: str = ""
+    """Python traceback of the exception; may be empty."""
+
+    @classmethod
+    def from_exception(cls, kind: CellStatus, error: BaseException) -> Self:
+        """Return an exception as data, since it might not be picklable itself."""
+        return cls(
+            kind=kind,
+            message=f"{type(error).__name__}: {error}",
+            traceback="".join(traceback.format_exception(error)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class BatchOutcome(Generic[CellT, ResultT]):
+    """Outcome of a batch.
+
+    Raises
+    ------
+    ValueError
+        Unless exactly one of `results` and `failure` is given, with one result for each cell.
+    """
+
+    batch: Batch[CellT]
+    seconds: float
+    """Wall time of the computation in s."""
+    results: tuple[ResultT, ...] | None = None
+    """One result for each cell in the order of `batch.cells`, or None."""
+    failure: Failure | None = None
+    """Reason for missing results, or None."""
+    rank: int = 0
+    host: str = ""
+    """Number of the rank that computed it, and name of its machine."""
+
+    def __post_init__(self) -> None:
+        """Check that exactly one of both is given."""
+        if (self.results is None) == (self.failure is None):
+            raise ValueError(f"batch {self.batch.identifier}: give either results or failure")
+        if self.results is not None and len(self.results) != len(self.batch.cells):
+            raise ValueError(
+                f"batch {self.batch.identifier}: {len(self.results)} results for {len(self.batch.cells)}"
+                " cells; return exactly one result for each cell"
+            )

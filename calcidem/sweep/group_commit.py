@@ -8,9 +8,8 @@ from contextlib import suppress
 from types import TracebackType
 from typing import Any, Generic, Protocol, Self
 
-from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.outcome import BatchOutcome
-from calcidem.sweep.progress import Progress
+from calcidem.sweep.batch import Batch, BatchOutcome, CellT
+from calcidem.sweep.schedule import Progress
 
 
 class Sink(Protocol):

@@ -1,23 +1,186 @@
-"""MPI ranks as an executor: rank 0 coordinates, all others compute what it submits."""
+"""MPI ranks as an executor: rank 0 coordinates, all others compute what it submits.
 
+Also facts about the launch of a process, of any kind, and what the operating system (Linux) does for processes.
+"""
+
+import contextlib
+import ctypes
 import os
 import platform
+import select
+import signal
 import sys
 import threading
+import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from calcidem.sweep.attempt import IS_INTERRUPTED
-from calcidem.sweep.environment import COMMAND_VARIABLE, launcher, own_rank, refuse_ranks_off_linux
-from calcidem.sweep.processes import die_with_parent, end_after, exists
-from calcidem.sweep.signals import StopRequest
-from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE
+from calcidem.sweep.attempt import IS_INTERRUPTED, StopRequest
+from calcidem.sweep.schedule import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, LaunchError
 
 if TYPE_CHECKING:
     from mpi4py import MPI
+
+
+LAUNCHER_VARIABLES = {
+    "OMPI_COMM_WORLD_SIZE": "Open MPI mpirun",
+    "MPI_LOCALNRANKS": "MPICH mpiexec",
+    "PMI_RANK": "a PMI launcher",
+    "PMIX_RANK": "a PMIx launcher",
+}
+"""Environment variables that a launcher sets for its ranks; the first that is set counts."""
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""Must be 1 before numpy is imported: each rank has one core, for which threads would compete."""
+
+COMMAND_VARIABLE = "CALCIDEM_COMMAND"
+"""Set for ranks that `calcidem run --ranks` starts: the command itself shows their progress and the results."""
+
+
+def launcher(variables: Mapping[str, str] = os.environ) -> str | None:
+    """Return the launcher of this process as an MPI rank, or None without one."""
+    return next((name for variable, name in LAUNCHER_VARIABLES.items() if variable in variables), None)
+
+
+def own_rank(variables: Mapping[str, str] = os.environ) -> int | None:
+    """Return the number of this MPI rank, from 0, None without one; `LaunchError` as `whole_number`."""
+    names = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
+    ranks = (whole_number(name, 100_000, variables, least=0) for name in names)
+    return next((rank for rank in ranks if rank is not None), None)
+
+
+def whole_number(name: str, largest: int, variables: Mapping[str, str] = os.environ, *, least: int = 1) -> int | None:
+    """Return the whole number from `least` to `largest` in an environment variable, None if it is not set or empty.
+
+    `LaunchError` for any other value.
+    """
+    text = variables.get(name, "").strip()
+    if not text:
+        return None
+    if not (text.isascii() and text.isdigit() and len(text) <= len(str(largest)) and least <= int(text) <= largest):
+        raise LaunchError(f"{name}={text}: set it to a whole number from {least} to {largest}, or unset it")
+    return int(text)
+
+
+def requested_tasks(variables: Mapping[str, str] = os.environ) -> int | None:
+    """Return the number of tasks of this Slurm job, None outside of Slurm; `LaunchError` as `whole_number`."""
+    return whole_number("SLURM_NTASKS", 100_000, variables)
+
+
+def refuse_singletons(variables: Mapping[str, str] = os.environ) -> None:
+    """Refuse to run alone as one of several tasks.
+
+    `srun python` starts N independent programs, each of which would compute the whole campaign. `LaunchError` if this
+    process is a task of a step of several, or of a job of several without a step, and no MPI launcher started it. The
+    shell that `salloc` opens is a step of one task.
+    """
+    name = "SLURM_STEP_NUM_TASKS" if variables.get("SLURM_STEP_NUM_TASKS") else "SLURM_NTASKS"
+    tasks = whole_number(name, 100_000, variables) or 1
+    if tasks > 1 and launcher(variables) is None:
+        raise LaunchError(
+            f"{name} is {tasks}, but this process is the only MPI rank: `srun python` starts independent programs; use "
+            "--ranks 0 or mpirun inside the job, `srun --mpi=pmix`, or ask for one task"
+        )
+
+
+def available_cores() -> int:
+    """Number of cores that this process may use; all cores of the machine if the system does not report it."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def refuse_ranks_off_linux(system: str | None = None) -> None:
+    """Refuse several ranks on systems without support against ranks that outlive their launcher.
+
+    `LaunchError` unless it is Linux.
+    """
+    system = system or sys.platform
+    if system != "linux":
+        raise LaunchError(
+            f"MPI ranks need Linux, and this is {system}: leave out --ranks and mpirun to compute in one process, or"
+            " use Linux, in a container or WSL 2 for instance"
+        )
+
+
+def mpi_library_version() -> str | None:
+    """Return the first line of the version text of the MPI library, or None if it cannot be loaded.
+
+    MPI is not initialised by this call.
+    """
+    try:
+        import mpi4py  # noqa: PLC0415 - a serial run must not need an MPI library
+
+        if "mpi4py.MPI" not in sys.modules:
+            mpi4py.rc.initialize = False
+        from mpi4py import MPI  # noqa: PLC0415 - as above
+    except (ImportError, RuntimeError):
+        return None
+    return MPI.Get_library_version().partition(",")[0].strip("\x00 \n")
+
+
+# Loaded here, since the next function also runs between fork and exec.
+_LIBC: Any = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
+
+
+def die_with_parent(parent: int | None = None) -> None:
+    """Let the kernel kill this process as soon as its parent ends.
+
+    A caller that knows the process number of its parent gives it, since the parent may have ended before this call.
+
+    Otherwise a rank whose mpirun was killed would run for ever. It is a descendant of mpirun or, on other nodes, of its
+    daemon, which ends when it loses mpirun. Call this before MPI is initialised: if the launcher has ended by then, the
+    initialisation fails and the rank ends. `OSError` if the kernel refuses.
+    """
+    parent = parent or os.getppid()
+    if _LIBC.prctl(1, signal.SIGKILL, 0, 0, 0) != 0:  # PR_SET_PDEATHSIG
+        number = ctypes.get_errno()
+        raise OSError(number, f"prctl(PR_SET_PDEATHSIG): {os.strerror(number)}")
+    if os.getppid() != parent:  # it ended before the request, so its death will not be signalled
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def exists(process: int) -> bool:
+    """Whether a process of this machine with this number exists."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def end_after(process: int, grace: float, exit_code: int) -> None:
+    """End this process some seconds after the end of another one of this machine, unless it ends by itself.
+
+    A thread waits for this. `srun` does not end a job when one of its tasks is killed, as mpirun does.
+    """
+    try:
+        descriptor = os.pidfd_open(process)
+    except OSError:
+        return  # before Linux 5.3, or it has just ended and MPI is being informed
+
+    def wait_and_end() -> None:
+        select.select([descriptor], [], [])
+        time.sleep(grace)
+        os._exit(exit_code)
+
+    threading.Thread(target=wait_and_end, name="watch-master", daemon=True).start()
+
+
+def keep_freed_memory() -> None:
+    """Let the C library keep the memory of freed arrays for later ones (glibc; elsewhere without effect).
+
+    By default it returns memory to the kernel at once, and the kernel fills it with zeros at each new request. For
+    arrays of some hundred kilobytes this takes half of NumPy's time.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        _LIBC.mallopt(-1, 1 << 27)  # M_TRIM_THRESHOLD, bytes
+        _LIBC.mallopt(-3, 1 << 25)  # M_MMAP_THRESHOLD; some versions of glibc refuse more
 
 
 def run_on_ranks(lead: Callable[[Executor | None, StopRequest], int], grace: float = 3.0) -> int:

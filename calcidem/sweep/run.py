@@ -6,21 +6,13 @@ from concurrent.futures import Executor
 from contextlib import nullcontext
 from typing import Any, TypeAlias
 
-from calcidem.sweep.attempt import IS_INTERRUPTED, Compute
-from calcidem.sweep.batch import Batch, CellT
+from calcidem.sweep.attempt import IS_INTERRUPTED, Compute, StopLevel, StopRequest
+from calcidem.sweep.batch import Batch, BatchOutcome, CellT, ResultT
 from calcidem.sweep.group_commit import GroupCommit, Sink
-from calcidem.sweep.outcome import BatchOutcome, ResultT
-from calcidem.sweep.progress import Progress
-from calcidem.sweep.schedule import Schedule
-from calcidem.sweep.signals import StopLevel, StopRequest
-from calcidem.sweep.sweep_end import SweepEnd, SweepState
+from calcidem.sweep.schedule import Progress, Schedule, SweepEnd, SweepState
 from calcidem.sweep.workers import ThisProcess, Workers
 
 More: TypeAlias = Callable[[Sequence[BatchOutcome[CellT, Any]]], Iterable[Batch[CellT]]]
-
-
-def _no_more(_outcomes: Sequence[BatchOutcome[Any, Any]]) -> tuple[()]:
-    return ()
 
 
 def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
@@ -33,7 +25,7 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     silence_floor: float = 300.0,
     progress: Progress | None = None,
     stop_request: StopRequest | None = None,
-    more: More[CellT] = _no_more,
+    more: More[CellT] = lambda _: (),
 ) -> SweepEnd:
     """Compute all batches and store their outcomes.
 

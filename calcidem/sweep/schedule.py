@@ -1,13 +1,13 @@
-"""Decisions about the next batch and about each outcome, without communication."""
+"""Decisions about the next batch and about each outcome, without communication; end and progress of a sweep."""
 
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic
+from enum import StrEnum
+from typing import Any, Generic
 
 from calcidem.ends import CellStatus
-from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.outcome import BatchOutcome, ResultT
+from calcidem.sweep.batch import Batch, BatchOutcome, CellT, ResultT
 
 LOSSES_BEFORE_QUARANTINE = 3
 """Number of times that a run died while a cell was computed, after which the cell is not tried again."""
@@ -84,3 +84,100 @@ class Schedule(Generic[CellT]):
         if kind is not None:
             setattr(self.tally, kind.value, getattr(self.tally, kind.value) + cells)
         return outcome
+
+
+EXIT_COMPLETE = 0
+"""All cells have outcomes."""
+
+EXIT_ERROR = 1
+"""Error that the same command would meet again."""
+
+EXIT_RESUMABLE = 75
+"""Stopped early with all finished cells stored; the same command continues (EX_TEMPFAIL of sysexits.h)."""
+
+
+class SweepError(Exception):
+    """Base class of errors of a whole sweep."""
+
+
+class LaunchError(SweepError):
+    """The program was started in a manner that does not allow the requested run."""
+
+
+class WorkersLostError(SweepError):
+    """A worker died or hung before all cells were computed; computed cells are stored."""
+
+
+class SweepState(StrEnum):
+    """Reason for the end of a sweep."""
+
+    COMPLETE = "complete"
+    """Every batch has a final outcome."""
+    STOPPED = "stopped"
+    """A signal requested it."""
+    CUT_OFF = "cut off"
+    """A worker died or hangs."""
+    ERROR = "error"
+    """An error of the master, most likely while storing."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweepEnd:
+    """End of a sweep."""
+
+    state: SweepState
+    """Reason for the end."""
+    detail: str = ""
+    """One sentence for the user; may be empty."""
+    tally: Tally = field(default_factory=Tally)
+    """Numbers of cells."""
+    seconds: float = 0.0
+    """Wall time of the sweep in s."""
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code: 0 complete, 75 stopped but resumable, 1 error."""
+        return {SweepState.COMPLETE: EXIT_COMPLETE, SweepState.ERROR: EXIT_ERROR}.get(self.state, EXIT_RESUMABLE)
+
+
+class Progress:
+    """Receiver of the progress of a sweep, on rank 0 only; this base class shows nothing."""
+
+    def on_start(self, batches: Sequence[Batch[Any]], workers: int) -> None:
+        """Receive the batches of the sweep and the number of workers, before the first is handed out."""
+
+    def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
+        """Receive a stored outcome."""
+
+    def on_heartbeat(self) -> None:
+        """Called twice a second during the sweep."""
+
+    def on_end(self, end: SweepEnd) -> None:
+        """Receive the end of the sweep."""
+
+
+def duration(seconds: float | None) -> str:
+    """Return a duration as text: `42 s`, `7 min`, `3 h 20 min`, `2 d 4 h`, or `?` if it is unknown."""
+    if seconds is None:
+        return "?"
+    if seconds < 100:  # two digits are enough for a person
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    if minutes < 100:  # as above
+        return f"{minutes} min"
+    hours, minutes = divmod(minutes, 60)
+    if hours < 48:  # two days
+        return f"{hours} h {minutes:02d} min"
+    days, hours = divmod(hours, 24)
+    return f"{days} d {hours} h"
+
+
+def first_of(texts: Sequence[str], most: int = 10) -> list[str]:
+    """Return the first of some texts, followed by how many more there are."""
+    more = len(texts) - most
+    return [*texts[:most], f"and {more} more"] if more > 0 else list(texts)
+
+
+def pluralize(number: int, noun: str, plural: str = "") -> str:
+    """Return a number with its noun: `1 worker`, `2 workers`."""
+    return f"{number} {noun}" if number == 1 else f"{number} {plural or f'{noun}s'}"

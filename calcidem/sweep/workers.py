@@ -21,10 +21,9 @@ from typing import Any, Generic, TypeAlias
 
 from calcidem.ends import CellStatus
 from calcidem.sweep.attempt import Compute, SweepInterrupted, attempt
-from calcidem.sweep.batch import Batch, CellT
-from calcidem.sweep.environment import available_cores, own_rank
-from calcidem.sweep.outcome import BatchOutcome, Failure, Place
-from calcidem.sweep.sweep_end import SweepError
+from calcidem.sweep.batch import Batch, BatchOutcome, CellT, Failure
+from calcidem.sweep.ranks import available_cores, own_rank
+from calcidem.sweep.schedule import SweepError
 
 _Identity: TypeAlias = tuple[str, int, int, int | None]
 """Host, process, thread and MPI rank (None without MPI)."""
@@ -217,7 +216,7 @@ class Workers(Generic[CellT]):
             self._loading = min(self._silence_floor, 10.0 * (now - flight.begun))
         self._last_answer[worker] = self._last_event = now
         rank = worker[3] if worker[3] is not None else len(self._rank_of) + (worker[1] != os.getpid())
-        place = Place(self._rank_of.setdefault(worker, rank), worker[0])
+        rank = self._rank_of.setdefault(worker, rank)
         if packed is None:
             return None
         seconds, results, failure = packed
@@ -229,7 +228,7 @@ class Workers(Generic[CellT]):
             else:
                 self._slowest = max(self._slowest, seconds / flight.batch.cost)
                 self._longest = max(self._longest, seconds)
-        return BatchOutcome(flight.batch, place, seconds, results, failure)
+        return BatchOutcome(flight.batch, seconds, results, failure, rank, worker[0])
 
     def _failure(self, error: Exception, flight: _Flight[CellT]) -> BatchOutcome[CellT, Any] | None:
         """Outcome of a batch that took down workers of Dask; None if the executor has ended.
@@ -239,7 +238,7 @@ class Workers(Generic[CellT]):
         reason = f"{type(error).__name__}: {error}"
         if type(error).__name__ == "KilledWorker":  # an exception of Dask, which is not imported for this
             failure = Failure(CellStatus.QUARANTINED, f"took down its workers and is not tried again: {reason}")
-            return BatchOutcome(flight.batch, Place(0, "unknown host"), 0.0, failure=failure)
+            return BatchOutcome(flight.batch, 0.0, failure=failure, host="unknown host")
         if isinstance(error, BrokenExecutor | CancelledError | OSError):
             self._end(f"a worker was lost ({reason})")
             return None
@@ -284,7 +283,7 @@ def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_
             _computations.clear()
             _computations[key] = pickle.loads(computation)  # noqa: S301 - written by the master of the same program
         compute = _computations[key]
-    outcome = attempt(batch, compute, time_limit, Place(0, worker[0]))  # the master sets the rank
+    outcome = attempt(batch, compute, time_limit)
     results, failure = None, outcome.failure
     if failure is None:
         try:

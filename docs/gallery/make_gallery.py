@@ -14,12 +14,12 @@ import textwrap
 from pathlib import Path
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
-from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import reduce_colours, render
+from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.cli.import_ import import_command
+from calcidem.app.cli.exchange import import_command
 from calcidem.app.report.page import write_report
-from calcidem.app.studies.frequency_and_damping import run_studies
+from calcidem.app.studies.sensitivity import run_studies
 
 FOLDER = Path(__file__).parent
 PAPER = FOLDER.parents[1] / "calcidem" / "app" / "config" / "presets" / "paper.nc"

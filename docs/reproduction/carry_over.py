@@ -14,7 +14,7 @@ from variance import variance_parts
 
 from calcidem.analysis.fits import fit_power_law
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.studies.variants import REFERENCE, Variant, read_variants
+from calcidem.app.studies.sensitivity import REFERENCE, Variant, read_variants
 from calcidem.storage.errors import UnknownCampaignError
 
 PLAN = Path(__file__).with_name("beyond.toml")

@@ -11,10 +11,8 @@ import numpy as np
 import xarray as xr
 from scipy import stats
 
-from calcidem.analysis.contact_network import NETWORK_FEATURES
-from calcidem.analysis.fits import fit_power_law, leave_one_seed_out
-from calcidem.analysis.packing_graph import FEATURES
-from calcidem.analysis.predictor import VelocityPredictor
+from calcidem.analysis.fits import VelocityPredictor, fit_power_law, leave_one_seed_out
+from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES
 from calcidem.app.campaign.opened import open_campaign
 
 SYMBOLS = {name: symbol for name, (symbol, _) in (NETWORK_FEATURES | FEATURES).items()}

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit, correlation_tests, correlations
 from calcidem.analysis.packing_graph import FEATURES
 from calcidem.analysis.published import published_study
 from calcidem.app.campaign.opened import open_campaign
@@ -27,7 +27,8 @@ def main() -> None:
 
 def print_features(analysis: CampaignAnalysis) -> None:
     """Print coefficients over all contents and within one."""
-    matrices, tests, by_content = analysis.correlations, analysis.feature_tests, analysis.content_correlations
+    matrices, tests = correlations(analysis.table), correlation_tests(analysis.table)
+    by_content = analysis.content_correlations
     logarithm = analysis.table.assign(log_vs=np.log(analysis.table["vs"]))
     of_all = "Pearson", "with log Vs", "Spearman"
     show_header("feature", *of_all, "within: Spearman", "p, corrected", "contents")

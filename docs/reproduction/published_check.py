@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calcidem.analysis.connectivity import ContactWeights
+from calcidem.analysis.contact_graph import ContactWeights
 from calcidem.analysis.distribution import normality_of_moments
 from calcidem.analysis.fits import power_law
 from calcidem.analysis.published import (
@@ -22,7 +22,7 @@ from calcidem.analysis.published import (
     growth_by_stage,
     published_study,
 )
-from calcidem.analysis.shear_wave import FEWEST_WAVELENGTHS, wavelengths
+from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, wavelengths
 
 _PAPER_SIGNIFICANCE = 0.05
 """The paper calls a sample not normal where the asymptotic p-value is below this (section 2.4)."""

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.contact_graph import ContactGraph
-from calcidem.analysis.contact_network import NETWORK_FEATURES, ContactNetwork, contact_network
+from calcidem.analysis.packing_graph import NETWORK_FEATURES, ContactNetwork, contact_network
 from calcidem.storage.records import NetworkFeatures
 
 # Two rows of four grains between the walls, and one grain (8) that touches nothing:

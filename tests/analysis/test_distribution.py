@@ -3,8 +3,7 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from calcidem.analysis.distribution import Distribution, describe_contents, tabulate
-from calcidem.analysis.outcomes import count_outcomes
+from calcidem.analysis.distribution import Distribution, count_outcomes, describe_contents, tabulate
 
 
 def matrix(values: list[list[float]], contents: list[float]) -> xr.DataArray:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calcidem.analysis.error_budget import are_samples, error_budget
+from calcidem.analysis.velocity import are_samples, error_budget
 
 CELLS = {
     "content": np.full(4, 5.0),

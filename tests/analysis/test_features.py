@@ -7,8 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from calcidem.analysis.connectivity import ContactWeights, straight_contacts
-from calcidem.analysis.contact_graph import ContactGraph, PreferentialPath, ShortestPaths
+from calcidem.analysis.contact_graph import (
+    ContactGraph,
+    ContactWeights,
+    PreferentialPath,
+    ShortestPaths,
+    straight_contacts,
+)
 from calcidem.analysis.packing_graph import FEATURES, _measure_path
 from calcidem.storage.records import PathFeatures
 

@@ -7,7 +7,7 @@ import pytest
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.packing_graph import packing_graph
-from calcidem.app.campaign.stored_packing import stored_packing
+from calcidem.app.campaign.packing import stored_packing
 from calcidem.storage.records import CementPattern
 
 

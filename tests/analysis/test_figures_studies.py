@@ -7,13 +7,13 @@ import pytest
 import xarray as xr
 
 from calcidem.analysis.figures import style
-from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
+from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.stored_packing import stored_packing
+from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.frequency_and_damping import _damping_study, _frequency_study, _pulse_frequency
+from calcidem.app.studies.sensitivity import _damping_study, _frequency_study, _pulse_frequency
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.wave.rule import Pulse
 
 pytestmark = pytest.mark.slow
 

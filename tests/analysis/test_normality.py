@@ -45,11 +45,11 @@ def test_small_sample_p_is_scipys_monte_carlo_test() -> None:
 def test_small_sample_p_rejects_as_often_as_promised(
     within_binomial: Callable[[int, int, float], bool],
 ) -> None:
-    """Of 2000 normal samples of 20, the simulated p rejects 5 % and the asymptotic one too few."""
-    samples = np.random.default_rng(9).standard_normal((2000, 20))
+    """Of 1000 normal samples of 20, the simulated p rejects 5 % and the asymptotic one too few."""
+    samples = np.random.default_rng(9).standard_normal((1000, 20))
     tests = [Distribution.of_sample(sample) for sample in samples]
-    assert within_binomial(sum(test.p_small_sample < 0.05 for test in tests), 2000, 0.05)
-    assert not within_binomial(sum(test.p_asymptotic < 0.05 for test in tests), 2000, 0.05)
+    assert within_binomial(sum(test.p_small_sample < 0.05 for test in tests), 1000, 0.05)
+    assert not within_binomial(sum(test.p_asymptotic < 0.05 for test in tests), 1000, 0.05)
 
 
 def test_skewed_values_are_rejected() -> None:

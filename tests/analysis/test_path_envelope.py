@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calcidem.analysis import weights as module
-from calcidem.analysis.connectivity import ContactWeights, connectivity
-from calcidem.analysis.contact_graph import ContactGraph, ShortestPaths, contacts_on_path
-from calcidem.analysis.weights import PathEnvelope, _PathLine, path_envelope
+from calcidem.analysis import correlation as module
+from calcidem.analysis.contact_graph import ContactGraph, ContactWeights, ShortestPaths, connectivity, contacts_on_path
+from calcidem.analysis.correlation import PathEnvelope, _PathLine, path_envelope
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from calcidem.analysis.intervals import Interval
-from calcidem.analysis.planning import SeedPlan, _seeds_needed, mean_half_width, narrowing, next_seed_count
+from calcidem.analysis.distribution import narrowing
+from calcidem.analysis.intervals import Interval, SeedPlan, _seeds_needed, mean_half_width, next_seed_count
 
 
 def test_seeds_for_the_papers_widest_content() -> None:

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
+from calcidem.analysis.fits import VelocityPredictor, check_samples
 from calcidem.analysis.intervals import Interval
-from calcidem.analysis.predictor import VelocityPredictor, check_samples
 
 SLOPES = np.array([0.10, -0.05, 0.0])
 NOISE = 0.05

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from calcidem.analysis.sensitivity import paired_changes
+from calcidem.analysis.distribution import paired_changes
 
 
 def velocities(values: np.ndarray, contents: tuple[float, ...] = (5.0,)) -> xr.DataArray:

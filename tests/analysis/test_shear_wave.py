@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calcidem.analysis.published import published_study
-from calcidem.analysis.shear_wave import damping_ratio, median_diameter_by_mass, small_strain_modulus, wavelengths
+from calcidem.analysis.velocity import damping_ratio, median_diameter_by_mass, small_strain_modulus, wavelengths
 
 
 def test_modulus_and_damping_ratio_are_those_of_the_paper() -> None:

@@ -3,8 +3,15 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.connectivity import ContactWeights, normalized_connectivity, straight_contacts
-from calcidem.analysis.weights import PathEnvelope, _correlate_sums, _first_best, _PathLine, _sums_by_seed, scan_ratio
+from calcidem.analysis.contact_graph import ContactWeights, normalized_connectivity, straight_contacts
+from calcidem.analysis.correlation import (
+    PathEnvelope,
+    _correlate_sums,
+    _first_best,
+    _PathLine,
+    _sums_by_seed,
+    scan_ratio,
+)
 
 SEEDS, CONTENTS = 20, 6
 

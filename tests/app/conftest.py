@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from chromium import Chromium, find_chromium, open_chromium
+from forked import run_forked
 from marked_processes import MarkedProcesses
 from places import CHECKOUT, SMALL_PACKING, MakeOnce
 from typer.testing import CliRunner
@@ -96,20 +97,28 @@ class Workshop(MarkedProcesses):
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            env=os.environ
+            env=self._variables(),
+        )
+
+    def _variables(self) -> dict[str, str]:
+        return (
+            os.environ
             | {
                 "PYTHONPATH": str(CHECKOUT),
                 "CALCIDEM_CACHE": str(self.cache),
                 "OMPI_MCA_btl": "^ofi",  # without the search for fabrics mpirun starts in 0.2 s instead of 1.2 s
             }
             | self.environment()
-            | self.variables,
+            | self.variables
         )
 
     def run(self, *arguments: str) -> Finished:
         """Run the command; if it refuses its input, all files are as they were."""
         with unchanged_if_refused(self.folder, self.cache) as codes:
-            finished = self.wait(self.start(*arguments))
+            if self.python == sys.executable:
+                finished = Finished(*run_forked(arguments, self.folder, self._variables(), PATIENCE))
+            else:
+                finished = self.wait(self.start(*arguments))
             codes.append(finished.code)
         return finished
 

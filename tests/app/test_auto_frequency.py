@@ -6,9 +6,8 @@ from multiprocessing import get_context
 
 import pytest
 
-from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import read_configuration
-from calcidem.app.config.schema import Configuration, Excitation
+from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 

@@ -10,13 +10,17 @@ import pytest
 
 from calcidem.analysis.measured import Target
 from calcidem.app.cli.exit_codes import _exit_code_of
-from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.measured import read_targets
-from calcidem.app.config.reader import read_configuration
-from calcidem.app.config.schema import Configuration, Excitation, FrequencyTable
+from calcidem.app.config.reader import read_configuration, read_targets
+from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
-from calcidem.app.studies.campaigns import point_of_study, point_velocities
-from calcidem.app.studies.parameters import ParameterRange, refuse_unwritable, text_with_values, with_values
+from calcidem.app.studies.points import (
+    ParameterRange,
+    point_of_study,
+    point_velocities,
+    refuse_unwritable,
+    text_with_values,
+    with_values,
+)
 from calcidem.dem.sample.packing import Packing
 
 STIFFNESS, MODULUS = "sand.wave_stiffness_factor", "cement.bond_modulus"
@@ -72,7 +76,7 @@ def test_the_parameters_that_made_the_targets_are_found_again(
     prediction = found.contents[2]
     assert (prediction.content, prediction.role, prediction.target) == (4.0, "predicted", None)
     assert found.contents[0].mean < prediction.mean < found.contents[1].mean
-    monkeypatch.setattr("calcidem.app.campaign.task.measure", None)
+    monkeypatch.setattr("calcidem.app.campaign.cells.measure", None)
     again = calibrate(start, small_packing, plan, trials)
     assert (again.values, again.contents, again.doubts) == (found.values, found.contents, found.doubts)
 

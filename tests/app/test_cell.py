@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from calcidem.app.campaign.task import CellComputation, cell_result
+from calcidem.app.campaign.cells import CellComputation, cell_result
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure

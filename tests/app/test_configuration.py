@@ -13,16 +13,15 @@ from places import CHECKOUT
 
 from calcidem.app.cli.main import main
 from calcidem.app.config import schema
-from calcidem.app.config.errors import ConfigurationError
+from calcidem.app.config.examples import key_references
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import load_configuration, read_configuration
-from calcidem.app.config.reference import key_references
-from calcidem.app.config.schema import SECTIONS, CampaignPlan, Configuration, Excitation, RunOptions
+from calcidem.app.config.schema import SECTIONS, CampaignPlan, Configuration, ConfigurationError, Excitation, RunOptions
 from calcidem.dem.engine.fields import FieldError
-from calcidem.dem.engine.material import Cement
+from calcidem.dem.engine.scene import Cement
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.storage.records.canonical import canonical_hash
+from calcidem.storage.encoding import canonical_hash
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

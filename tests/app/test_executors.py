@@ -10,7 +10,7 @@ import pytest
 from places import CHECKOUT
 
 from calcidem.app.cli.exit_codes import tell_error
-from calcidem.sweep.sweep_end import SweepError
+from calcidem.sweep.schedule import SweepError
 
 if TYPE_CHECKING:
     from conftest import Cells, Workshop

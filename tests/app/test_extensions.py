@@ -12,7 +12,7 @@ from places import CHECKOUT, TUTORIAL
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.config.checks import cross_check
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.sample import own_pattern
+from calcidem.dem.sample import cement
 from calcidem.dem.sample.cement import CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
 
@@ -47,17 +47,17 @@ def test_an_installed_package_extends_calcidem(tmp_path: Path) -> None:
 
 def test_a_pattern_of_the_program_orders_the_contacts(small_packing: Packing, monkeypatch: pytest.MonkeyPatch) -> None:
     """Contacts are cemented in its order, from the floor up; a name that is none, or half an order, is refused."""
-    monkeypatch.setattr(own_pattern, "GIVEN", {})
+    monkeypatch.setattr(cement, "GIVEN", {})
     rule = CementRule(drawn_by="up", threshold=100.0)
     (problem,) = cross_check(Configuration(pattern=rule))
     assert 'pattern.drawn_by = "up": no installed package has this pattern' in str(problem)
-    own_pattern.give_patterns({"up": lambda points, _: np.argsort(points[:, 1])})
+    cement.give_patterns({"up": lambda points, _: np.argsort(points[:, 1])})
     cemented = draw_cement(small_packing, rule, seed=1, root_seed=0).at(1.0).bonded
     height = small_packing.y[small_packing.pairs].mean(axis=1)
     assert cemented.any()
     assert height[cemented].max() < height[~cemented].min() + 2e-3  # m; contact points are not quite the means
     assert replace(Configuration(), pattern=rule).hash != Configuration().hash
-    own_pattern.give_patterns({"up": lambda points, _: np.arange(len(points) - 1)})
+    cement.give_patterns({"up": lambda points, _: np.arange(len(points) - 1)})
     with pytest.raises(ValueError, match="no permutation"):
         draw_cement(small_packing, rule, seed=1, root_seed=0)
 

@@ -12,18 +12,18 @@ import pytest
 from calcidem.app.campaign import identity
 from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing import packing_record, stored_packing
 from calcidem.app.campaign.run import run
-from calcidem.app.campaign.stored_packing import packing_record, stored_packing
 from calcidem.app.config import schema
 from calcidem.app.config.schema import PHYSICS_VERSION, CampaignPlan, Configuration
 from calcidem.app.report.page import write_report
+from calcidem.app.report.sections import PAGE_SECTIONS
 from calcidem.app.studies.verify import random_cells, verify
+from calcidem.dem.sample.cement import RandomPurpose, random_generator
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
-from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.netcdf import export_netcdf, import_netcdf
 from calcidem.storage.sql.store import Store
 
 pytestmark = pytest.mark.slow
@@ -137,8 +137,11 @@ def test_an_earlier_physics_version_is_still_read(small_database: Path, tmp_path
         assert list(merged.select(with_arrays=True)) == expected
 
 
-def test_the_database_of_an_earlier_calcidem_is_read_but_not_continued(tmp_path: Path) -> None:
+def test_the_database_of_an_earlier_calcidem_is_read_but_not_continued(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What physics version 1 computed is opened, reported and exported; a run names both versions."""
+    monkeypatch.setattr("calcidem.app.report.page.PAGE_SECTIONS", PAGE_SECTIONS[:1])  # figures take seconds
     former = Path(shutil.copy(TUTORIAL, tmp_path / "former.db"))
     with sqlite3.connect(former) as connection:
         connection.execute("UPDATE campaign SET config = json_set(config, '$.physics_version', 1)")

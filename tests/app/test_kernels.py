@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.app.campaign.task import CellComputation, kernel_compilations
+from calcidem.app.campaign.cells import CellComputation, kernel_compilations
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.kernels.features import Features
@@ -86,7 +86,7 @@ def test_two_processes_of_an_executor_compile_two_kernels_at_the_same_time(
 
         return [lambda number=number: compile_kernel(number) for number in range(2)]
 
-    monkeypatch.setattr("calcidem.app.campaign.task.kernel_compilations", compilations)
+    monkeypatch.setattr("calcidem.app.campaign.cells.kernel_compilations", compilations)
     told = pickle.dumps(CellComputation(small_configuration, small_packing))
     with ThreadPoolExecutor(2) as pool:
         assert len(list(pool.map(pickle.loads, [told] * 2))) == 2

@@ -83,7 +83,7 @@ def prepare(workshop: "Workshop", fault: str, victim: int) -> None:
 def test_ranks_that_die_in_each_start_end_the_run(workshop: "Workshop", fault: str, victim: int, said: str) -> None:
     """However many restarts are allowed, the run ends with 1 after the second start; no rank waits for the dead one."""
     prepare(workshop, fault, victim)
-    ended = workshop.run("run", "c.toml", "--ranks", "3", "--restarts", "5")
+    ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "5")
     assert ended.code == 1
     assert "The run did not begin (" in ended.errors
     assert said in " ".join((ended.output + ended.errors).split())  # mpirun breaks its lines
@@ -150,7 +150,7 @@ def test_a_cell_that_kills_each_worker_is_quarantined_and_the_others_go_on(
     """One command: three deaths, and the fourth start completes the campaign without the deadly cell."""
     customize(workshop, DEADLY_CELL)
     workshop.configure()
-    ended = workshop.run("run", "c.toml", "--ranks", "3")
+    ended = workshop.run("run", "c.toml", "--ranks", "2")
     assert ended.code == 0, ended.errors
     assert "quarantined: seed 2, 5 %: 3 runs died while it was computed" in ended.output
     cells = workshop.cells()
@@ -165,12 +165,12 @@ def test_a_command_under_nohup_goes_on(workshop: "Workshop", number: signal.Sign
     workshop.configure(seeds=2, contents=(0.66, 5.0))
     before = signal.signal(number, signal.SIG_IGN)
     try:
-        command = workshop.start("run", "c.toml", "--ranks", "3")
+        command = workshop.start("run", "c.toml", "--ranks", "2")
     finally:
         signal.signal(number, before)
     workshop.wait_for_cells(1)
     command.send_signal(number)
-    for rank in range(3):
+    for rank in range(2):
         os.kill(workshop.rank(rank), number)
     ended = workshop.wait(command)
     assert ended.code == 0, ended.errors

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from calcidem.analysis.measured import Target
-from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.measured import read_targets
+from calcidem.app.config.reader import read_targets
+from calcidem.app.config.schema import ConfigurationError
 from calcidem.app.report import page
 
 

@@ -12,8 +12,8 @@ from rich.console import Console
 
 import calcidem
 from calcidem.app.campaign.notices import advise, listening, tell
-from calcidem.app.campaign.progress import ProgressDisplay
-from calcidem.app.campaign.stored_packing import packing_from_bytes
+from calcidem.app.campaign.packing import packing_from_bytes
+from calcidem.app.campaign.status import ProgressDisplay
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation
 
 

@@ -10,8 +10,8 @@ import pytest
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.campaign.run import run
-from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
+from calcidem.app.config.schema import ConfigurationError
 from calcidem.app.studies.verify import random_cells, verify
 from calcidem.dem.sample.packing import PackingError
 from calcidem.dem.sample.packing_file import _read_disks

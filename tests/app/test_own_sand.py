@@ -10,8 +10,7 @@ import pytest
 
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.checks import check_against_packing
-from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.own_sand import (
+from calcidem.app.config.examples import (
     OwnDisks,
     OwnSand,
     parse_quantity,
@@ -20,7 +19,7 @@ from calcidem.app.config.own_sand import (
     uniform_limits,
 )
 from calcidem.app.config.reader import read_configuration
-from calcidem.app.config.schema import Configuration, Excitation
+from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import packing_from_csv, write_disks_csv
 from calcidem.dem.wave.measurement import measure
@@ -40,7 +39,12 @@ def part_with_velocity(own: OwnSand, seeds: int) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "own", [("0.1mm", "1MPa", "carbonate"), ("5mm", "20kPa", "quartz"), ("0.1mm,0.3mm,0.9mm", "1bar", "glass")]
+    "own",
+    [
+        pytest.param(("0.1mm", "1MPa", "carbonate"), marks=pytest.mark.full),  # some seconds each
+        pytest.param(("5mm", "20kPa", "quartz"), marks=pytest.mark.full),
+        ("0.1mm,0.3mm,0.9mm", "1bar", "glass"),
+    ],
 )
 def test_a_written_configuration_needs_no_edit(own: tuple[str, str, str]) -> None:
     """Sands unlike the paper's have the velocity that the file expects, also those of many sizes."""

@@ -14,7 +14,7 @@ import pytest
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.run import run
 from calcidem.app.cli.exit_codes import _exit_code_of
-from calcidem.app.disks.packing_import import ImportedPacking, import_packing
+from calcidem.app.disks import ImportedPacking, import_packing
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing, PackingFileError
 from calcidem.dem.sample.packing_file import _read_disks

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calcidem.app.campaign.merge import merge_databases
-from calcidem.app.campaign.parts import planned_batches, planned_cells
-from calcidem.app.config.errors import ConfigurationError
+from calcidem.app.campaign.plan import planned_batches, planned_cells
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.config.schema import Configuration, RunOptions
+from calcidem.app.config.schema import Configuration, ConfigurationError, RunOptions
 
 if TYPE_CHECKING:
     from conftest import Cells, Workshop

@@ -17,8 +17,8 @@ from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.plots import CampaignPlots, _with_settings_of
 from calcidem.app.cli.exit_codes import _exit_code_of
+from calcidem.dem.wave.experiment import domain_of, listening_disks
 from calcidem.dem.wave.propagation import film_wave
-from calcidem.dem.wave.scene import domain_of, listening_disks
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
 
 CELL = {"seed": 1, "content": 5.0}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calcidem.app.studies.posterior import draw_posterior
+from calcidem.app.studies.calibrate import draw_posterior
 from calcidem.dem.kernels.layout import Floats
 
 SLOPES = np.array([[1.0, 0.0], [0.5, 0.5], [0.0, -1.0], [0.2, 0.4]])

@@ -8,11 +8,10 @@ import pytest
 
 from calcidem.app.campaign import preview
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.parts import planned_batches
+from calcidem.app.campaign.plan import planned_batches
 from calcidem.app.campaign.preview import _chosen_frequencies, wave_doubts
 from calcidem.app.config.checks import _longest_step, check_against_packing
-from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.config.schema import Bonding, CampaignPlan, Configuration, Excitation
+from calcidem.app.config.schema import Bonding, CampaignPlan, Configuration, ConfigurationError, Excitation
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.propagation import prepare_recorder

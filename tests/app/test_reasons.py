@@ -9,25 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calcidem.app.campaign.cells import cell_result, section_of, section_reader
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.patterns import section_of, section_reader
-from calcidem.app.campaign.stored_packing import packing_record
-from calcidem.app.campaign.task import cell_result
+from calcidem.app.campaign.packing import packing_record
+from calcidem.app.config.examples import CALIBRATED, calibration_note
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import change_configuration, load_configuration
-from calcidem.app.config.reference import CALIBRATED, calibration_note
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import _velocity_remarks
-from calcidem.app.report.results import count_reasons
+from calcidem.app.report.tables import count_reasons
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.reading import Reading, describe_refusal, read_section
-from calcidem.dem.wave.section import Section
-from calcidem.dem.wave.strip_wave import fitness
+from calcidem.dem.wave.section import Section, fitness
 from calcidem.ends import Verdict
+from calcidem.storage.encoding import canonical_json
 from calcidem.storage.records import CampaignRecord
-from calcidem.storage.records.canonical import canonical_json
 from calcidem.storage.sql.store import Store
 
 SEEDS, CONTENT = (1, 2, 3, 4), 0.66

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.app.config.errors import ConfigurationError
-from calcidem.app.studies.variants import (
+from calcidem.app.config.schema import ConfigurationError
+from calcidem.app.studies.sensitivity import (
     REFERENCE,
     compute_variants,
     read_variants,

@@ -21,15 +21,13 @@ from live_page import ADDRESS, PATIENCE, Live, serve, start
 
 from calcidem.app.campaign.status import CampaignStatus
 from calcidem.app.serve.address import PageAddress, page_beside_run
-from calcidem.app.serve.columns import CellColumns
-from calcidem.app.serve.feed import CampaignFeed
-from calcidem.app.serve.hub import Hub
-from calcidem.app.serve.movies import MovieMaker
-from calcidem.app.serve.server import LivePage
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, CellStatus
-from calcidem.storage.records.canonical import canonical_hash
+from calcidem.app.serve.feed import CampaignFeed, CellColumns
+from calcidem.app.serve.server import Hub, LivePage, MovieMaker
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_hash
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult
 from calcidem.storage.sql.store import Store
-from calcidem.sweep.environment import available_cores
+from calcidem.sweep.ranks import available_cores
 
 pytestmark = pytest.mark.slow
 
@@ -216,6 +214,7 @@ def test_a_password_of_a_configuration_is_in_no_command_line() -> None:
             until = monotonic() + PATIENCE
             while not any(b"show" in line and b"nobody" in line for line in lines) and monotonic() < until:
                 lines |= command_lines()
+                sleep(0.02)
             assert answer.result()[0] == 200
     assert any(b"calcidem" in line and b"show" in line and b"nobody" in line for line in lines)
     assert not any(b"MARKED-SECRET" in line for line in lines)

@@ -13,7 +13,8 @@ from live_page import ADDRESS, Live, serve
 from places import TUTORIAL
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.storage.records import CellResult, CellStatus
+from calcidem.ends import CellStatus
+from calcidem.storage.records import CellResult
 from calcidem.storage.sql.store import Store
 
 if TYPE_CHECKING:

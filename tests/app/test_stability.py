@@ -11,8 +11,8 @@ from calcidem.app.studies import stability as study
 from calcidem.app.studies.stability import SceneVerdict, stability
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.experiment import wave_scene
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.scene import wave_scene
 from calcidem.ends import CellStatus
 
 sys.path.append(str(CHECKOUT / "benchmarks" / "stability"))
@@ -85,13 +85,13 @@ def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None
     assert all(judgement.reason for judgement in judgements if judgement.verdict != SceneVerdict.STABLE)
 
 
-@pytest.mark.parametrize("laws", [{"auto"}, pytest.param({"linear", "finite"}, marks=pytest.mark.full)])
-def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(laws: set[str]) -> None:
+@pytest.mark.parametrize("number", [12, pytest.param(40, marks=pytest.mark.full)])
+def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(number: int) -> None:
     """Where a velocity is to be expected most scenes give one, and each is right."""
-    scenes = [scene for scene in Extreme.draw(40, seed=3, box="plausible") if scene.law in laws]
+    scenes = Extreme.draw(number, seed=3, box="plausible")
     judgements = [scene.judge() for scene in scenes]
     assert [judgement for judgement in judgements if judgement.verdict == SceneVerdict.WRONG] == []
-    assert sum(judgement.error is not None for judgement in judgements) >= 15 / 40 * len(scenes) > 2
+    assert sum(judgement.error is not None for judgement in judgements) >= 15 / 40 * number
 
 
 @pytest.mark.full

@@ -12,15 +12,23 @@ _PARTS = ("calcidem.dem.engine.assembly", "calcidem.dem.kernels.steps")
 """What takes a tenth of a second and more to import: libraries, and the engine with its kernels."""
 
 _PROGRAM = """
-import json, sys
+import json, os, sys
+from pathlib import Path
+import sqlalchemy
 from calcidem.app.cli.main import main
-sys.argv[1:] = json.loads(sys.argv[1])
-try:
-    main()
-except SystemExit as end:
-    assert not end.code, end.code
-sys.stderr.write(json.dumps(sorted(sys.modules)))
+for name, words in json.loads(sys.argv[1]).items():
+    if os.fork():
+        assert os.wait()[1] == 0, name
+        continue
+    sys.argv[1:] = words
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, end.code
+    Path(name + ".json").write_text(json.dumps(sorted(sys.modules)))
+    os._exit(0)
 """
+"""Each command in a process of its own, forked from one with what all of them need."""
 
 QUESTIONS = {
     "query": (["query", "DB"], 600),
@@ -39,25 +47,24 @@ _NEEDED = {
 
 
 @pytest.fixture(scope="module")
-def exported(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Give an exported file of the small campaign."""
-    from calcidem.storage.netcdf.export import export_netcdf  # noqa: PLC0415 - what is tested is what others import
-    from calcidem.storage.sql.store import read_campaign  # noqa: PLC0415
-
-    with read_campaign(small_database) as store:
-        return export_netcdf(store, tmp_path_factory.mktemp("exported") / "small.nc")
+def loaded(small_database: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Give a folder with the modules that each command has imported."""
+    folder = tmp_path_factory.mktemp("loaded")
+    words = {
+        name: [str(small_database) if word == "DB" else word for word in words]
+        for name, (words, _) in QUESTIONS.items()
+    }
+    subprocess.run(
+        [sys.executable, "-c", _PROGRAM, json.dumps(words)], check=True, stdout=subprocess.DEVNULL, cwd=folder
+    )
+    return folder
 
 
 @pytest.mark.parametrize("question", QUESTIONS)
-def test_a_command_imports_what_it_needs(question: str, small_database: Path, exported: Path, tmp_path: Path) -> None:
+def test_a_command_imports_what_it_needs(question: str, loaded: Path) -> None:
     """A command that only reads or moves stored numbers loads neither the engine nor the libraries of figures."""
-    arguments, most = QUESTIONS[question]
-    places = {"DB": str(small_database), "out.nc": str(exported if question == "import" else tmp_path / "out.nc")}
-    command = [places.get(word, word) for word in arguments]
-    done = subprocess.run(
-        [sys.executable, "-c", _PROGRAM, json.dumps(command)], check=True, capture_output=True, text=True, cwd=tmp_path
-    )
-    modules = set(json.loads(done.stderr.splitlines()[-1]))
+    _, most = QUESTIONS[question]
+    modules = set(json.loads((loaded / f"{question}.json").read_text()))
     assert modules & {*_LIBRARIES, *_PARTS} <= _NEEDED.get(question, set())
     assert len(modules) <= most, len(modules)
     if question in {"query", "status", "show", "export"}:

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.notices import listening
-from calcidem.app.campaign.parts import batches_of
+from calcidem.app.campaign.plan import batches_of
 from calcidem.app.campaign.provenance import describe_run
-from calcidem.app.campaign.store_sink import StoreSink
+from calcidem.app.campaign.run import StoreSink
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.schema import Configuration
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_hash
 from calcidem.storage.errors import StoreLockedError
-from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, CellStatus, PackedResult
-from calcidem.storage.records.canonical import canonical_hash
+from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, PackedResult
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Place
-from calcidem.sweep.sweep_end import EXIT_RESUMABLE
+from calcidem.sweep.batch import Batch, BatchOutcome
+from calcidem.sweep.schedule import EXIT_RESUMABLE
 
 
 class OftenLockedStore(Store):
@@ -40,7 +40,7 @@ class OftenLockedStore(Store):
 @pytest.mark.slow
 def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is dropped while another process has locked the database, and it is said why nothing happens."""
-    monkeypatch.setattr("calcidem.app.campaign.store_sink.time.sleep", lambda _: None)
+    monkeypatch.setattr("calcidem.app.campaign.run.time.sleep", lambda _: None)
     told: list[tuple[str, bool]] = []
     with OftenLockedStore(tmp_path / "one.db") as store:
         store.begin_campaign(CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1,), datetime.now(UTC)))
@@ -68,7 +68,7 @@ NUMBERS = {"frequency": 15e3, "time_step": 8e-8, "stability_limit": 1e-7, "steps
 def outcome_of(*keys: CellKey) -> BatchOutcome[tuple[int, float], PackedResult]:
     """Outcome of cells that are done."""
     results = tuple(CellResult(key, CellStatus.DONE, vs=900.0, **NUMBERS).packed() for key in keys)
-    return BatchOutcome(Batch(0, tuple((key.seed, key.content) for key in keys)), Place(1, "here"), 1.0, results)
+    return BatchOutcome(Batch(0, tuple((key.seed, key.content) for key in keys)), 1.0, results, rank=1, host="here")
 
 
 def test_a_cell_that_was_computed_when_a_run_died_has_lost_an_attempt(tmp_path: Path) -> None:

@@ -13,15 +13,14 @@ import pytest
 
 from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.plan import SeedDemand
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.run import CampaignRun
-from calcidem.app.campaign.until import SeedDemand
-from calcidem.app.config.errors import ConfigurationError
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.config.schema import CampaignPlan, Configuration, WantedIntervals
-from calcidem.storage.records import CellKey, CellResult, CellStatus, PackedResult
-from calcidem.sweep.batch import Batch, Cell, plan_batches
-from calcidem.sweep.outcome import BatchOutcome, Place
+from calcidem.app.config.schema import CampaignPlan, Configuration, ConfigurationError, WantedIntervals
+from calcidem.ends import CellStatus
+from calcidem.storage.records import CellKey, CellResult, PackedResult
+from calcidem.sweep.batch import Batch, BatchOutcome, Cell, plan_batches
 from calcidem.sweep.run import run_sweep
 
 if TYPE_CHECKING:
@@ -73,7 +72,7 @@ def computed(known: dict[Cell, float], order: random.Random) -> dict[Cell, float
         cell = waiting.pop(order.randrange(len(waiting)))
         known[cell] = velocity(cell)
         batch = Batch(0, (cell,))
-        waiting += demand.take_in([BatchOutcome(batch, Place(0, "here"), 0.0, tuple(measured(batch, lambda: None)))])
+        waiting += demand.take_in([BatchOutcome(batch, 0.0, tuple(measured(batch, lambda: None)))])
     assert set(known) == set(demand.cells)
     return known
 

@@ -17,7 +17,7 @@ from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.campaign.run import run
 from calcidem.app.config.reader import read_configuration
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf import export_netcdf
 
 ASSETS = Path(__file__).parent / "assets"
 SMALL_PACKING = Path(__file__).parents[1] / "assets" / "small_packing.npz"

@@ -3,7 +3,7 @@
     python tests/compatibility/promise.py
 
 writes that file anew. Names are added freely. Once the file says ``"released": true``, names go away with a new major
-version only: docs/compatibility.md has the rule.
+version only: docs/store.md has the rule.
 """
 
 import inspect
@@ -23,10 +23,10 @@ from calcidem import dem
 from calcidem.app.campaign.plots import CampaignPlots
 from calcidem.app.cli.exit_codes import _EXIT_BAD_INPUT, EXIT_ROUNDING
 from calcidem.app.cli.main import PANELS, _build_application
-from calcidem.app.config.reference import key_references
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.app.config.examples import key_references
+from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.sql.store import Store
-from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE
+from calcidem.sweep.schedule import EXIT_ERROR, EXIT_RESUMABLE
 
 FILE = Path(__file__).with_name("promise.json")
 

@@ -11,7 +11,7 @@ from unchanged import digests
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.main import _build_application
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
+from calcidem.storage.netcdf import import_netcdf
 from calcidem.storage.sql.store import Store
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -25,7 +25,7 @@ def test_the_program_has_the_names_that_are_promised() -> None:
     """Names of Python, commands, exit codes, configuration, database and NetCDF are those of the kept file."""
     kept = json.loads(FILE.read_text(encoding="utf-8"))["names"]
     now = promised()
-    assert lost_names(kept, now) == [], "see docs/compatibility.md before a name goes away"
+    assert lost_names(kept, now) == [], "see docs/store.md before a name goes away"
     assert now == kept, "new names: run python tests/compatibility/promise.py"
 
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
+from calcidem.dem.engine.scene import Bonds, Cement, Preload, Sand, Scene, Wall
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import Packing, PackingReport
@@ -14,12 +13,13 @@ SPACING = 2.0 * RADIUS * (1.0 - 1e-3)
 
 SOFT = Sand(shear_modulus=1.0e9)  # a soft material makes overlaps, and so what a bug would change, easy to see
 
-# Each combination of features is compiled once, some seconds each, so tests share a few.
-HERTZ = Features(search=True)
-SERVO = Features(search=True, servo=True)
+# Each combination of features is compiled once, some seconds each, so tests share a few: HERTZ, BONDED
+# and GROUPED are those that `choose_features` gives to such scenes, SERVO is that of small packings.
+HERTZ = Features(search=True, midpoint=True)
+SERVO = Features(search=True, servo=True, loads=False)
 ACCOUNT = Features(search=True, account=True)
-BONDED = Features(bonds=True, breakage=True, search=True)
-GROUPED = Features(bonds=True, linear_group=True, breakage=True, search=True)
+BONDED = Features(bonds=True, breakage=True, search=True, midpoint=True)
+GROUPED = Features(bonds=True, linear_group=True, breakage=True, search=True, midpoint=True)
 LINEAR = Features(finite=False, linear=True, bonds=True, linear_group=True, slip=False, rescaling=False)
 
 SOFT_CEMENT = Cement(bond_modulus=2.0e8, linear_modulus=1.0e8, bond_stiffness_ratio=2.0, linear_stiffness_ratio=1.5)

@@ -5,9 +5,8 @@ import pytest
 from scenes import BONDED, GROUPED, RADIUS, SOFT, SOFT_CEMENT, pair_scene
 
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Cement
 from calcidem.dem.engine.readout import contact_forces
-from calcidem.dem.engine.scene import Bonds, Installation, Preload
+from calcidem.dem.engine.scene import Bonds, Cement, Installation, Preload
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.layout import NORMAL, SHEAR
 
@@ -55,7 +54,8 @@ def test_only_a_lane_with_the_bond_gives_it_the_force() -> None:
     """In other lanes the contact keeps its shear force, and there is no bond to bear any."""
     bonds = Bonds(PAIRS, BARE, np.array([0b00000101], dtype=np.uint32))
     scene = pair_scene(gap=-OVERLAP, sand=SOFT, bonds=bonds, held=HELD)
-    pairs = start(scene, features=replace(BONDED, lanes=8), preload=PRELOAD, time_step=STEP).assembly.pairs
+    features = replace(BONDED, lanes=8, midpoint=False, recording=True)  # those of cells
+    pairs = start(scene, features=features, preload=PRELOAD, time_step=STEP).assembly.pairs
     bonded = np.array([True, False, True, False, False, False, False, False])
     np.testing.assert_allclose(pairs.bond_force[0, NORMAL], np.where(bonded, CARRIED, 0.0))
     np.testing.assert_allclose(np.abs(pairs.bond_force[0, SHEAR]), np.where(bonded, 0.3 * CARRIED, 0.0))

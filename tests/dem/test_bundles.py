@@ -8,8 +8,7 @@ import pytest
 from scenes import ACCOUNT, BONDED, GROUPED, HERTZ, LINEAR, SOFT_CEMENT, jumble, throw
 
 from calcidem.dem.engine import leapfrog
-from calcidem.dem.engine.bundles import plan_bundles
-from calcidem.dem.engine.leapfrog import State
+from calcidem.dem.engine.leapfrog import State, plan_bundles
 from calcidem.dem.engine.scene import Bonds, Precision, Regime, Scene
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import ABREAST, Features
@@ -78,7 +77,7 @@ def test_eight_pairs_at_once_give_the_bits_of_one_after_the_other(
 @pytest.mark.full
 def test_an_account_is_summed_up_pair_by_pair() -> None:
     """Where energies are counted, bundles are not made, and nothing that moves differs."""
-    counted = flown(replace(ACCOUNT, bundles=True))
+    counted = flown(replace(ACCOUNT, bundles=True, midpoint=True))
     assert counted.account.any()
     assert kernel_bytes(counted) == kernel_bytes(flown(HERTZ))
 

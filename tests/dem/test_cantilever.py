@@ -3,8 +3,7 @@ import pytest
 from scenes import BONDED, LINEAR, RADIUS
 
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Cement
-from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.engine.scene import Bonds, Cement, Scene
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.features import Features
 

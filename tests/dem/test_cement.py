@@ -13,12 +13,13 @@ from calcidem.dem.sample.cement import (
     CementKind,
     CementOrdering,
     CementRule,
+    RandomPurpose,
     _contact_points,
     content_of_contacts,
     draw_cement,
+    random_generator,
     toroid_area,
 )
-from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 
 CONTENTS = st.floats(0.0, 10.0)  # every seed of the small sample holds that much
 SEEDS = st.integers(0, 2**31)

@@ -15,9 +15,9 @@ from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Recording
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.guards import broken_bonds, cheap_limit, problems_of
+from calcidem.dem.wave.experiment import driven_disks
+from calcidem.dem.wave.recorder import broken_bonds, cheap_limit, problems_of
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.dem.wave.scene import driven_disks
 
 COUNT, STEPS = 40, 300
 FULL_KINDS: list[tuple[Regime, Precision]] = [("linear", "float32"), ("finite", "float64"), ("finite", "float32")]

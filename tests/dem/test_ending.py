@@ -5,12 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from calcidem.dem.engine.material import Sand
-from calcidem.dem.engine.scene import Scene
+from calcidem.dem.engine.scene import Sand, Scene
 from calcidem.dem.engine.state import start
-from calcidem.dem.sample.compaction import box_walls, make_packing
+from calcidem.dem.sample.compaction import SettlingError, box_walls, make_packing, settle
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.sample.settling import SettlingError, settle
 
 RULE = PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3)
 

@@ -5,14 +5,13 @@ import pytest
 from scenes import ACCOUNT, RADIUS, SOFT, SOFT_CEMENT, jumble, pair_scene, throw
 
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import contact_forces, energies
-from calcidem.dem.engine.scene import Bonds, Preload, Scene, Wall
+from calcidem.dem.engine.scene import Bonds, Cement, Preload, Sand, Scene, Wall
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.experiment import wave_scene
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.dem.wave.scene import wave_scene
 
 
 def imbalances(scene: Scene, features: Features, step: float, duration: float) -> tuple[float, float]:

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calcidem.dem.engine.material import Sand
-from calcidem.dem.engine.scene import Preload
+from calcidem.dem.engine.scene import Preload, Sand
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.judgement import _densest_cover, deepest_overlap, expected_overlap, judge_disks, judge_stress
 from calcidem.dem.sample.packing import Packing, PackingRule

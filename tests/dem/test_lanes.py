@@ -7,8 +7,7 @@ from scenes import GROUPED, jumble, throw
 from calcidem.dem.engine import leapfrog
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds, Precision, Scene
-from calcidem.dem.engine.state import advance, start
-from calcidem.dem.engine.step_control import UnstableRunError
+from calcidem.dem.engine.state import UnstableRunError, advance, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Integers
 

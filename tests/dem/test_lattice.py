@@ -9,7 +9,7 @@ from calcidem.dem.engine.scene import Scene
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.layout import Floats
 
-EIGHT = replace(LINEAR, lanes=8)  # four of them are used
+EIGHT = replace(LINEAR, lanes=8, linear_group=False, loads=False, recording=True)  # as cells; four lanes are used
 WAVELENGTH = 20.0 * SPACING
 LANES = ((0, 0), (0, 1), (1, 1), (1, 0))  # direction of travel and of motion: P and S along x, P and S along y
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from scenes import HERTZ, RADIUS, SOFT, pair_scene
 
-from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import unbalanced_ratio
+from calcidem.dem.engine.scene import Cement, Sand
 from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.layout import X, Y
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.guards import cheap_limit, problems_of, unbalanced_speed
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.propagation import prepare_recorder
+from calcidem.dem.wave.recorder import cheap_limit, problems_of, unbalanced_speed
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule
 from calcidem.dem.wave.section import Section
 

@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import SOFT_CEMENT, jumble, throw
 
-from calcidem.dem.engine.material import Cement
-from calcidem.dem.engine.scene import Installation, Preload, Regime, Scene
+from calcidem.dem.engine.scene import Cement, Installation, Preload, Regime, Scene
 from calcidem.dem.engine.state import advance, choose_features, start
 
 pytestmark = pytest.mark.slow
@@ -17,13 +16,13 @@ pytestmark = pytest.mark.slow
 # 1e-8 of the largest value, and branches (contact, slip) taken a rounding apart far less.
 TOLERANCE = 1e-7
 STEPS = 40
-LANES = 2
+LANES = 8  # of which two are compared
 WEAK = replace(SOFT_CEMENT, tensile_strength=4.0e5, cohesion=3.0e5, friction_angle=20.0)
 KINDS: list[tuple[str, Regime, bool, Cement | None]] = [
     ("hertz", "finite", True, None),
     ("hertz, old rescaling", "small", False, None),
-    ("bonds", "finite", True, replace(WEAK, linear_modulus=0.0)),
-    ("bonds and linear group", "finite", False, WEAK),
+    ("bonds", "finite", False, replace(WEAK, linear_modulus=0.0)),
+    ("bonds and linear group", "finite", True, WEAK),
     ("small bonds", "small", True, WEAK),
     ("linear", "linear", True, SOFT_CEMENT),
 ]
@@ -75,10 +74,10 @@ def test_the_kernel_moves_a_random_heap_as_its_slow_twin_does(
     state = start(scene, features=features, preload=preload, velocity=velocity, spin=spin, step_fraction=0.1)
     twins = [
         naive.make_twin(scene, features, float(state.time_step[lane]), velocity, spin, lane, preload)
-        for lane in range(LANES)
+        for lane in (0, LANES - 1)
     ]
     state = advance(state, STEPS)
-    for lane, twin in enumerate(twins):
+    for lane, twin in zip((0, LANES - 1), twins, strict=True):
         naive.first_step(twin)
         for _ in range(STEPS - 1):
             naive.step(twin)

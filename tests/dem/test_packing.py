@@ -5,7 +5,6 @@ import pytest
 from scenes import HERTZ
 
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Sand
 from calcidem.dem.engine.readout import (
     contact_forces,
     net_forces,
@@ -14,13 +13,13 @@ from calcidem.dem.engine.readout import (
     wall_overlaps,
     wall_reactions,
 )
-from calcidem.dem.engine.scene import Scene
+from calcidem.dem.engine.scene import Sand, Scene
 from calcidem.dem.engine.stability import critical_time_step_of_disks, scaled_densities
 from calcidem.dem.engine.state import start
-from calcidem.dem.engine.statics import _contact_springs
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.compaction import Cost, _draw_radii, _place_apart, box_walls, make_packing, relax
 from calcidem.dem.sample.packing import WALL_NAMES, Packing, PackingError, PackingRule, PackingStage
+from calcidem.dem.wave.static_speed import _contact_springs
 
 pytestmark = pytest.mark.slow
 

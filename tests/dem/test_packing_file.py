@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Sand
-from calcidem.dem.engine.step_control import UnstableRunError
+from calcidem.dem.engine.scene import Sand
+from calcidem.dem.engine.state import UnstableRunError
 from calcidem.dem.sample import compaction
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingFileError, PackingRule

@@ -33,8 +33,7 @@ from calcidem.dem.wave.reading import (
     smooth,
 )
 from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
-from calcidem.dem.wave.section import Section
-from calcidem.dem.wave.strip_wave import StripWave, clamp_of_strip, far_stations, fit_wave, fitness, waveform
+from calcidem.dem.wave.section import Section, StripWave, clamp_of_strip, far_stations, fit_wave, fitness, waveform
 
 ANY_ERROR = PickRule(largest_error=1.0)
 HELD = 2.07

@@ -8,9 +8,8 @@ import pytest
 from scenes import HERTZ, RADIUS, pair_scene
 from test_distance import lattice_experiment
 
-from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.readout import contact_forces, energies
-from calcidem.dem.engine.scene import Bonds, Installation, Preload, Scene, Wall
+from calcidem.dem.engine.scene import Bonds, Cement, Installation, Preload, Sand, Scene, Wall
 from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import PackingRule

@@ -10,16 +10,14 @@ from scenes import LINEAR, RADIUS, SOFT, SOFT_CEMENT, SPACING, contact_stiffness
 from test_distance import lattice_experiment, shear_speed
 
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Cement
-from calcidem.dem.engine.scene import Bonds, Scene
+from calcidem.dem.engine.scene import Bonds, Cement, Scene
 from calcidem.dem.engine.state import start
-from calcidem.dem.engine.statics import ShearedPart, sheared_motion, sheared_triangles, triangulate
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave import static_speed as static
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.dem.wave.static_speed import static_speed
+from calcidem.dem.wave.static_speed import ShearedPart, sheared_motion, sheared_triangles, static_speed, triangulate
 
 
 def rim_of(x: Floats, y: Floats, *, ends: bool = True) -> Flags:

@@ -8,13 +8,11 @@ from places import CHECKOUT
 from scenes import ACCOUNT, BONDED, HERTZ, LINEAR, RADIUS, SERVO, SOFT, jumble, pair_scene, throw
 
 from calcidem.dem.engine.leapfrog import State, change_step, look_ahead
-from calcidem.dem.engine.material import Cement, Sand
 from calcidem.dem.engine.portable import root
 from calcidem.dem.engine.readout import Energies, contact_forces, energies, net_forces, wall_contacts, wall_reactions
-from calcidem.dem.engine.scene import Bonds, Scene, Wall
+from calcidem.dem.engine.scene import Bonds, Cement, Sand, Scene, Wall
 from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks
-from calcidem.dem.engine.state import advance, start
-from calcidem.dem.engine.step_control import UnstableRunError, _contact_durations, _instant
+from calcidem.dem.engine.state import UnstableRunError, _contact_durations, _instant, advance, start
 
 sys.path.append(str(CHECKOUT / "benchmarks" / "stability"))
 

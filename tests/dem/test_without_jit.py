@@ -32,7 +32,7 @@ recording = replace(GROUPED, recording=True, driven=True, account=True)
 # Each with its share of bonds. The last are those of cells; they record the mean of three disks.
 cases = [(ACCOUNT, 0.0), (GROUPED, 0.6), (small, 0.6), (LINEAR, 0.6), (bundled, 0.6), (recording, 0.6)]
 cases += [(replace(features, lanes=2), bonded) for features, bonded in cases if {is_wide}]
-cases += [(SERVO, 0.0), (replace(GROUPED, midpoint=True), 0.6)] if {is_wide} else []
+cases += [(SERVO, 0.0), (replace(GROUPED, midpoint=False), 0.6)] if {is_wide} else []
 
 
 def run(case, precision):

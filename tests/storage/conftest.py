@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from sqlalchemy import create_engine, text
 
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_hash, canonical_json
 from calcidem.storage.records import (
     CampaignRecord,
     CellKey,
     CellResult,
-    CellStatus,
     CementPattern,
     GrainPath,
     NetworkFeatures,
@@ -24,7 +25,6 @@ from calcidem.storage.records import (
     RecordedSection,
     RunRecord,
 )
-from calcidem.storage.records.canonical import canonical_hash, canonical_json
 from calcidem.storage.sql.store import Store
 
 MOMENT = datetime(2024, 5, 17, 12, 30, 15, 123456, tzinfo=UTC)

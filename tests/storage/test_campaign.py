@@ -10,8 +10,10 @@ import pandas as pd
 import pytest
 
 from calcidem.app.campaign.opened import Campaign, open_campaign
+from calcidem.ends import CellStatus
+from calcidem.storage import encoding
 from calcidem.storage.errors import QueryError, UnknownCampaignError, UnknownCellError
-from calcidem.storage.records import STATUS_CODES, CellStatus, canonical
+from calcidem.storage.records import STATUS_CODES
 from calcidem.storage.sql.store import Store
 
 if TYPE_CHECKING:
@@ -119,7 +121,7 @@ def test_campaign_is_chosen_by_name(store: Store, records: "Records", address: s
         open_campaign(address, "third")
 
 
-@pytest.mark.parametrize("module", [canonical])
+@pytest.mark.parametrize("module", [encoding])
 def test_examples_of_the_documentation(module: ModuleType) -> None:
     """The examples in the docstrings give what they show."""
     result = doctest.testmod(module)

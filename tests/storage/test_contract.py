@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from sqlalchemy import text
 
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_json
 from calcidem.storage.errors import (
     CampaignMismatchError,
     InvalidRecordError,
@@ -20,8 +22,7 @@ from calcidem.storage.errors import (
     UnknownCampaignError,
     UnknownCellError,
 )
-from calcidem.storage.records import STORED_STATUSES, AttemptCount, CellKey, CellStatus
-from calcidem.storage.records.canonical import canonical_json
+from calcidem.storage.records import STORED_STATUSES, AttemptCount, CellKey
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 

@@ -19,9 +19,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from calcidem.app.cli.exchange import _RAISED_BY_DAMAGE
 from calcidem.app.cli.exit_codes import _exit_code_of
-from calcidem.app.cli.import_ import _RAISED_BY_DAMAGE
+from calcidem.ends import CellStatus
 from calcidem.input_file import InputFileError
+from calcidem.storage import netcdf, netcdf_trial
 from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.errors import (
     CampaignMismatchError,
@@ -34,11 +36,8 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
     UnknownCampaignError,
 )
-from calcidem.storage.netcdf import export, trial
-from calcidem.storage.netcdf import import_netcdf as importing
-from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.netcdf.import_netcdf import _read, import_netcdf
-from calcidem.storage.records import CellKey, CellStatus
+from calcidem.storage.netcdf import _read, export_netcdf, import_netcdf
+from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import Store
 
 if TYPE_CHECKING:
@@ -100,8 +99,8 @@ def test_a_file_that_is_older_than_a_quantity_is_imported(
 ) -> None:
     """The cells lack it, and have all else."""
     newest = ("broken_bonds", "retry", "path_connectivity")
-    known = {name: quantity for name, quantity in export.QUANTITY_BY_NAME.items() if name not in newest}
-    monkeypatch.setattr(export, "QUANTITY_BY_NAME", known)
+    known = {name: quantity for name, quantity in netcdf.QUANTITY_BY_NAME.items() if name not in newest}
+    monkeypatch.setattr(netcdf, "QUANTITY_BY_NAME", known)
     file = export_netcdf(filled, tmp_path / "of_older_program.nc")
     with Store(tmp_path / "again.db") as copy:
         import_netcdf(file, copy)
@@ -176,7 +175,7 @@ def test_a_failed_import_leaves_the_store_as_it_was(
         raise RuntimeError("half-way")
 
     with Store(tmp_path / "copy.db") as copy, Store(tmp_path / "copy.db") as master:
-        monkeypatch.setattr(importing, "_results", fail)
+        monkeypatch.setattr(netcdf, "_results", fail)
         with pytest.raises(RuntimeError, match="half-way"):
             import_netcdf(exported, copy)
         assert copy.campaigns() == ()
@@ -244,7 +243,7 @@ def test_flags_and_units_are_in_the_file(exported: Path) -> None:
         assert file["section/across"].filters()["zlib"]
 
 
-@pytest.mark.slow
+@pytest.mark.full  # the checker takes seconds to load
 @pytest.mark.filterwarnings("ignore:The ioos_sos checker")
 def test_cf_checker(exported: Path) -> None:
     """The IOOS compliance checker finds no error against CF 1.11."""
@@ -277,7 +276,7 @@ def test_failed_export_leaves_the_old_file(filled: Store, exported: Path, monkey
     def fail(*_: object) -> None:
         raise RuntimeError("power cut")
 
-    monkeypatch.setattr(export, "_append_attempts", fail)
+    monkeypatch.setattr(netcdf, "_append_attempts", fail)
     with pytest.raises(DiskError, match="power cut"):
         export_netcdf(filled, exported)
     assert exported.read_bytes() == before
@@ -346,12 +345,12 @@ def test_a_file_that_the_library_never_finishes_is_refused(
     blocks: tuple[int, int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Such a file is named with exit code 2, for reading and for being replaced, instead of being read for ever."""
-    monkeypatch.setattr(trial, "_TIME_FOR_A_BLOCK", 1.0)
+    monkeypatch.setattr(netcdf_trial, "_TIME_FOR_A_BLOCK", 1.0)
     path = endless_file(tmp_path, blocks)
     with Store(tmp_path / "new.db") as store, pytest.raises(DamagedStoreError, match=r"endless\.nc") as caught:
         import_netcdf(path, store)
     assert _exit_code_of(caught.value) == 2
-    assert export.belongs_to_another(path, "the hash of any campaign")
+    assert netcdf.belongs_to_another(path, "the hash of any campaign")
 
 
 @pytest.mark.slow
@@ -375,7 +374,7 @@ def test_an_interrupt_is_heard_while_a_file_is_tried(tmp_path: Path) -> None:
 @pytest.mark.full
 def test_swapped_blocks_are_refused_or_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a hundred files with two blocks swapped each is imported or refused; none is read for ever."""
-    monkeypatch.setattr(trial, "_TIME_FOR_A_BLOCK", 2.0)
+    monkeypatch.setattr(netcdf_trial, "_TIME_FOR_A_BLOCK", 2.0)
     last = (ASSETS / "calcidem_0.1.0.nc").stat().st_size // 64
     random = np.random.default_rng(7)
     for number in range(100):

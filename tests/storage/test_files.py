@@ -27,7 +27,7 @@ from calcidem.storage.errors import (
 )
 from calcidem.storage.sql import engine
 from calcidem.storage.sql.store import Store
-from calcidem.sweep.sweep_end import EXIT_RESUMABLE
+from calcidem.sweep.schedule import EXIT_RESUMABLE
 
 if TYPE_CHECKING:
     from conftest import Records

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 from unittest import mock
 
 import pytest
+from forked import ForkedProgram
 
-import calcidem
 from calcidem.app.campaign.merge import merge_databases
-from calcidem.app.cli.import_ import _import_campaign
+from calcidem.app.cli.exchange import _import_campaign
 from calcidem.storage.errors import (
     DamagedStoreError,
     LeaseHeldError,
@@ -26,7 +26,7 @@ from calcidem.storage.errors import (
     StoreError,
     StoreUnavailableError,
 )
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.sql import reading
 from calcidem.storage.sql.engine import find_damage
 from calcidem.storage.sql.lease import Lease, replace_database
@@ -59,16 +59,13 @@ def target(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def start_writer(target: Path) -> Iterator[Callable[[], "subprocess.Popen[str]"]]:
+def start_writer(target: Path) -> Iterator[Callable[[], ForkedProgram]]:
     """Start a process that writes the target, and return once it has stored cells; ended with the test."""
-    started: list[subprocess.Popen[str]] = []
+    started: list[ForkedProgram] = []
 
-    def start() -> "subprocess.Popen[str]":
-        environment = os.environ | {"PYTHONPATH": str(Path(calcidem.__file__).parents[1])}
-        command = [sys.executable, str(WRITER), str(target), "5000"]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    def start() -> ForkedProgram:
+        process = ForkedProgram(WRITER, str(target), "5000")
         started.append(process)
-        assert process.stdout is not None
         for _ in range(4):
             assert process.stdout.readline()
         return process
@@ -84,7 +81,7 @@ def import_of(source: Path, target: Path) -> None:
     with Store(source, read_only=True) as store:
         store.use_campaign()
         file = export_netcdf(store, source.with_suffix(".nc"))
-    with mock.patch("calcidem.app.campaign.stored_packing.stored_packing"):
+    with mock.patch("calcidem.app.campaign.packing.stored_packing"):
         _import_campaign(file, str(target))
 
 
@@ -97,7 +94,7 @@ def merge_of(source: Path, target: Path) -> None:
 def test_a_dead_runs_log_is_not_replayed_into_another_database(
     source: Path,
     target: Path,
-    start_writer: Callable[[], "subprocess.Popen[str]"],
+    start_writer: Callable[[], ForkedProgram],
     make: Callable[[Path, Path], None],
 ) -> None:
     """Kill a run, remove its database, and make another one in its place: it is intact, and nothing else is there."""
@@ -144,7 +141,7 @@ def test_a_database_that_a_run_makes_meanwhile_is_kept(
 
 
 def test_a_database_in_use_is_not_merged_into(
-    source: Path, target: Path, start_writer: Callable[[], "subprocess.Popen[str]"]
+    source: Path, target: Path, start_writer: Callable[[], ForkedProgram]
 ) -> None:
     """A living run's database is not replaced."""
     start_writer()

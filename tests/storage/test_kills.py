@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.merge import merge_databases
-from calcidem.app.cli.import_ import _import_campaign
+from calcidem.app.cli.exchange import _import_campaign
 from calcidem.storage.errors import UnknownCampaignError
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.engine import find_damage
 from calcidem.storage.sql.store import Store, read_campaign
@@ -73,15 +73,15 @@ class Trial:
     def import_(self, tell: Callable[[Told], None]) -> None:
         """Import the exported file; what reads it on trial is a process of its own, which writes nothing."""
         with (
-            mock.patch("calcidem.app.campaign.stored_packing.stored_packing"),
-            mock.patch("calcidem.storage.netcdf.import_netcdf.refuse_unreadable"),
+            mock.patch("calcidem.app.campaign.packing.stored_packing"),
+            mock.patch("calcidem.storage.netcdf.refuse_unreadable"),
         ):
             _import_campaign(self.file, str(self.target))
         tell(self.of_source)
 
     def export(self, _tell: Callable[[Told], None]) -> None:
         """Export this database."""
-        with mock.patch("calcidem.storage.netcdf.export.refuse_unreadable"), read_campaign(self.target) as store:
+        with mock.patch("calcidem.storage.netcdf.refuse_unreadable"), read_campaign(self.target) as store:
             export_netcdf(store, self.folder / "r.nc")
 
     def kill(self, name: str, moment: float) -> tuple[bool, Told]:

@@ -10,12 +10,12 @@ import xarray as xr
 
 from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.cli.formats import Format, tell_rows
-from calcidem.app.cli.query import as_rows
+from calcidem.app.cli.output import Format, tell_rows
+from calcidem.app.cli.results import as_rows
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
-from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
-from calcidem.storage.records import LARGEST_SEED, CellKey, CellStatus
+from calcidem.storage.netcdf import export_netcdf, import_netcdf
+from calcidem.storage.records import LARGEST_SEED, CellKey
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 

@@ -12,7 +12,7 @@ import xarray as xr
 
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_atomically, write_text_atomically
-from calcidem.storage.netcdf.export import belongs_to_another, export_netcdf, write_netcdf
+from calcidem.storage.netcdf import belongs_to_another, export_netcdf, write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def test_no_export_takes_the_place_of_another_campaigns(database: Path, tmp_path
 FULL_DISK = """
 import resource, sys
 from calcidem.storage.errors import DiskError
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.sql.store import Store
 
 with Store(sys.argv[1], read_only=True) as store:

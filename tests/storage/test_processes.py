@@ -5,17 +5,15 @@ import random
 import shutil
 import signal
 import sqlite3
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from forked import ForkedProgram
 from sqlalchemy import text
 
-import calcidem.storage
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.errors import LeaseHeldError
 from calcidem.storage.records import CellKey
@@ -30,7 +28,7 @@ CELLS = 2 * SEEDS
 ACKNOWLEDGED = 12
 """Cells that are stored before the writer is killed."""
 
-StartWriter = Callable[..., "subprocess.Popen[str]"]
+StartWriter = Callable[..., ForkedProgram]
 
 
 @pytest.fixture
@@ -42,13 +40,10 @@ def database(tmp_path: Path) -> Path:
 @pytest.fixture
 def start_writer(database: Path) -> Iterator[StartWriter]:
     """Start a process that writes the database; ended with the test."""
-    started: list[subprocess.Popen[str]] = []
+    started: list[ForkedProgram] = []
 
-    def start(seeds: int = SEEDS) -> "subprocess.Popen[str]":
-        command = [sys.executable, str(WRITER), str(database), str(seeds)]
-        # The writer must import the calcidem under test, installed or not.
-        environment = os.environ | {"PYTHONPATH": str(Path(calcidem.storage.__file__).parents[2])}
-        started.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment))
+    def start(seeds: int = SEEDS) -> ForkedProgram:
+        started.append(ForkedProgram(WRITER, str(database), str(seeds)))
         return started[-1]
 
     yield start
@@ -70,7 +65,6 @@ def test_kill_loses_no_acknowledged_row(database: Path, start_writer: StartWrite
     said: set[CellKey] = set()
     for attempt in range(6):
         process = start_writer()
-        assert process.stdout is not None
         lease = process.stdout.readline()
         assert lease.startswith("lease free" if attempt == 0 else "lease ")
         assert attempt == 0 or "last heartbeat" in lease
@@ -94,7 +88,6 @@ def test_kill_loses_no_acknowledged_row(database: Path, start_writer: StartWrite
 def test_readers_never_block_the_writer(database: Path, start_writer: StartWriter) -> None:
     """Readers in a loop see whole rows, cause no error on either side, and the log stays small."""
     process = start_writer()
-    assert process.stdout is not None
     process.stdout.readline()
     log, largest_log, counts = Path(f"{database}-wal"), 0, [0]
     while process.poll() is None:
@@ -104,7 +97,7 @@ def test_readers_never_block_the_writer(database: Path, start_writer: StartWrite
         assert count >= counts[-1]
         counts.append(count)
         largest_log = max(largest_log, log.stat().st_size if log.exists() else 0)
-    assert process.returncode == 0
+    assert process.wait() == 0
     assert len(acknowledged(process.stdout.readlines())) == CELLS
     assert len(counts) > 3
     # SQLite empties the log at 1000 pages of 4 kB; the transactions of the slowest reader's time come on top: on a busy
@@ -118,7 +111,6 @@ def test_readers_never_block_the_writer(database: Path, start_writer: StartWrite
 def killed(database: Path, start_writer: StartWriter) -> Path:
     """Database whose writer was killed, so that its last transactions are in the write-ahead log."""
     process = start_writer()
-    assert process.stdout is not None
     for _ in range(ACKNOWLEDGED + 1):
         process.stdout.readline()
     process.kill()
@@ -189,7 +181,6 @@ def test_an_undamaged_log_loses_nothing(killed: Path) -> None:
 def test_second_master_is_refused_while_the_first_lives(database: Path, start_writer: StartWriter) -> None:
     """A second master is refused by name while the first lives, and reading goes on."""
     first = start_writer()
-    assert first.stdout is not None
     first.stdout.readline()
     first.send_signal(signal.SIGSTOP)
     with Store(database) as store:
@@ -205,7 +196,7 @@ def test_second_master_is_refused_while_the_first_lives(database: Path, start_wr
 def test_lease_of_another_machine_ends_with_its_heartbeat(database: Path, start_writer: StartWriter) -> None:
     """A lease held on another machine is respected until it has been silent for five minutes."""
     process = start_writer(seeds=1)
-    process.communicate()
+    process.wait()
     elsewhere = (
         "INSERT INTO lease (campaign_id, token, host, pid, machine, started, lock, acquired, heartbeat) "
         "VALUES (1, 'x', 'elsewhere', 1, 'elsewhere', '1', '', datetime('now'), datetime('now', :age))"
@@ -226,6 +217,6 @@ def test_lease_of_another_machine_ends_with_its_heartbeat(database: Path, start_
 def test_orderly_end_leaves_one_file(database: Path, start_writer: StartWriter) -> None:
     """After an orderly end neither lock nor log is left beside the database."""
     process = start_writer(seeds=1)
-    process.communicate()
-    assert process.returncode == 0
+    process.wait()
+    assert process.wait() == 0
     assert [path.name for path in database.parent.iterdir()] == [database.name]

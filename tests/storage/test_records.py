@@ -12,17 +12,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import canonical_hash, canonical_json, config_difference, pack_arrays, unpack_arrays
 from calcidem.storage.records import (
     CellKey,
     CellResult,
-    CellStatus,
     CementPattern,
     PathFeatures,
     RecordedSection,
     canonical_content,
 )
-from calcidem.storage.records.arrays import pack_arrays, unpack_arrays
-from calcidem.storage.records.canonical import canonical_hash, canonical_json, config_difference
 
 if TYPE_CHECKING:
     from conftest import Records

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from sqlalchemy import CheckConstraint, inspect, text
 
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import OtherSchemaError
-from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
+from calcidem.storage.records import QUANTITY_BY_NAME
 from calcidem.storage.sql.store import Store
 from calcidem.storage.sql.tables import _METADATA
 

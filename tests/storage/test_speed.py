@@ -10,7 +10,8 @@ from sqlalchemy import select, text
 from sqlalchemy.dialects import sqlite
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.storage.records import CellKey, CellStatus
+from calcidem.ends import CellStatus
+from calcidem.storage.records import CellKey
 from calcidem.storage.sql.reading import StoreReader, _conditions
 from calcidem.storage.sql.store import Store, _attempt_in
 from calcidem.storage.sql.tables import ATTEMPT, CELL, EXPRESSIONS, join_results

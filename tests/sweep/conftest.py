@@ -16,8 +16,7 @@ import pytest
 from marked_processes import MarkedProcesses
 from places import CHECKOUT
 
-from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.batch import Batch, BatchOutcome
 
 PROGRAMS = Path(__file__).parent / "programs"
 CONTENTS = (0.0, 2.55, 9.0)

@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from calcidem.sweep.environment import (
+from calcidem.sweep.ranks import (
     available_cores,
     launcher,
     own_rank,
@@ -10,7 +10,7 @@ from calcidem.sweep.environment import (
     refuse_singletons,
     requested_tasks,
 )
-from calcidem.sweep.sweep_end import LaunchError
+from calcidem.sweep.schedule import LaunchError
 
 
 @pytest.mark.parametrize("variables", [{"SLURM_NTASKS": "8"}, {"SLURM_NTASKS": "8", "SLURM_STEP_NUM_TASKS": "8"}])

@@ -18,10 +18,8 @@ import pytest
 
 from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch, plan_batches
-from calcidem.sweep.progress import Progress
 from calcidem.sweep.run import _Master, run_sweep
-from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE
-from calcidem.sweep.sweep_end import SweepError, SweepState
+from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE, Progress, SweepError, SweepState
 from calcidem.sweep.workers import Workers
 
 if TYPE_CHECKING:
@@ -92,7 +90,7 @@ def test_processes_unpickle_the_computation_once(sink: "MemorySink", tmp_path: P
     assert sink.results() == EXPECTED
     notes = list(tmp_path.glob("unpickled-*"))
     assert all(note.read_text() == "once\n" for note in notes)
-    assert {outcome.place.rank for outcome in sink.outcomes} == set(range(1, len(notes) + 1))
+    assert {outcome.rank for outcome in sink.outcomes} == set(range(1, len(notes) + 1))
 
 
 @pytest.mark.parametrize("kind", ["raise", "unpicklable", "slow"])

@@ -7,10 +7,9 @@ from typing import Any
 
 import pytest
 
-from calcidem.sweep.batch import Batch
+from calcidem.sweep.batch import Batch, BatchOutcome
 from calcidem.sweep.group_commit import GroupCommit
-from calcidem.sweep.outcome import BatchOutcome, Place
-from calcidem.sweep.progress import Progress
+from calcidem.sweep.schedule import Progress
 
 
 @dataclass
@@ -51,7 +50,7 @@ class Shown(Progress):
 
 def outcome(number: int) -> BatchOutcome[int, int]:
     """Outcome of a batch of this number."""
-    return BatchOutcome(Batch(number, (number,)), Place(1, "node"), 1.0, results=(number,))
+    return BatchOutcome(Batch(number, (number,)), 1.0, results=(number,))
 
 
 @pytest.fixture

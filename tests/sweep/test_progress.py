@@ -1,6 +1,6 @@
 import pytest
 
-from calcidem.sweep.progress import duration
+from calcidem.sweep.schedule import duration
 
 
 @pytest.mark.parametrize(

@@ -1,16 +1,13 @@
 import pytest
 
 from calcidem.ends import CellStatus
-from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome, Failure, Place
+from calcidem.sweep.batch import Batch, BatchOutcome, Failure
 from calcidem.sweep.schedule import Schedule
-
-PLACE = Place(rank=1, host="here")
 
 
 def failed(batch: Batch[str], kind: CellStatus = CellStatus.FAILED) -> BatchOutcome[str, int]:
     """Return the outcome of a batch that failed."""
-    return BatchOutcome(batch, PLACE, 1.0, failure=Failure(kind, "on order"))
+    return BatchOutcome(batch, 1.0, failure=Failure(kind, "on order"))
 
 
 def drain(schedule: Schedule[str]) -> list[tuple[str, ...]]:
@@ -81,7 +78,7 @@ def test_the_cell_that_takes_down_workers_is_quarantined_alone() -> None:
         if "deadly" in batch.cells:
             settled.append(schedule.settle(failed(batch, CellStatus.QUARANTINED)))
         else:
-            results = BatchOutcome(batch, PLACE, 1.0, results=(1,) * len(batch.cells))
+            results = BatchOutcome(batch, 1.0, results=(1,) * len(batch.cells))
             assert schedule.settle(results) is results
             done.extend(batch.cells)
     assert sorted(done) == ["fine", "good"]

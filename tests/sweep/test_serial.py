@@ -12,7 +12,7 @@ import pytest
 from calcidem.ends import CellStatus
 from calcidem.sweep.batch import Batch, plan_batches
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.sweep_end import SweepState
+from calcidem.sweep.schedule import SweepState
 
 if TYPE_CHECKING:
     from conftest import MemorySink

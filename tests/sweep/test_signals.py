@@ -3,7 +3,7 @@ import signal
 
 import pytest
 
-from calcidem.sweep.signals import StopLevel, StopRequest
+from calcidem.sweep.attempt import StopLevel, StopRequest
 
 
 def send(number: signal.Signals) -> None:

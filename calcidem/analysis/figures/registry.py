@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, correlations
 from calcidem.analysis.figures.relations import draw_conductance, draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
 from calcidem.analysis.figures.signals import Arrival, draw_dispersion, draw_signals, load_arrival
@@ -77,11 +77,6 @@ def _plot_measurement(analysis: CampaignAnalysis) -> Figure:
     return draw_measurement(analysis.graphs[0], analysis.config.get("wave", {}), arrival)
 
 
-def _plot_signals(analysis: CampaignAnalysis) -> Figure:
-    shown = pick_evenly(_measured_contents(analysis), 5)
-    return draw_signals([_first_arrival_at(analysis, content) for content in shown])
-
-
 def _plot_paths(analysis: CampaignAnalysis) -> Figure:
     content = min(_varied_contents(analysis), key=lambda content: abs(content - 5.0))  # as Fig. 12 of the paper
     ordered = [sample for sample in analysis.measured_samples(content) if sample.packing_index == 0]
@@ -131,7 +126,9 @@ CAMPAIGN_FIGURES = (
         "Signals and their arrivals",
         "Transmitted (grey) and received (blue) signal, each over its peak, with the arrival by each method. Peak and "
         "cross-correlation count from the transmitted peak, the first arrival from the transmitted onset.",
-        _plot_signals,
+        lambda analysis: draw_signals(
+            [_first_arrival_at(analysis, content) for content in pick_evenly(_measured_contents(analysis), 5)]
+        ),
     ),
     CampaignFigure(
         "methods",
@@ -160,14 +157,14 @@ CAMPAIGN_FIGURES = (
         "Correlation of path features and Vs",
         "Over all contents every feature correlates with Vs, since both grow with content. Within one the mean is "
         "subtracted and the rest divided by the scatter there, so that contents count alike.",
-        lambda analysis: draw_correlations(analysis.correlations),
+        lambda analysis: draw_correlations(correlations(analysis.table)),
     ),
     CampaignFigure(
         "network_correlations",
         "Correlation of features of the whole sample and Vs",
         "As before, for features of the cement as a network between the walls. Its conductance G follows the scatter "
         "of Vs within one content best.",
-        lambda analysis: draw_correlations(analysis.network_correlations),
+        lambda analysis: draw_correlations(correlations(analysis.network_table)),
     ),
     CampaignFigure(
         "weight_scan",

@@ -11,7 +11,6 @@ from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
-from calcidem.analysis.contact_network import NETWORK_FEATURES
 from calcidem.analysis.correlation import Correlations
 from calcidem.analysis.figures.style import (
     BLACK,
@@ -27,9 +26,8 @@ from calcidem.analysis.figures.style import (
     new_panel,
 )
 from calcidem.analysis.figures.velocities import published_velocities
-from calcidem.analysis.fits import power_law
-from calcidem.analysis.packing_graph import FEATURES
-from calcidem.analysis.predictor import VelocityPredictor
+from calcidem.analysis.fits import VelocityPredictor, power_law
+from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES
 from calcidem.analysis.published import published_study
 
 

@@ -1,7 +1,11 @@
-"""Pictures of the velocities of a campaign: range, distribution, methods, and Monte-Carlo error."""
+"""Pictures of velocities: range, distribution, methods and Monte-Carlo error of a campaign; studies of settings.
+
+The studies are those of reading method, damping and excitation frequency.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import matplotlib as mpl
 import numpy as np
@@ -13,16 +17,19 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.analysis.distribution import ContentDistribution, Distribution
-from calcidem.analysis.error_budget import are_samples
+from calcidem.analysis.distribution import ContentDistribution, Distribution, narrowing
 from calcidem.analysis.figures.signals import METHOD_STYLES
 from calcidem.analysis.figures.style import (
     BLACK,
     BLUE,
     CONTENT_LABEL,
     CONTENT_MAP,
+    FIGURE_WIDTH,
     GREY,
+    KHZ,
+    MS,
     ORANGE,
+    SEQUENCE,
     SKY,
     VERMILION,
     VS_LABEL,
@@ -33,9 +40,9 @@ from calcidem.analysis.figures.style import (
     pick_evenly,
 )
 from calcidem.analysis.measured import Target, group_specimens
-from calcidem.analysis.planning import narrowing
 from calcidem.analysis.published import PublishedVelocity, published_study
-from calcidem.storage.records.error_budget import NORMAL_95, depends_on_pulse
+from calcidem.analysis.velocity import are_samples
+from calcidem.storage.records import NORMAL_95, depends_on_pulse
 
 
 def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
@@ -88,12 +95,10 @@ def draw_range(
         return figure
     pairs = [pair for panel, _ in parts for pair in zip(*panel.get_legend_handles_labels(), strict=True)]
     legend = {label: handle for handle, label in pairs}
-    figure.legend([*legend.values()], [*legend], loc="outside lower center", ncols=2 if measured else 3)
+    figure.legend(
+        [*legend.values()], [*legend], loc="outside lower center", ncols=3 if len(parts) > 1 and not measured else 2
+    )
     return figure
-
-
-def _is_within(content: float, rows: Sequence[ContentDistribution]) -> bool:
-    return rows[0].content - 1e-6 <= content <= rows[-1].content + 1e-6
 
 
 def _rows_with_velocity(distributions: Sequence[ContentDistribution]) -> list[ContentDistribution]:
@@ -139,7 +144,7 @@ def _draw_range(
     if any(loud):
         at, label = content[loud], "depends on the pulse"
         axes.plot(at, means[loud], "o", markersize=8, markerfacecolor="none", color=ORANGE, label=label)
-    here = [(at, row) for at, row in published if _is_within(at, rows)]
+    here = [(at, row) for at, row in published if rows[0].content - 1e-6 <= at <= rows[-1].content + 1e-6]
     if here:
         aside = 0.015 * (content[-1] - content[0])  # so that neither hides the other
         axes.errorbar(
@@ -277,7 +282,7 @@ def draw_methods(cells: xr.Dataset, measured: Sequence[Target] = ()) -> Figure:
 
 @apply_style
 def draw_narrowing(vs: xr.DataArray, contents: Sequence[float]) -> Figure:
-    """Draw the 95 % intervals against the number of seeds for each content, see `planning.narrowing`; Vs in m/s."""
+    """Draw the 95 % intervals against the number of seeds for each content, see `distribution.narrowing`; Vs in m/s."""
     counts = tuple(int(count) for count in np.unique(np.geomspace(4, 512, 15).round()))
     narrowings = {content: narrowing(vs.sel(content=content).to_numpy(), counts) for content in contents}
     figure = new_figure(height=3.1)
@@ -300,3 +305,167 @@ def draw_narrowing(vs: xr.DataArray, contents: Sequence[float]) -> Figure:
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(narrowings))
     return figure
+
+
+_FREQUENCY_LABEL = "excitation frequency (kHz)"
+_SHOWN_METHODS = ("peak", "first_arrival")
+
+
+@apply_style
+def _draw_reading_study(study: xr.Dataset) -> Figure:
+    """Draw Vs from peak to peak and by first arrival against frequency (Fig. 6).
+
+    Marks are hollow where transmitter and receiver are less than a wavelength apart.
+    """
+    contents = study["content"].to_numpy()
+    lines = math.ceil(len(contents) / 2)
+    figure = new_figure(height=0.6 + 2.1 * lines)
+    panels = figure.subplots(lines, min(2, len(contents)), squeeze=False, sharex=True).ravel()
+    frequency = study["frequency"].to_numpy() * KHZ
+    for axes, content in zip(panels, contents, strict=False):
+        for name in _SHOWN_METHODS:
+            label, colour, marker = METHOD_STYLES[name]
+            values = study[f"vs_{name}"].sel(content=content).transpose("seed", "frequency").to_numpy()
+            axes.plot(frequency, values.T, color=colour, alpha=0.25, linewidth=0.7)
+            known = np.isfinite(values).any(axis=0)
+            mean = np.nanmean(values[:, known], axis=0)
+            axes.plot(frequency[known], mean, color=colour, marker=marker, markersize=4, label=label)
+            near = study.attrs["distance"] * frequency[known] / KHZ < mean
+            axes.plot(
+                frequency[known][near],
+                mean[near],
+                linestyle="none",
+                color=colour,
+                marker=marker,
+                markersize=4,
+                markerfacecolor="white",
+                zorder=3,
+            )
+        axes.set_title(f"{content:g} %")
+        _start_at_zero(axes)
+    letter_panels(panels[: len(contents)])
+    for axes in panels[len(contents) :]:
+        axes.set_axis_off()
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(_SHOWN_METHODS))
+    figure.supxlabel(_FREQUENCY_LABEL, fontsize=9)
+    figure.supylabel(VS_LABEL, fontsize=9)
+    return figure
+
+
+@apply_style
+def _draw_frequency_study(study: xr.Dataset) -> Figure:
+    """Draw received frequency and Vs against transmitted frequency (Fig. 9)."""
+    figure = new_figure(height=3.5, width=7.0)
+    left, right = figure.subplots(1, 2)
+    frequency = study["frequency"].to_numpy() * KHZ
+    left.plot(frequency, frequency, color=GREY, linestyle=":", linewidth=1.2, label="equal")
+    for place, (content, colour) in enumerate(zip(study["content"].to_numpy(), SEQUENCE, strict=False)):
+        aside = frequency + 0.012 * (place - 1) * np.ptp(frequency)  # so that no curve hides another
+        for axes, name, scale in ((left, "received_frequency", KHZ), (right, "vs_peak", 1.0)):
+            values = study[name].sel(content=content).transpose("seed", "frequency").to_numpy() * scale
+            known = np.isfinite(values).any(axis=0)
+            low, high = np.nanmin(values[:, known], axis=0), np.nanmax(values[:, known], axis=0)
+            mean = np.nanmean(values[:, known], axis=0)
+            axes.fill_between(aside[known], low, high, color=colour, alpha=0.15, linewidth=0)
+            axes.plot(aside[known], mean, color=colour, marker="o", markersize=3.5, label=f"{content:g} %")
+        used = float(study["campaign_frequency"].sel(content=content)) * KHZ
+        right.axvline(used + aside[0] - frequency[0], color=colour, linestyle="--", linewidth=0.8, alpha=0.8)
+    letter_panels((left, right))
+    for axes in (left, right):
+        axes.set_xlabel(_FREQUENCY_LABEL)
+        _start_at_zero(axes)
+    left.set_ylabel("frequency received (kHz)")
+    right.set_ylabel(VS_LABEL)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=1 + study.sizes["content"])
+    return figure
+
+
+@apply_style
+def _draw_damping_study(study: xr.Dataset) -> Figure:
+    """Draw received signals for several damping factors (Fig. 7)."""
+    contents = study["content"].to_numpy()
+    factors = study["damping"].to_numpy()
+    figure = new_figure(height=0.7 + 2.9 * len(contents), width=FIGURE_WIDTH + 0.4)
+    panels = figure.subplots(len(contents), 2, squeeze=False, width_ratios=[2.2, 1.0])
+    colours = mpl.colormaps[CONTENT_MAP](np.linspace(0.0, 0.9, len(factors)))
+    for (signals, velocities), content in zip(panels, contents, strict=True):
+        chosen = study.sel(content=content)
+        time = chosen["time"].to_numpy() * MS
+        received = chosen["received"].transpose("damping", ...).to_numpy()
+        received = received / np.abs(received).max()
+        step = float(np.diff(received, axis=0).max(initial=0.0)) + 0.1  # so that no curve meets its neighbour
+        for place, (factor, signal, colour) in enumerate(zip(factors, received, colours, strict=True)):
+            signals.plot(time, signal - step * place, color=colour, linewidth=1.2)
+            signals.annotate(
+                f"{factor:g}",
+                (time[-1], -step * place),
+                xytext=(4, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=7.5,
+                color=colour,
+                annotation_clip=False,
+            )
+        signals.set_yticks([])
+        signals.set_xlim(0, time[-1])
+        signals.set_ylabel("received, by damping factor")
+        signals.set_title(f"{content:g} %")
+        velocities.plot(factors, chosen["vs_peak"].transpose("damping", ...), color=BLUE, marker="o", markersize=3.5)
+        velocities.set_ylabel(VS_LABEL)
+        _start_at_zero(velocities)
+        velocities.set_xlim(0, 1.08 * factors[-1])
+    letter_panels(panels.ravel())
+    panels[-1, 0].set_xlabel("time (ms)")
+    panels[-1, 1].set_xlabel("damping factor")
+    return figure
+
+
+@dataclass(frozen=True, slots=True)
+class _StudyFigure:
+    """A figure of a sensitivity study."""
+
+    study: str
+    """Study that it shows, "frequency" or "damping"."""
+    name: str
+    """File name without ending."""
+    title: str
+    """Title in a few words."""
+    caption: str
+    """Caption in sentences."""
+    draw: Callable[[xr.Dataset], Figure]
+    """Draws it from the result of the study."""
+
+
+STUDY_FIGURES = (
+    _StudyFigure(
+        "frequency",
+        "study_reading",
+        "Peak to peak against first arrival",
+        "Vs of the same samples by two methods of reading, over excitation frequency; thin lines are samples. Marks "
+        "are hollow where transmitter and receiver are less than a wavelength apart, so that near-field effects "
+        "spoil the reading.",
+        _draw_reading_study,
+    ),
+    _StudyFigure(
+        "frequency",
+        "study_frequency",
+        "Excitation frequency",
+        "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
+        "the transmitted one, with the range over samples; dashed at the campaign's frequency. Contents are slightly "
+        "offset.",
+        _draw_frequency_study,
+    ),
+    _StudyFigure(
+        "damping",
+        "study_damping",
+        "Local damping",
+        "Signals received in one sample with several local damping factors, and the Vs read from them where one "
+        "could be trusted.",
+        _draw_damping_study,
+    ),
+)
+
+
+def _start_at_zero(axes: Axes) -> None:
+    """Let a vertical axis begin at zero, with some space above the data."""
+    axes.set_ylim(0, 1.06 * axes.get_ylim()[1])

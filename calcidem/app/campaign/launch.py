@@ -20,26 +20,25 @@ from pathlib import Path
 from typing import IO
 
 from calcidem.app.campaign.notices import tell
-from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.campaign.run import RunView, prepared_store, read_own_status
+from calcidem.app.campaign.status import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import StoreError
 from calcidem.storage.passwords import PASSWORDS_VARIABLE
 from calcidem.storage.records import RunRecord
 from calcidem.storage.sql.store import read_campaign
 from calcidem.storage.store import STALE_AFTER
-from calcidem.sweep.attempt import SweepInterrupted
-from calcidem.sweep.environment import (
+from calcidem.sweep.attempt import StopLevel, StopRequest, SweepInterrupted
+from calcidem.sweep.ranks import (
     COMMAND_VARIABLE,
     THREAD_VARIABLES,
     available_cores,
+    die_with_parent,
     launcher,
     refuse_ranks_off_linux,
     requested_tasks,
 )
-from calcidem.sweep.processes import die_with_parent
-from calcidem.sweep.signals import StopLevel, StopRequest
-from calcidem.sweep.sweep_end import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepState
+from calcidem.sweep.schedule import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepState
 
 _MPIRUN_VARIABLE = "MPIRUN"
 """Variable that names the launcher, instead of the one next to Python or in the search path."""

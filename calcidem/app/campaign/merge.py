@@ -9,14 +9,15 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from calcidem.app.campaign.identity import physics_version
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError, StoreError
-from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, CellStatus, PackingRecord
+from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, PackingRecord
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import replace_database
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
-from calcidem.sweep.progress import first_of
+from calcidem.sweep.schedule import first_of
 
 _Values: TypeAlias = tuple[Any, ...] | None
 """`EXACT_QUANTITIES` of a done cell, else None."""
@@ -103,8 +104,14 @@ def merge_databases(
                 names += [str(out)] if former.campaigns() else []  # a run that was killed at its start leaves none
         campaigns = [stack.enter_context(read_campaign(name, campaign_name)) for name in names]
         for campaign in campaigns:
-            if campaign.address.path == target:
-                _refuse_other_uses(campaign)
+            if campaign.address.path != target:
+                continue
+            if len(campaign.campaigns()) > 1:
+                raise FileExistsError(f"{out} has several campaigns; give another file for the merged database.")
+            if (holder := campaign.lease_holder()) is not None and holder.may_live():
+                raise LeaseHeldError(
+                    f"{out} is being written by process {holder.pid} on {holder.host}.", "Wait until it has ended."
+                )
         with Store(temporary) as store:
             merged = _merge_campaigns(campaigns, store, names, None if prefer is None else names.index(prefer))
         if merged.conflicts and prefer is None:
@@ -115,16 +122,6 @@ def merge_databases(
                 "give --prefer with the database to take.",
             )
     return merged
-
-
-def _refuse_other_uses(target: Store) -> None:
-    """Refuse to replace a database with several campaigns, or one that is being written."""
-    if len(target.campaigns()) > 1:
-        raise FileExistsError(f"{target.address} has several campaigns; give another file for the merged database.")
-    if (holder := target.lease_holder()) is not None and holder.may_live():
-        raise LeaseHeldError(
-            f"{target.address} is being written by process {holder.pid} on {holder.host}.", "Wait until it has ended."
-        )
 
 
 def _merge_campaigns(sources: Sequence[Store], target: Store, names: Sequence[str], prefer: int | None) -> Merged:

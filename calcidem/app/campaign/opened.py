@@ -3,6 +3,7 @@
 The numbers of the paper's campaign, which the package contains, can be loaded without a database.
 """
 
+import math
 import os
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -22,46 +23,40 @@ import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_cells
 from calcidem.analysis.dispersion import Dispersion
-from calcidem.analysis.distribution import budget_dataset, describe_contents, tabulate
-from calcidem.analysis.error_budget import BUDGET_QUANTITIES
-from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
-from calcidem.analysis.outcomes import name_outcomes
+from calcidem.analysis.distribution import budget_dataset, describe_contents, name_outcomes, tabulate
+from calcidem.analysis.fits import FEWEST_ROWS, Prediction, VelocityPredictor, check_samples
 from calcidem.analysis.packing_graph import Feature, PackingGraph, installed_features
-from calcidem.analysis.predictor import Prediction
-from calcidem.analysis.shear_wave import damping_ratio, small_strain_modulus
-from calcidem.app.campaign.identity import refuse_other_physics
-from calcidem.app.campaign.patterns import stored_experiment, with_patterns
-from calcidem.app.campaign.prediction import draw_pattern, predict_velocity
-from calcidem.app.config.schema import Configuration
+from calcidem.analysis.velocity import BUDGET_QUANTITIES, NOTE_QUANTITIES, damping_ratio, notes_on, small_strain_modulus
+from calcidem.app.campaign.cells import pattern_of, stored_experiment, with_patterns
 from calcidem.dem.engine.assembly import pair_keys
 from calcidem.dem.engine.scene import Bonds, Scene
-from calcidem.dem.kernels.layout import Flags
-from calcidem.dem.sample.cement import CementKind
+from calcidem.dem.kernels.layout import Flags, Floats, Integers
+from calcidem.dem.sample.cement import CementCapacityError, CementKind
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import write_packing_csv
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.scene import wave_scene
+from calcidem.dem.wave.experiment import Experiment, wave_scene
 from calcidem.dem.wave.static_speed import StaticSpeed, static_speed
+from calcidem.ends import CellStatus
 from calcidem.storage.dataset import campaign_dataset, cell_matrices
-from calcidem.storage.errors import StoreError, UnknownCellError
+from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import (
     QUANTITY_BY_NAME,
     AttemptRecord,
     CampaignRecord,
     CellResult,
-    CellStatus,
     CementPattern,
     PackingRecord,
     RecordedSection,
     RunRecord,
+    depends_on_pulse,
 )
-from calcidem.storage.records.error_budget import depends_on_pulse
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Closable, Selection
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.plots import CampaignPlots
+
 
 SUFFIXES = (".vtu", ".csv")
 """Formats of the file of a sample."""
@@ -125,22 +120,6 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
     (5, 'm s-1')
     """
     return Campaign(read_campaign(path_or_url, name))
-
-
-def open_campaign_of(configuration: Configuration, path_or_url: str | os.PathLike[str]) -> "Campaign":
-    """Open the campaign of a configuration in a database: the only one, or the one of its name.
-
-    `CampaignMismatchError`, with both hashes, if it has another configuration; `StoreError` as for `open_campaign`.
-    """
-    store = Store(path_or_url, read_only=True)
-    try:
-        several = len(store.campaigns()) > 1
-        record = store.use_campaign(configuration.campaign.name if several else None)
-        refuse_other_physics(record, configuration)
-    except BaseException:
-        store.close()
-        raise
-    return Campaign(store)
 
 
 class Campaign(Closable):
@@ -339,7 +318,7 @@ class Campaign(Closable):
         kurtosis, Jarque-Bera test, confidence and prediction intervals. They are over distinct samples with a velocity:
         without cement all seeds are one sample, and the interval is that of its error. Intervals cover the seeds of one
         packing. Errors of the velocities are medians of the relative standard errors, and the standard deviation by
-        reading errors alone (m/s), see `calcidem.analysis.error_budget`.
+        reading errors alone (m/s), see `calcidem.analysis.velocity`.
 
         Examples
         --------
@@ -421,7 +400,7 @@ class Campaign(Closable):
 
         Nothing is simulated. Give a seed, whose cement is drawn and which takes no part in the fit, or a cement
         pattern; without both the prediction uses the content alone. The feature of the cement is its conductance, see
-        `contact_network.NETWORK_FEATURES`. `QueryError` if the campaign has too few velocities at the content, or if
+        `packing_graph.NETWORK_FEATURES`. `QueryError` if the campaign has too few velocities at the content, or if
         the pattern does not match it.
 
         Examples
@@ -431,7 +410,11 @@ class Campaign(Closable):
         True
         """
         if pattern is None and seed is not None:
-            pattern = draw_pattern(self.experiment(), seed, content)
+            experiment = self.experiment()
+            try:
+                pattern = pattern_of(experiment.packing, experiment.ordering(seed).at(content))
+            except CementCapacityError as error:
+                raise QueryError(f"seed = {seed}: {error}.", "Choose a lower content.") from error
         return predict_velocity(self.analyse(), content, pattern, level, without_seed=seed)
 
     def graph(self, *, seed: int, content: float) -> "nx.Graph[int]":
@@ -587,3 +570,76 @@ def load_paper_campaign(preset: Literal["paper", "paper-as-printed"] = "paper") 
         xr.open_dataset(path) as dataset,
     ):
         return dataset.load()
+
+
+def predict_velocity(
+    analysis: CampaignAnalysis,
+    content: float,
+    pattern: CementPattern | None = None,
+    level: float = 0.95,
+    without_seed: int | None = None,
+) -> Prediction:
+    """Predict Vs of a sample of a content (%) of a campaign, with an interval.
+
+    With the sample's cement the prediction uses its conductance (`contact_network.NETWORK_FEATURES`), of which Vs is
+    about a power, without it the content alone. The seed to predict takes no part in the fit. `QueryError` if the
+    cement is not that of a sample of this content, or the campaign has too few velocities there.
+    """
+    if not 0.0 < level < 1.0:
+        raise QueryError(f"level = {level}: is not a probability.", "Give one between 0 and 1, such as 0.95.")
+    contents = analysis.vs["content"].to_numpy()
+    if not np.isclose(contents, content).any():
+        known = ", ".join(f"{known:g}" for known in contents)
+        raise QueryError(f"content = {content:g} %: the campaign has no such cells.", f"Choose among {known} %.")
+    nearest = float(contents[np.argmin(np.abs(contents - content))])
+    table, vs, seeds = _samples_at(analysis, nearest, with_cement=pattern is not None)
+    others = np.ones(len(vs), dtype=bool) if without_seed is None else seeds != without_seed
+    fewest = FEWEST_ROWS + 1 + table.shape[1]  # one more than a fit needs, for checking
+    if others.sum() < fewest:
+        problem = f"{others.sum()} cells at {content:g} % have a velocity."
+        raise QueryError(problem, f"Compute at least {fewest} seeds.")
+    features: Floats = np.empty(0)
+    if pattern is not None and table.shape[1]:
+        graph = analysis.graphs[0]
+        try:
+            found = graph.network.features(graph.bonded(pattern)).network_conductance or math.nan
+        except ValueError as error:
+            raise QueryError(f"{error}.", "Give the contacts of a sample of this campaign.") from error
+        features, known = np.array([math.log(found)]), table[others, 0]
+        low, high = float(known.min()), float(known.max())
+        if high > low and not 2.0 * low - high <= features[0] <= 2.0 * high - low:  # further away than their range
+            least, most = math.exp(low), math.exp(high)
+            raise QueryError(
+                f"network_conductance = {found:.3g} is far from the {least:.3g} to {most:.3g} of the samples at "
+                f"{content:g} %.",
+                "Give cement that a sample of this content has.",
+            )
+    return VelocityPredictor.fit(table[others], vs[others], level).predict(features)
+
+
+def check_predictions(
+    analysis: CampaignAnalysis, level: float = 0.95, *, with_cement: bool = True
+) -> dict[float, tuple[Flags, Floats]]:
+    """Predict every sample from the other seeds of its content: see `check_samples`, by content.
+
+    Contents with few velocities or without scatter are left out; without cement all seeds are the same sample.
+    """
+    checks: dict[float, tuple[Flags, Floats]] = {}
+    for content in analysis.vs["content"].to_numpy().tolist():
+        features, vs, _ = _samples_at(analysis, content, with_cement=with_cement)
+        if len(vs) > FEWEST_ROWS + features.shape[1] and np.ptp(vs) > 0.0:
+            checks[content] = check_samples(features, vs, level)
+    return checks
+
+
+def _samples_at(analysis: CampaignAnalysis, content: float, *, with_cement: bool) -> tuple[Floats, Floats, Integers]:
+    """Samples of a content with a velocity: logarithms of the conductance (n, 1) or (n, 0), Vs in m/s and seeds (n,).
+
+    Those without a conductance are left out, unless none has one.
+    """
+    vs = analysis.vs.sel(content=content).to_numpy().astype(float)
+    conductance = analysis.cells["network_conductance"].sel(content=content).to_numpy().astype(float)
+    known = np.isfinite(vs) & (conductance > 0.0)
+    chosen = known if with_cement and known.any() else np.isfinite(vs)
+    features = np.log(conductance[chosen])[:, None] if chosen is known else np.empty((int(chosen.sum()), 0))
+    return features, vs[chosen], analysis.vs["seed"].to_numpy()[chosen]

@@ -15,17 +15,21 @@ from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.figures import style
-from calcidem.analysis.figures.film import draw_film, movie_writer, write_movie
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
-from calcidem.analysis.figures.samples import draw_cemented_samples, draw_preferential_paths
+from calcidem.analysis.figures.samples import (
+    draw_cemented_samples,
+    draw_film,
+    draw_preferential_paths,
+    movie_writer,
+    write_movie,
+)
 from calcidem.analysis.figures.signals import draw_signals, load_arrival, read_arrival
 from calcidem.analysis.figures.style import MM, MS, drawn_in
-from calcidem.app.campaign.patterns import section_of, section_reader, stored_section
+from calcidem.app.campaign.cells import section_of, section_reader, stored_section
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import film_wave
 from calcidem.dem.wave.reading import Reading
-from calcidem.dem.wave.section import RESOLUTION, Section
-from calcidem.dem.wave.strip_wave import fitness
+from calcidem.dem.wave.section import RESOLUTION, Section, fitness
 from calcidem.ends import Verdict
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import CellResult

@@ -12,14 +12,13 @@ from time import thread_time
 
 import numpy as np
 
-from calcidem.analysis.notes import FEWEST_GRAINS
+from calcidem.analysis.velocity import FEWEST_GRAINS
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
 from calcidem.app.campaign.notices import listening
-from calcidem.app.campaign.packing import kept_packing
-from calcidem.app.campaign.parts import batches_of, planned_cells, time_of_wave
+from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder, kept_packing, stored_packing
+from calcidem.app.campaign.plan import batches_of, planned_cells, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
-from calcidem.app.campaign.stored_packing import CACHE_VARIABLE, cache_folder, stored_packing
 from calcidem.app.config.checks import (
     can_make_files,
     check_against_packing,
@@ -27,24 +26,24 @@ from calcidem.app.config.checks import (
     disks_in_box,
     limit_of_mean_disks,
 )
-from calcidem.app.config.reference import calibration_note
+from calcidem.app.config.examples import calibration_note
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import WAVELENGTHS, expected_speed
+from calcidem.ends import CellStatus
 from calcidem.storage.files import filesystem_type, is_network_filesystem
-from calcidem.storage.records import CellKey, CellStatus
+from calcidem.storage.records import CellKey
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.environment import (
+from calcidem.sweep.ranks import (
     LAUNCHER_VARIABLES,
     available_cores,
     mpi_library_version,
     refuse_ranks_off_linux,
 )
-from calcidem.sweep.progress import duration
-from calcidem.sweep.sweep_end import LaunchError
+from calcidem.sweep.schedule import LaunchError, duration
 
 SECONDS_WHERE_MEASURED = 2.7e-3  # of `_seconds_of_arithmetic`
 
@@ -123,7 +122,7 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
 
 def _expected_half_widths(store: Store, configuration: Configuration) -> dict[float, float]:
     """Half-width (m/s) of the mean's 95 % interval with all planned seeds, for contents with known scatter."""
-    from calcidem.analysis.planning import mean_half_width  # noqa: PLC0415 - statistics of SciPy take half a second
+    from calcidem.analysis.intervals import mean_half_width  # noqa: PLC0415 - statistics of SciPy take half a second
 
     plan, columns = configuration.campaign, store.table(("content", "vs"))
     vs = {content: columns["vs"][columns["content"] == content].astype(float) for content in plan.contents}

@@ -2,49 +2,66 @@
 
 import os
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from itertools import starmap
-from typing import TYPE_CHECKING, Protocol, Self
+from threading import Lock
+from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 
 import numpy as np
 
+from calcidem.app.campaign.cells import CellComputation, kernel_compilations
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.notices import advise, tell
-from calcidem.app.campaign.packing import provide_packing
-from calcidem.app.campaign.parts import batches_of, planned_cells
-from calcidem.app.campaign.progress import ProgressDisplay, ProgressReporter, RunProgress, RunStage, choose_display
+from calcidem.app.campaign.packing import packing_record, provide_packing, stored_packing
+from calcidem.app.campaign.plan import SeedDemand, batches_of, planned_cells
 from calcidem.app.campaign.provenance import describe_run
-from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
-from calcidem.app.campaign.store_sink import StoreSink
-from calcidem.app.campaign.stored_packing import packing_record, stored_packing
-from calcidem.app.campaign.task import CellComputation, kernel_compilations
+from calcidem.app.campaign.status import (
+    STATUS_QUANTITIES,
+    CampaignStatus,
+    ProgressDisplay,
+    ProgressReporter,
+    RunProgress,
+    RunStage,
+    choose_display,
+)
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.gpu import refuse_missing_gpu
-from calcidem.dem.sample.own_pattern import Pattern, give_patterns
+from calcidem.dem.sample.cement import Pattern, give_patterns
 from calcidem.dem.sample.packing import Packing, PackingStage
-from calcidem.storage.errors import ForeignDatabaseError, LeaseHeldError, StoreError, StoreUnavailableError
-from calcidem.storage.records import CellKey, CellResult, CellStatus, PackedResult
+from calcidem.ends import DECIDED_BY_PHYSICS, CellStatus
+from calcidem.storage.errors import (
+    ForeignDatabaseError,
+    LeaseHeldError,
+    StoreError,
+    StoreLockedError,
+    StoreUnavailableError,
+)
+from calcidem.storage.records import AttemptCount, CellKey, CellResult, PackedResult
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
-from calcidem.sweep.attempt import SweepInterrupted
-from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.environment import COMMAND_VARIABLE, refuse_singletons
-from calcidem.sweep.outcome import BatchOutcome
-from calcidem.sweep.processes import keep_freed_memory
+from calcidem.sweep.attempt import StopRequest, SweepInterrupted
+from calcidem.sweep.batch import Batch, BatchOutcome, Cell
+from calcidem.sweep.ranks import COMMAND_VARIABLE, keep_freed_memory, refuse_singletons
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE
-from calcidem.sweep.signals import StopRequest
-from calcidem.sweep.sweep_end import EXIT_RESUMABLE, LaunchError, SweepEnd, SweepState, WorkersLostError
+from calcidem.sweep.schedule import (
+    EXIT_RESUMABLE,
+    LOSSES_BEFORE_QUARANTINE,
+    LaunchError,
+    SweepEnd,
+    SweepState,
+    WorkersLostError,
+)
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign  # for statistics, which the ranks do not need
-    from calcidem.app.campaign.until import SeedDemand
 
 
 def run(
@@ -203,8 +220,14 @@ def prepared_store(
 
     An existing database is checked before the packing is made, so that one of another campaign is refused at once. A
     new one is created after the packing, so that a configuration that the packing cannot fulfil creates none.
+    `GpuError` if `run.gpu` asks for a GPU that is not here.
     """
-    _refuse_before_writing(configuration)
+    if configuration.run.gpu:
+        refuse_missing_gpu()
+    if _exists(configuration.database):  # an empty one is refused for reading, and new for writing
+        with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as stored:
+            if choose_campaign(stored, configuration) and stored.packing_indices():
+                check_against_packing(configuration, stored_packing(stored.packing(), configuration.packing_hash))
     configuration.output.mkdir(parents=True, exist_ok=True)  # before hours of computation
     store = _become_master(configuration, check) if _exists(configuration.database) else None
     try:
@@ -302,8 +325,6 @@ class CampaignRun:
         if plan.until is None:
             own = planned_cells(self.configuration)
         else:
-            from calcidem.app.campaign.until import SeedDemand  # noqa: PLC0415 - statistics
-
             self.demand = SeedDemand.of_store(self.store, plan)
             own = set(self.demand.cells)
             self.store.plan(starmap(CellKey, own))
@@ -405,23 +426,6 @@ def _acquire_lease(store: Store, check: Callable[[], None]) -> tuple[str, ...]:
         time.sleep(1.0)
 
 
-def _refuse_before_writing(configuration: Configuration) -> None:
-    """Refuse a configuration that does not match its database or the packing there, before any byte is written.
-
-    Errors are those of `choose_campaign`, `GpuError` without the GPU that it needs, and `ConfigurationError` if the
-    packing cannot hold what is planned.
-    """
-    if configuration.run.gpu:
-        refuse_missing_gpu()
-    if not _exists(configuration.database):
-        return
-
-    # An empty database is refused for reading, and new for writing.
-    with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as store:
-        if choose_campaign(store, configuration) and store.packing_indices():
-            check_against_packing(configuration, stored_packing(store.packing(), configuration.packing_hash))
-
-
 def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) -> tuple[CellKey, ...]:
     """Make the cells of a configuration that have these outcomes pending again, and give them.
 
@@ -447,3 +451,132 @@ def _exists(database: str) -> bool:
     """Whether a database may exist; a server always does."""
     path = Address.parse(database).path
     return path is None or path.exists()
+
+
+T = TypeVar("T")
+
+
+class StoreSink:
+    """`calcidem.sweep.group_commit.Sink` that writes into a store.
+
+    Parameters
+    ----------
+    store
+        Store with the campaign chosen.
+    keys
+        Cells that will be computed.
+    """
+
+    def __init__(self, store: Store, keys: Sequence[CellKey]) -> None:
+        self._store = store
+        self.busy = Lock()
+        """Lock held while a thread uses the store."""
+        self.patience = 600.0
+        """Longest wait for a lock of another process, s."""
+        self._next_renewal = 0.0
+        self._counts = store.attempt_counts(keys) if keys else {}
+        self._bare = [key for key in keys if key.content == 0.0]
+        self._running: set[CellKey] = set()
+        self._unplanned: deque[CellKey] = deque()
+
+    @property
+    def losses(self) -> dict[Cell, int]:
+        """Number of earlier runs that died while each cell was computed."""
+        return {(key.seed, key.content): count.losses for key, count in self._counts.items()}
+
+    def plan(self, keys: Iterable[CellKey]) -> None:
+        """Plan cells in the transaction of the next stored outcomes; does not wait."""
+        self._unplanned.extend(keys)
+
+    def repeat_stored(self) -> set[CellKey]:
+        """Store cells without cement as an earlier run computed their common sample; return them."""
+        if self._bare:
+            done = Selection(contents=0.0, statuses=DECIDED_BY_PHYSICS)
+            computed = next(self._store.results(done, with_arrays=True), None)
+            repeated = [] if computed is None else self._repetitions(computed.packed())
+            self._store.record_results(repeated)
+            return {result.key for result in repeated}
+        return set()
+
+    def mark(self, batches: Sequence[Batch[Cell]], /) -> None:
+        """Begin an attempt for each cell of these batches; a batch that is computed again is marked already."""
+        self._plan_further()
+        keys = [key for batch in batches for cell in batch.cells if (key := CellKey(*cell)) not in self._running]
+        self._counts |= self._with_patience(lambda: self._store.record_running(keys))
+        self._running.update(keys)
+
+    def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
+        """Write the outcomes in one transaction."""
+        self._plan_further()
+        results = [result for outcome in outcomes for result in self._results(outcome)]
+        self._with_patience(lambda: self._store.record_results(results))
+        for result in results:
+            losses = self._counts.get(result.key, AttemptCount()).losses
+            self._counts[result.key] = AttemptCount(result.attempt, losses)
+            self._running.discard(result.key)
+
+    def keep_alive(self) -> None:
+        """Renew the lease if due, for other machines; storing outcomes also renews it."""
+        if time.monotonic() > self._next_renewal and self.busy.acquire(blocking=False):
+            try:
+                self._next_renewal = time.monotonic() + 30.0  # s, half of the interval that the store requires
+                with suppress(StoreLockedError):  # a process with the lock cannot take the lease meanwhile
+                    self._store.renew_lease()
+            finally:
+                self.busy.release()
+
+    def _plan_further(self) -> None:
+        if new := [self._unplanned.popleft() for _ in range(len(self._unplanned))]:
+            self._with_patience(lambda: self._store.plan(new))
+
+    def _with_patience(self, write: Callable[[], T]) -> T:
+        """Write, and wait while another process has locked the database, so that no computed cell is lost.
+
+        `StoreLockedError` if the lock remains for longer than `patience`.
+        """
+        deadline = time.monotonic() + self.patience
+        with self.busy:
+            while True:
+                try:
+                    return write()
+                except StoreLockedError as error:  # after half a minute in which SQLite itself has waited
+                    if time.monotonic() > deadline:
+                        raise
+                    tell(f"Waiting for another process that has locked the database ({error.problem})")
+                    time.sleep(1.0)
+
+    def _results(self, outcome: BatchOutcome[Cell, PackedResult]) -> list[PackedResult]:
+        found = list(outcome.results or ())
+        if outcome.failure is not None:
+            seconds = outcome.seconds / len(outcome.batch.cells)
+            reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
+            keys = [CellKey(*cell) for cell in outcome.batch.cells]
+            found = [CellResult(key, outcome.failure.kind, reason, seconds=seconds).packed() for key in keys]
+        origin = {"rank": outcome.rank, "host": outcome.host}
+        found = [
+            replace(result, columns=result.columns | origin | {"attempt": self._attempt_of(result.key)})
+            for result in found
+        ]
+        return found + [
+            repeated for result in found if result.key.content == 0.0 for repeated in self._repetitions(result)
+        ]
+
+    def _repetitions(self, computed: PackedResult) -> list[PackedResult]:
+        """Outcome of a sample without cement for the other seeds to be stored, which are the same sample.
+
+        They have no computing time, rank or host, and a velocity with the reason that it is that of another seed.
+        """
+        told = (
+            computed.columns["reason"]
+            or f"without cement all seeds are one sample, computed as seed {computed.key.seed}"
+        )
+        changed = {"reason": told, "seconds": None, "rank": None, "host": None}
+        return [
+            replace(computed, key=key, columns=computed.columns | changed | {"attempt": self._attempt_of(key)})
+            for key in self._bare
+            if key != computed.key
+        ]
+
+    def _attempt_of(self, key: CellKey) -> int:
+        """Number of the attempt that gave an outcome: of the one that was marked, or the next."""
+        return self._counts.get(key, AttemptCount()).attempts + (key not in self._running)

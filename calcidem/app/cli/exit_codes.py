@@ -11,8 +11,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from calcidem.app.campaign.notices import printable
-from calcidem.app.cli.terminal import IS_VERBOSE
-from calcidem.app.config.errors import ConfigurationError
+from calcidem.app.cli.options import IS_VERBOSE
+from calcidem.app.config.schema import ConfigurationError
 from calcidem.dem.engine.fields import FieldError
 from calcidem.dem.kernels.gpu import GpuError
 from calcidem.dem.sample.packing import PackingError, PackingFileError
@@ -27,7 +27,7 @@ from calcidem.storage.errors import (
     StoreLockedError,
 )
 from calcidem.storage.passwords import hide_passwords
-from calcidem.sweep.sweep_end import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepError
+from calcidem.sweep.schedule import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepError
 from calcidem.version import __version__
 
 _EXIT_BAD_INPUT = 2

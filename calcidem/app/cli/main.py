@@ -17,15 +17,10 @@ import typer
 from typer.core import TyperGroup
 
 from calcidem.app.campaign.notices import CampaignWarning, listening, printable
-from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE, write_notice
+from calcidem.app.cli.options import IS_QUIET, IS_VERBOSE, write_notice
 from calcidem.storage.passwords import keep_passwords_back
-from calcidem.sweep.environment import THREAD_VARIABLES, launcher, whole_number
+from calcidem.sweep.ranks import THREAD_VARIABLES, launcher, whole_number
 from calcidem.version import __version__
-
-_OBJECTS_BEFORE_COLLECTING = 10_000
-"""Number of new objects between two garbage collections. Python's 700 cost a tenth of the time of a short command,
-while libraries load.
-"""
 
 PANELS = {
     "Compute": {
@@ -57,6 +52,8 @@ PANELS = {
 }
 """Short help of each command."""
 
+_MODULES = dict(zip(PANELS, ("run", "results", "exchange", "studies", "checks"), strict=True))
+"""Module of the commands of each panel."""
 
 _COMMON_OPTIONS: dict[str, Any] = {
     "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="Write results and errors only.")],
@@ -83,10 +80,13 @@ def main() -> None:
     """Entry point: run a command, and report an error in one message."""
     for variable in THREAD_VARIABLES:
         os.environ.setdefault(variable, "1")  # each rank has one core; effective only before numpy is imported
-    gc.set_threshold(_OBJECTS_BEFORE_COLLECTING)
+    gc.set_threshold(10_000)  # new objects; Python's 700 cost a tenth of a short command, while libraries load
     warnings.formatwarning = _format_warning
-    _print_any_text()
-    _be_plain_under_mpi()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # unknown characters, and bytes of file names that are not text
+            stream.reconfigure(errors="backslashreplace")
+    if launcher() is not None:  # mpirun gives its ranks a pseudo-terminal, even if their output goes to a file
+        os.environ["TERM"] = "dumb"
     if wrong := _strange_argument(sys.argv[1:]):
         sys.stderr.write(f"Error: {wrong}\n")
         sys.exit(2)
@@ -138,10 +138,9 @@ def _take_options(
 
 
 def command_function(name: str) -> Callable[..., None]:
-    """Function `<name>_command` in the module of a command."""
-    word = name.replace("-", "_")
-    module = import_module(f"calcidem.app.cli.{'import_' if name == 'import' else word}")
-    function: Callable[..., None] = getattr(module, f"{word}_command")
+    """Function `<name>_command` in the module of the command's panel."""
+    panel = next(panel for panel, commands in PANELS.items() if name in commands)
+    function: Callable[..., None] = getattr(import_module(f"calcidem.app.cli.{_MODULES[panel]}"), f"{name}_command")
     return function
 
 
@@ -188,22 +187,6 @@ def _format_warning(
     if issubclass(category, FutureWarning):
         return printable(f"Warning: {message}\n")
     return printable(f"{filename}:{lineno}: {category.__name__}: {message}\n" + (f"  {line}\n" if line else ""))
-
-
-def _be_plain_under_mpi() -> None:
-    """Let a rank write no colours and no cursor movements.
-
-    mpirun gives its ranks a pseudo-terminal, even if their output goes to a file or a pipe.
-    """
-    if launcher() is not None:
-        os.environ["TERM"] = "dumb"
-
-
-def _print_any_text() -> None:
-    """Write output in any encoding: unknown characters, and bytes of file names that are not text, as escapes."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
 
 
 def _strange_argument(arguments: Sequence[str]) -> str:

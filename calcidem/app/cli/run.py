@@ -1,4 +1,4 @@
-"""``calcidem run``: one campaign, in this process or on MPI ranks."""
+"""``calcidem init`` and ``calcidem run``: a configuration, and its campaign in this process or on MPI ranks."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -10,16 +10,120 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calcidem.app.campaign.notices import advise, printable, tell
-from calcidem.app.cli.arguments import DEFAULT_CONFIGURATION, ConfigurationFile, number_parser, refuse_options
-from calcidem.app.cli.terminal import IS_QUIET, IS_VERBOSE
-from calcidem.sweep.progress import first_of, pluralize
+from calcidem.app.cli.options import (
+    DEFAULT_CONFIGURATION,
+    IS_QUIET,
+    IS_VERBOSE,
+    ConfigurationFile,
+    number_parser,
+    refuse_options,
+)
+from calcidem.app.config.presets import PRESETS, preset_text, slurm_job
+from calcidem.sweep.schedule import first_of, pluralize
 
-if TYPE_CHECKING:  # loaded by the command itself, not by its help
+if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from calcidem.app.config.schema import Configuration
 
-_parse_timeout = number_parser(1.0, 1e6, "is not a number of seconds from 1 to 1,000,000")
+
+Preset = StrEnum("Preset", {name.replace("-", "_").upper(): name for name in PRESETS})  # type: ignore[misc]  # not literal
+
+
+def init_command(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="File to write.")] = DEFAULT_CONFIGURATION,
+    preset: Annotated[
+        Preset | None,
+        typer.Option(
+            help="quick (default): 6 contents x 4 seeds; paper: 17 x 116; both with a quiet pulse; paper-as-printed: "
+            "the same with the printed pulse of 5 m/s, on which its velocities depend."
+        ),
+    ] = None,
+    full: Annotated[bool, typer.Option("--full", help="Include every key with its meaning.")] = False,
+    grain_size: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE",
+            help="Mean diameter of your own sand, such as 0.3mm; or d10,d50,d90 by mass, such as 0.2mm,0.3mm,0.4mm.",
+        ),
+    ] = None,
+    grading: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Or its grading: a table of size (with unit) and percent finer by mass."),
+    ] = None,
+    disks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv", help="Or its disks: columns x, y and radius in m, as 'calcidem import' writes."
+        ),
+    ] = None,
+    stress: Annotated[
+        str | None,
+        typer.Option(metavar="STRESS", help="Its confining stress; 100kPa if not given."),
+    ] = None,
+    mineral: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MINERAL",
+            help="Its grains: quartz (if not given), carbonate, calcite or glass; or shear modulus, Poisson's ratio "
+            "and density, such as 30GPa,0.2,2500kg/m3.",
+        ),
+    ] = None,
+    contents: Annotated[
+        str | None, typer.Option(metavar="PERCENT,...", help="Its calcite contents; 0,1,2,4 if not given.")
+    ] = None,
+    slurm: Annotated[
+        bool,
+        typer.Option("--slurm", help="Also write its Slurm job, FILE.sbatch; a configuration that exists is kept."),
+    ] = False,
+) -> None:
+    """Write a configuration to start from: an example, or one for your own sand."""
+    if not file.name:
+        raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file")
+    chosen = preset or next(iter(Preset))
+    sizes = {"--grain-size": grain_size, "--grading": grading, "--disks": disks}
+    given = [name for name, value in sizes.items() if value is not None]
+    if not given:
+        of_a_sand = {"--stress": stress, "--mineral": mineral, "--contents": contents}
+        refuse_options("give --grain-size, --grading or --disks, too: it is for a sand of your own", of_a_sand)
+        text = preset_text(chosen)
+        if full:
+            from calcidem.app.config.examples import full_text  # the reader of configurations takes a second to load
+
+            text = full_text(chosen)
+    elif preset is not None or full:
+        raise typer.BadParameter("leave --preset and --full out: they are for examples", param_hint=given[0])
+    elif len(given) > 1:
+        said = "the disks have their sizes" if disks is not None else "the grading has it"
+        raise typer.BadParameter(f"leave it out: {said}", param_hint=given[0])
+    else:
+        from calcidem.app.config.examples import OwnSand, read_grading  # as above
+
+        size = disks or grain_size or ",".join(f"{d!r}m" for d in read_grading(grading or Path()))
+        own = OwnSand.of_words(size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent)
+        text = own.text()
+    if slurm:
+        job = file.with_suffix(".sbatch")
+        _write_new(job, slurm_job(file.name), "submit it, or remove it first")
+        typer.echo(f"Wrote {job}. Edit its first lines, then: sbatch {job}")
+        if file.exists():
+            return
+    other = file.with_stem(f"{file.stem}-{chosen}")
+    another = "give another name" if given else f"write another with 'calcidem init {other} --preset {chosen}'"
+    _write_new(file, text, f"run it with 'calcidem run {file}', or {another}")
+    typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
+
+
+def _write_new(file: Path, text: str, remedy: str) -> None:
+    """Write a file that must not exist yet."""
+    try:
+        with file.open("x", encoding="utf-8") as target:
+            target.write(text)
+    except FileExistsError:
+        if not file.is_file():
+            raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file") from None
+        raise typer.BadParameter(f"{file} exists and was left unchanged; {remedy}") from None
+
 
 _Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED"])
 
@@ -58,7 +162,11 @@ def run_command(
     ] = None,
     start_timeout: Annotated[
         float,
-        typer.Option(parser=_parse_timeout, metavar="SECONDS", help="With --ranks: time for the ranks to begin."),
+        typer.Option(
+            parser=number_parser(1.0, 1e6, "is not a number of seconds from 1 to 1,000,000"),
+            metavar="SECONDS",
+            help="With --ranks: time for the ranks to begin.",
+        ),
     ] = 120.0,
     with_report: Annotated[bool, typer.Option("--report", help="Also write the report.")] = False,
     retry: Annotated[
@@ -106,13 +214,13 @@ def run_command(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )
     with _live_page(configuration, overrides) if serve else nullcontext():
+        from calcidem.sweep.attempt import StopRequest
         from calcidem.sweep.ranks import run_on_ranks
-        from calcidem.sweep.signals import StopRequest
 
         load = partial(_read_overridden, configuration, overrides, retry or ())
         if ranks is not None and ranks != 1:
             from calcidem.app.campaign.launch import Launch
-            from calcidem.app.cli.run_view import TerminalView
+            from calcidem.app.cli.views import TerminalView
 
             options = {"--db": database, "--output": output, "--part": part}
             arguments = ["run", str(configuration)]
@@ -126,18 +234,18 @@ def run_command(
             code = launch.run(load, TerminalView(with_report=with_report, cores_used=True))
         elif dask is not None:
             from calcidem.app.campaign.run import dask_executor, run_command_line
-            from calcidem.app.cli.run_view import TerminalView
+            from calcidem.app.cli.views import TerminalView
 
             view = TerminalView(with_report=with_report, cores_used=True)
             with dask_executor(dask) as executor, StopRequest() as stop:
                 code = run_command_line(load, view, executor, stop)
         else:
-            import calcidem.app.campaign.task  # noqa: F401 - what every rank needs, while rank 0 prepares
+            import calcidem.app.campaign.cells  # noqa: F401 - what every rank needs, while rank 0 prepares
 
             def lead(executor: "Executor | None", stop: StopRequest) -> int:
                 """Run the command on rank 0, which alone needs the database and a view."""
                 from calcidem.app.campaign.run import run_command_line
-                from calcidem.app.cli.run_view import TerminalView
+                from calcidem.app.cli.views import TerminalView
 
                 view = TerminalView(with_report=with_report, cores_used=False)
                 return run_command_line(load, view, executor, stop)
@@ -150,7 +258,7 @@ def _make_packing_alone(configuration: "Configuration") -> None:
     """Make the packing alone, and report on it."""
     from calcidem.app.campaign.packing import provide_packing
     from calcidem.app.campaign.preview import wave_doubts
-    from calcidem.app.cli.run_view import packing_lines
+    from calcidem.app.cli.views import packing_lines
     from calcidem.app.config.checks import check_against_packing
 
     packing = provide_packing(configuration, None)
@@ -162,7 +270,7 @@ def _make_packing_alone(configuration: "Configuration") -> None:
 def _live_page(configuration: Path, overrides: Mapping[str, str | bool | None]) -> AbstractContextManager[None]:
     """Live page of the campaign while the command runs."""
     from calcidem.app.serve.address import page_beside_run
-    from calcidem.sweep.environment import launcher
+    from calcidem.sweep.ranks import launcher
 
     if launcher() is not None:
         raise typer.BadParameter(
@@ -185,7 +293,7 @@ def _read_overridden(
         tell(f"Note: {place}. To continue it, stop this run and give --db {beside}")
     if retry:
         from calcidem.app.campaign.run import retry_cells
-        from calcidem.storage.records import CellStatus
+        from calcidem.ends import CellStatus
 
         pending = retry_cells(loaded, [CellStatus(outcome.value) for outcome in retry])
         head = f"{pluralize(len(pending), 'cell')} to compute again:" if pending else "There is nothing to retry."

@@ -8,24 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from calcidem.app.config.errors import ConfigurationError, Problem
-from calcidem.app.config.schema import Configuration
+from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
 from calcidem.dem.engine.fields import quote
+from calcidem.dem.sample.cement import UnknownPatternError, find_pattern
 from calcidem.dem.sample.judgement import expected_overlap, judge_disks, judge_stress
-from calcidem.dem.sample.own_pattern import UnknownPatternError, find_pattern
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.experiment import DEEPEST_LISTENING, Experiment, driven_disks, listening_disks, wave_scene
 from calcidem.dem.wave.propagation import refuse_unfit_pulse, refuse_unfit_samples
-from calcidem.dem.wave.pulse import cutoff_frequency
-from calcidem.dem.wave.rule import FEWEST_SAMPLES
-from calcidem.dem.wave.scene import DEEPEST_LISTENING, driven_disks, listening_disks, wave_scene
+from calcidem.dem.wave.rule import FEWEST_SAMPLES, cutoff_frequency
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import Address
 
 
 def cross_check(configuration: Configuration) -> list[Problem]:
     """All contradictions of a configuration."""
-    checks = (_pattern_problems, _geometry_problems, _rest_problems, _frequency_problems, _file_problems)
+    checks = (_geometry_problems, _rest_problems, _frequency_problems, _file_problems)
     return [problem for check in checks for problem in check(configuration)]
 
 
@@ -35,15 +32,6 @@ def disks_in_box(configuration: Configuration) -> float:
     smallest, largest = rule.diameter
     area = np.pi / 12.0 * (smallest**2 + smallest * largest + largest**2)
     return float((1.0 - rule.porosity) * rule.width * rule.height / area)
-
-
-def _pattern_problems(configuration: Configuration) -> Iterator[Problem]:
-    """A pattern that no package has."""
-    if configuration.pattern.drawn_by is not None:
-        try:
-            find_pattern(configuration.pattern.drawn_by)
-        except UnknownPatternError as error:
-            yield Problem(f"pattern.{error}", ("pattern.drawn_by",))
 
 
 def _geometry_problems(configuration: Configuration) -> Iterator[Problem]:
@@ -84,8 +72,13 @@ def _geometry_problems(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _rest_problems(configuration: Configuration) -> Iterator[Problem]:
-    """Disks crushed or slipping before the wave, and bonds and parts that other sections do not allow."""
+    """Disks crushed or slipping before the wave, an unknown pattern, and what other sections do not allow."""
     packing, sand, wave = configuration.packing, configuration.sand, configuration.wave
+    if configuration.pattern.drawn_by is not None:
+        try:
+            find_pattern(configuration.pattern.drawn_by)
+        except UnknownPatternError as error:
+            yield Problem(f"pattern.{error}", ("pattern.drawn_by",))
     fault = judge_stress(packing.stress, sum(packing.diameter) / 2.0, sand)
     if fault and configuration.packing_draw.file is None:  # the packing of disks in a file is checked later
         yield Problem(f"packing.{fault.text}", ("packing.stress", "packing.diameter", "sand.shear_modulus"))

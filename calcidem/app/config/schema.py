@@ -1,11 +1,11 @@
-"""Frozen `Configuration` of a campaign, read from a TOML file.
+"""Frozen `Configuration` of a campaign, read from a TOML file, and the error that lists its problems.
 
 Each section of the file corresponds to one or two dataclasses, whose fields are its keys. If there are two, one is from
 `calcidem.dem` and the other has additional keys of campaigns.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
@@ -16,21 +16,44 @@ import numpy as np
 from annotated_types import Interval, Predicate, Unit
 
 from calcidem.dem.engine.fields import Positive, checked, field_hints, quote, require, table_of
-from calcidem.dem.engine.material import Cement, Sand
-from calcidem.dem.engine.scene import Installation
+from calcidem.dem.engine.fields import Problem as Problem  # noqa: PLC0414 - for all who raise the error
+from calcidem.dem.engine.scene import Cement, Installation, Sand
 from calcidem.dem.kernels.features import LANE_COUNTS
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment, suitable_frequency
-from calcidem.dem.wave.pulse import EXCITATION
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.rule import EXCITATION, WaveRule
+from calcidem.storage.encoding import canonical_hash, canonical_json
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import LARGEST_SEED, CampaignRecord, canonical_content
-from calcidem.storage.records.canonical import canonical_hash, canonical_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
+
+
+class ConfigurationError(ValueError):
+    """A configuration that cannot be computed; the message lists all its problems.
+
+    Attributes
+    ----------
+    source
+        Origin of the configuration, such as a file name.
+    problems
+        All problems, at least one.
+    """
+
+    def __init__(self, source: str, problems: Sequence[Problem]) -> None:
+        count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+        lines = "".join(f"\n  {problem.message}" for problem in problems)
+        super().__init__(f"{source}: {count}, nothing was computed{lines}")
+        self.source = source
+        self.problems = problems
+
+    def __reduce__(self) -> tuple[type["ConfigurationError"], tuple[str, Sequence[Problem]]]:
+        """Pickle with both arguments."""
+        return type(self), (self.source, self.problems)
+
 
 PHYSICS_VERSION = 5
 """Part of the campaign's hash; increase it with each change of results or defaults."""

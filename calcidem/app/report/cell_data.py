@@ -14,14 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
 from calcidem.analysis.figures.signals import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.app.campaign.patterns import section_of, section_reader
-from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
+from calcidem.app.campaign.cells import section_of, section_reader
+from calcidem.app.report.tables import EXCEPTIONAL, readable_unit
 from calcidem.dem.wave.reading import Reading
 from calcidem.ends import Verdict
-from calcidem.storage.records import QUANTITY_BY_NAME, CellResult, RecordedSection
-from calcidem.storage.records.error_budget import MOST_PULSE_EFFECT, NORMAL_95
+from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, QUANTITY_BY_NAME, CellResult, RecordedSection
 from calcidem.storage.store import ALL_CELLS, Selection
-from calcidem.sweep.progress import pluralize
+from calcidem.sweep.schedule import pluralize
 
 MOST_FULL_RECORDS = 10_000
 SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")

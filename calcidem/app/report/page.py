@@ -4,7 +4,7 @@ import csv
 import os
 import re
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,24 +14,24 @@ import xarray as xr
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlations
 from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
-from calcidem.analysis.figures.sensitivity import STUDY_FIGURES
 from calcidem.analysis.figures.style import render, save
+from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.analysis.measured import Target
-from calcidem.analysis.notes import NOTE_QUANTITIES, notes_on
 from calcidem.analysis.packing_graph import installed_features
-from calcidem.app.campaign.patterns import with_patterns
+from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
+from calcidem.app.campaign.cells import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
-from calcidem.app.report.wording import ABSENT, Table, decimal
+from calcidem.app.report.tables import ABSENT, Table, decimal
 from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
-from calcidem.storage.netcdf.export import write_netcdf
+from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.sweep.progress import duration
+from calcidem.sweep.schedule import duration
 
 _MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",
@@ -116,7 +116,7 @@ def write_report(
 ) -> Path:
     """Write the report of a campaign as one HTML file, replaced only when the new one is complete; return its path.
 
-    A run may write the database meanwhile. Results of `calcidem.app.studies.frequency_and_damping`, named "frequency"
+    A run may write the database meanwhile. Results of `calcidem.app.studies.sensitivity`, named "frequency"
     and "damping", are included. ``files`` is a folder for all figures, tables and numbers. Laboratory velocities are
     drawn in figures of Vs, with a table of the misfit. After each section ``watch`` receives the numbers of finished
     and of all parts; the last part is the cells. `StoreError` if the database cannot be read, `OSError` if the file
@@ -162,7 +162,12 @@ def _render_page(
         watch(len(sections), parts)
         sections.append(_make_section(plan, analysis))
     watch(len(sections), parts)
-    sections.append(_PageSection("sensitivity", "Sensitivity", pictures=tuple(_study_pictures(studies))))
+    drawn = (
+        _picture_of(entry.draw(studies[entry.study]), entry.name, entry.title, entry.caption, pictorial=False)
+        for entry in STUDY_FIGURES
+        if entry.study in studies
+    )
+    sections.append(_PageSection("sensitivity", "Sensitivity", pictures=tuple(drawn)))
     environment = Environment(
         loader=PackageLoader("calcidem.app.report"),
         autoescape=True,
@@ -255,14 +260,6 @@ def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture
     return _picture_of(figure, entry.name, entry.title, entry.caption, pictorial=entry.pictorial)
 
 
-def _study_pictures(studies: Mapping[str, xr.Dataset]) -> Iterator[_Picture]:
-    """Draw the figures of the studies given, named "frequency" and "damping"."""
-    for entry in STUDY_FIGURES:
-        if entry.study in studies:
-            figure = entry.draw(studies[entry.study])
-            yield _picture_of(figure, entry.name, entry.title, entry.caption, pictorial=False)
-
-
 def _picture_of(figure: Figure, name: str, title: str, caption: str, *, pictorial: bool) -> _Picture:
     """Return a figure as part of a self-contained page: grains as pixels, curves as compressed vectors."""
     if pictorial:
@@ -320,8 +317,8 @@ def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dic
     exact: dict[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
         "distributions": lambda analysis: tabulate(analysis.distributions),
         "features": lambda analysis: analysis.table,
-        "correlations_overall": lambda analysis: analysis.correlations.overall,
-        "correlations_within_content": lambda analysis: analysis.correlations.within,
+        "correlations_overall": lambda analysis: correlations(analysis.table).overall,
+        "correlations_within_content": lambda analysis: correlations(analysis.table).within,
         "correlations_by_content": lambda analysis: analysis.content_correlations,
     }
     for name, gather in exact.items():

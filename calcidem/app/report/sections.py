@@ -1,7 +1,7 @@
 """Contents of a report: tables by name, and sections with tables and figures.
 
 Here are the tables of what was run, and those that hold the campaign beside the published study and measured
-velocities; `calcidem.app.report.results` has those of what came out.
+velocities; `calcidem.app.report.tables` has those of what came out.
 """
 
 import math
@@ -17,12 +17,11 @@ from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import is_covered, misfits, root_mean_square_misfit
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
-from calcidem.analysis.shear_wave import median_diameter_by_mass
-from calcidem.app.report.results import RESULT_TABLES
-from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
+from calcidem.analysis.velocity import median_diameter_by_mass
+from calcidem.app.report.tables import ABSENT, RESULT_TABLES, Table, decimal, significant, with_bounds
+from calcidem.storage.encoding import flat_parameters
 from calcidem.storage.records import RunRecord
-from calcidem.storage.records.canonical import flat_parameters
-from calcidem.sweep.progress import duration
+from calcidem.sweep.schedule import duration
 
 Made = TypeVar("Made")
 
@@ -99,19 +98,19 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
         return None
     found = misfits(analysis.distributions, analysis.measured)
     rows = tuple(
-        (
-            f"{one.measured.content:g}{' (interpolated)' if one.interpolated else ''}",
-            ABSENT if one.measured.stress is None else f"{one.measured.stress / 1e3:g}",
-            ABSENT if one.measured.samples is None else str(one.measured.samples),
-            decimal(one.mean),
-            decimal(one.measured.vs),
-            decimal(100 * one.difference, 1),
-            decimal(one.standard_errors, 1),
-            decimal(one.standard_deviation),
-            ABSENT if one.measured.sd is None else decimal(one.measured.sd),
-            decimal(one.deviation_ratio, 2),
-            f"{one.outside} of {one.compared}" if one.compared else ABSENT,
-        )
+        {
+            "content (%)": f"{one.measured.content:g}{' (interpolated)' if one.interpolated else ''}",
+            "confining stress (kPa)": ABSENT if one.measured.stress is None else f"{one.measured.stress / 1e3:g}",
+            "samples": ABSENT if one.measured.samples is None else str(one.measured.samples),
+            "mean (m/s)": decimal(one.mean),
+            "measured mean (m/s)": decimal(one.measured.vs),
+            "difference (%)": decimal(100 * one.difference, 1),
+            "in standard errors": decimal(one.standard_errors, 1),
+            "standard deviation (m/s)": decimal(one.standard_deviation),
+            "measured deviation (m/s)": ABSENT if one.measured.sd is None else decimal(one.measured.sd),
+            "ratio": decimal(one.deviation_ratio, 2),
+            "outside 95 % of new samples": f"{one.outside} of {one.compared}" if one.compared else ABSENT,
+        }
         for one in found
     )
     contents = [row.content for row in analysis.distributions if row.vs.n] or [math.inf]
@@ -124,27 +123,14 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
         kilopascals = ", ".join(f"{stress / 1e3:g}" for stress in stresses)
         said.append(f"Measured under {kilopascals} kPa, computed under {here / 1e3:g} kPa.")
     outside, compared = (sum(getattr(one, name) for one in found) for name in ("outside", "compared"))
-    return Table(
+    return Table.of(
         f"This campaign and measured velocities: root mean square of the differences of the means "
         f"{decimal(100 * root_mean_square_misfit(found), 1)} %. {outside} of {compared} measured values are outside "
         "the interval of 95 % of new samples. Specimens of nearly one content are joined: a tenth of it or 0.1 %. "
         "Between the campaign's contents by straight lines. A standard error is that of the difference of both means. "
         f"Marked: more than two of them. {' '.join(said)}".strip(),
-        (
-            "content (%)",
-            "confining stress (kPa)",
-            "samples",
-            "mean (m/s)",
-            "measured mean (m/s)",
-            "difference (%)",
-            "in standard errors",
-            "standard deviation (m/s)",
-            "measured deviation (m/s)",
-            "ratio",
-            "outside 95 % of new samples",
-        ),
         rows,
-        frozenset(i for i, one in enumerate(found) if abs(one.standard_errors) > 2.0),
+        (i for i, one in enumerate(found) if abs(one.standard_errors) > 2.0),
     )
 
 
@@ -216,25 +202,24 @@ def _value_text(value: object) -> str:
             return str(value)
 
 
-def _run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table:
-    """Runs of the program on this campaign."""
-    rows = tuple(
-        (
-            str(run_number),
-            f"{run.started:%Y-%m-%d %H:%M} UTC",
-            ABSENT if run.ended is None else duration((run.ended - run.started).total_seconds()),
-            run.exit_state or "still running, or killed",
-            str(run.ranks),
-            f"{run.host} ({run.cpu})",
-            ", ".join(f"{name} {version}" for name, version in run.versions.items()),
-            run.git_commit[:10] + (" with local changes" if run.git_dirty else "")
+def _run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table | None:
+    """Runs of the program on this campaign; None without any."""
+    rows = [
+        {
+            "run": str(run_number),
+            "started": f"{run.started:%Y-%m-%d %H:%M} UTC",
+            "took": ABSENT if run.ended is None else duration((run.ended - run.started).total_seconds()),
+            "ended": run.exit_state or "still running, or killed",
+            "ranks": str(run.ranks),
+            "host": f"{run.host} ({run.cpu})",
+            "versions": ", ".join(f"{name} {version}" for name, version in run.versions.items()),
+            "source": run.git_commit[:10] + (" with local changes" if run.git_dirty else "")
             if run.git_commit
             else "installed package",
-        )
+        }
         for run_number, run in runs
-    )
-    header = ("run", "started", "took", "ended", "ranks", "host", "versions", "source")
-    return Table("Runs of the program on this campaign.", header, rows)
+    ]
+    return Table.of("Runs of the program on this campaign.", rows) if rows else None
 
 
 def _packing_table(analysis: CampaignAnalysis) -> Table:

@@ -7,7 +7,7 @@ import sys
 
 from calcidem.app.serve.address import PageAddress
 from calcidem.app.serve.server import LivePage
-from calcidem.sweep.processes import die_with_parent
+from calcidem.sweep.ranks import die_with_parent
 
 
 def _show_run() -> None:

@@ -1,22 +1,33 @@
-"""Server of the live page: addresses and their answers, access and end.
+"""Server of the live page: changes and movies for all open pages, addresses and their answers, access and end.
 
-Every client with the token of the printed address may see the page, except pages of other origins.
+Every client with the token of the printed address may see the page, except pages of other origins. Without an open page
+no database is read.
 """
 
 import asyncio
 import ipaddress
+import json
 import math
+import os
 import secrets
+import shutil
 import signal
 import socket
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
 from threading import Thread
+from typing import Any, TypeVar
 from urllib.parse import parse_qs
 
 import uvicorn
+from anyio import to_thread
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -37,12 +48,220 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from calcidem.app.serve.address import PageAddress
-from calcidem.app.serve.feed import CampaignFeed
-from calcidem.app.serve.hub import Hub
-from calcidem.app.serve.movies import MovieMaker, Wanted
+from calcidem.app.serve.feed import CampaignFeed, Event
 from calcidem.storage.errors import StoreError, UnknownCellError
-from calcidem.storage.passwords import hide_passwords
+from calcidem.storage.passwords import hide_passwords, keep_passwords_back
 from calcidem.storage.records import LARGEST_SEED, canonical_content, checked_seed
+from calcidem.sweep.ranks import available_cores
+
+T = TypeVar("T")
+
+
+@dataclass(eq=False)
+class Hub:
+    """Feeds of campaigns, and connected browsers."""
+
+    feeds: Sequence[CampaignFeed]
+    """Feeds by the number of their campaign on the page."""
+    _listeners: set["asyncio.Queue[str | None]"] = field(default_factory=set)
+    _wake: asyncio.Event = field(default_factory=asyncio.Event)
+    _ended: bool = False
+
+    async def watch(self) -> None:
+        """Read everything once, then changes while a page is open; cancel it at the end."""
+        await self.refresh()
+        while not self._ended:
+            if not self._listeners:
+                self._wake.clear()
+                await self._wake.wait()
+            begin = time.monotonic()
+            await self.refresh()
+            spent = time.monotonic() - begin
+            busy = any(feed.busy for feed in self.feeds)
+            # Between two pieces of a large campaign browsers get 0.03 s for their requests. Later reading takes a tenth
+            # of the time, once a second at most. While a run uses all cores it takes long but little CPU time: 4 s do.
+            await asyncio.sleep(0.03 if busy else min(max(1.0, spent / 0.1), 4.0))
+
+    async def refresh(self) -> None:
+        """Read all databases once, and send the changes."""
+        for feed in self.feeds:
+            for event in await _in_thread(feed.refresh):
+                self._tell(event)
+
+    async def listen(self) -> AsyncIterator[str]:
+        """Yield the state of each campaign, and then all changes, as server-sent events."""
+        queue: asyncio.Queue[str | None] = asyncio.Queue(200)  # a slow browser starts again
+        self._listeners.add(queue)
+        self._wake.set()
+        try:
+            for feed in self.feeds:
+                yield _as_event(("status", await _in_thread(feed.status)))
+            while True:
+                try:
+                    text = await asyncio.wait_for(queue.get(), 15.0)  # s, for proxies
+                except TimeoutError:
+                    text = ": still here\n\n"
+                if text is None:
+                    break
+                yield text
+        finally:
+            self._listeners.discard(queue)
+
+    async def end(self) -> None:
+        """Send the last changes, if that is quick, and end all connections."""
+        self._ended = True
+        if self._listeners:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self.refresh(), 0.5)  # s
+        for queue in self._listeners:
+            if queue.full():
+                queue.get_nowait()
+            queue.put_nowait(None)
+
+    def close(self) -> None:
+        """Close all databases."""
+        for feed in self.feeds:
+            feed.close()
+
+    def _tell(self, event: Event) -> None:
+        text = _as_event(event)
+        for queue in self._listeners:
+            if queue.full():  # a browser that missed a change sees a gap in the sequence, and requests all cells
+                queue.get_nowait()
+            queue.put_nowait(text)
+
+
+async def _in_thread(read: Callable[[], T]) -> T:
+    """Read a database; the server does not wait for it at its end."""
+    return await to_thread.run_sync(read, abandon_on_cancel=True)
+
+
+def _as_event(event: Event) -> str:
+    name, content = event
+    return f"event: {name}\ndata: {json.dumps(content, allow_nan=False)}\n\n"
+
+
+_TIME_LIMIT = 600.0
+"""Seconds after which a movie is given up."""
+
+_PROGRAM = """
+import os, runpy, sys
+from calcidem.sweep.ranks import die_with_parent
+parent = int(sys.argv.pop(1))
+if sys.platform == "linux":
+    die_with_parent(parent)
+os.nice(19)
+runpy.run_module("calcidem", run_name="__main__", alter_sys=True)
+"""
+
+Wanted = tuple[int, int, float]
+"""Number of the campaign, and seed and content of a cell."""
+
+
+@dataclass(slots=True)
+class _Work:
+    """Movie in computation."""
+
+    wanted: Wanted
+    process: "subprocess.Popen[bytes]"
+    file: Path
+    errors: Path
+    began: float
+
+
+class MovieMaker:
+    """Computes movies with `calcidem show`; used only by the server's thread, the parent of the process."""
+
+    def __init__(self) -> None:
+        self._folder: Path | None = None
+        self._work: _Work | None = None
+        self._made: dict[Wanted, Path] = {}
+        self._failed: dict[Wanted, str] = {}
+
+    def start(self, wanted: Wanted, feed: CampaignFeed, status: dict[str, Any]) -> dict[str, Any]:
+        """Begin the movie of a cell unless it exists, and return its progress."""
+        self._look()
+        self._failed.pop(wanted, None)
+        if wanted in self._made or (self._work is not None and self._work.wanted == wanted):
+            return self.state(wanted)
+        if refusal := self._refusal(status):
+            return {"state": "refused", "reason": refusal}
+        if self._folder is None:
+            self._folder = Path(tempfile.mkdtemp(prefix="calcidem-movies-"))
+        _, seed, content = wanted
+        file = self._folder / f"{len(self._made)}-{time.monotonic_ns()}.gif"
+        errors = file.with_suffix(".txt")
+        command = [sys.executable, "-c", _PROGRAM, str(os.getpid()), "show", feed.database]
+        command += [
+            f"--seed={seed}",
+            f"--content={content!r}",
+            f"--movie={file}",
+            *([] if feed.name is None else [f"--campaign={feed.name}"]),
+        ]
+        with errors.open("wb") as stream:
+            process = subprocess.Popen(  # noqa: S603 - our own program
+                keep_passwords_back(command),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=stream,
+                process_group=0,
+            )
+        self._work = _Work(wanted, process, file, errors, time.monotonic())
+        return self.state(wanted)
+
+    def state(self, wanted: Wanted) -> dict[str, Any]:
+        """Return the progress of the movie of a cell."""
+        self._look()
+        if wanted in self._made:
+            return {"state": "done", "file": self._made[wanted].name}
+        if self._work is not None and self._work.wanted == wanted:
+            return {"state": "working", "seconds": round(time.monotonic() - self._work.began)}
+        if wanted in self._failed:
+            return {"state": "failed", "reason": self._failed[wanted]}
+        return {"state": "none"}
+
+    def file(self, name: str) -> Path | None:
+        """Return the file of a movie by its name."""
+        return next((file for file in self._made.values() if file.name == name), None)
+
+    def end(self) -> None:
+        """End the process and remove all movies."""
+        if self._work is not None:
+            self._work.process.kill()
+            self._work.process.wait()
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _refusal(self, status: dict[str, Any]) -> str:
+        """Reason why no movie can be computed now; else empty."""
+        if self._work is not None:
+            return "another movie is being computed; wait for it, one at a time is"
+        run, cores = status.get("run") or {"host": ""}, available_cores()
+        here = run["host"] == os.uname().nodename
+        if status.get("running") and here and status["workers"] >= cores:
+            return f"the run has all {cores} cores; a movie would slow it down. Try again when the run has ended"
+        return ""
+
+    def _look(self) -> None:
+        """Record the end of the process, and end it after too long a time."""
+        work = self._work
+        if work is None:
+            return
+        late = time.monotonic() - work.began > _TIME_LIMIT
+        if work.process.poll() is None and not late:
+            return
+        if late:
+            work.process.kill()
+        code = work.process.wait()
+        self._work = None
+        if code == 0 and work.file.exists():
+            self._made[work.wanted] = work.file
+            while len(self._made) > 8:
+                self._made.pop(next(iter(self._made))).unlink(missing_ok=True)
+            return
+        said = work.errors.read_text(encoding="utf-8", errors="replace").strip().removeprefix("Error: ")
+        limit = f"it took more than {_TIME_LIMIT:g} s"
+        self._failed[work.wanted] = limit if late else hide_passwords(said) or f"the process ended with {code}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +277,10 @@ class _LiveApplication:
         of_campaign = "/campaigns/{campaign:number}"
         return Starlette(
             routes=[
-                *(Route(address, _static(kind, text)) for address, (kind, text) in _fixed(self.hub).items()),
+                *(
+                    Route(address, lambda _request, kind=kind, text=text: Response(text, media_type=kind))
+                    for address, (kind, text) in _fixed(self.hub).items()
+                ),
                 Route("/events", self._events),
                 Route(f"{of_campaign}/records", self._records),
                 Route(f"{of_campaign}/cell", self._cell),
@@ -107,15 +329,6 @@ class _LiveApplication:
         if number >= len(self.hub.feeds):
             raise HTTPException(404)
         return self.hub.feeds[number]
-
-
-def _static(kind: str, text: str) -> Callable[[Request], Response]:
-    """Return a function with a constant answer."""
-
-    def answer(_request: Request) -> Response:
-        return Response(text, media_type=kind)
-
-    return answer
 
 
 def _fixed(hub: Hub) -> dict[str, tuple[str, str]]:

@@ -29,14 +29,13 @@ from calcidem.analysis.figures.style import (
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.cells import signal_distance
-from calcidem.app.studies.results import StudyResult, markdown_table
-from calcidem.dem.engine.material import Sand
+from calcidem.app.studies.study import StudyResult, markdown_table, signal_distance
+from calcidem.dem.engine.scene import Sand
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import PATTERNS
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
-from calcidem.storage.records.error_budget import NORMAL_95
+from calcidem.storage.records import NORMAL_95
 
 
 class SceneVerdict(StrEnum):

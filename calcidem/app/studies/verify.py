@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from calcidem.app.campaign.cells import cell_result, with_patterns
 from calcidem.app.campaign.identity import refuse_other_physics
-from calcidem.app.campaign.patterns import with_patterns
-from calcidem.app.campaign.task import cell_result
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.ends import DECIDED_BY_PHYSICS
@@ -21,9 +20,6 @@ from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, CementPattern, RecordedSection
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-
-ExperimentOf = Callable[[int], Experiment]
-"""Function that returns the common experiment of a packing's cells by the packing's index."""
 
 _SHARES = ("coherence", "reading_error", "effective_error", "vs_bias", "numerical_error", "pulse_effect")
 """Numbers that are already relative, so their absolute difference counts."""
@@ -80,7 +76,7 @@ def random_cells(store: Store, count: int, choice: int | None = None) -> tuple[C
 
 
 def verify(
-    store: Store, keys: Iterable[CellKey], experiment_of: ExperimentOf, *, lanes: int = 8
+    store: Store, keys: Iterable[CellKey], experiment_of: Callable[[int], Experiment], *, lanes: int = 8
 ) -> Iterator[Verification]:
     """Recompute stored cells and compare them, without changing the store; ``lanes`` cells run side by side.
 

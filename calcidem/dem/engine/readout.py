@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.dem.engine.assembly import Assembly, lanes_of_bits, pair_overlaps, wall_pair_overlaps
-from calcidem.dem.engine.histories import listed_pairs
+from calcidem.dem.engine.assembly import Assembly, lanes_of_bits, listed_pairs, pair_overlaps, wall_pair_overlaps
 from calcidem.dem.engine.leapfrog import State, look_ahead
 from calcidem.dem.engine.portable import length, three_halves
 from calcidem.dem.engine.scene import Scene
@@ -177,22 +176,20 @@ def wall_overlaps(state: State) -> Floats:
     return wall_pair_overlaps(state.assembly, state.motion.displacement)
 
 
-def contact_forces(state: State, lane: int = 0) -> ContactForces:
-    """Forces between the disks at the present position; `ValueError` in the ``linear`` regime, which has none."""
+def contact_forces(state: State, lane: int = 0, ahead: State | None = None) -> ContactForces:
+    """Forces between the disks at the present position; `ValueError` in the ``linear`` regime, which has none.
+
+    ``ahead`` is the result of `look_ahead`, if it is known.
+    """
     _refuse_linear(state)
-    return _contact_forces(state, look_ahead(state), lane)
-
-
-def _contact_forces(state: State, ahead: State, lane: int) -> ContactForces:
-    """Forces between the disks; ``ahead`` is the result of `look_ahead`."""
-    pairs = ahead.assembly.pairs
+    pairs = (ahead or look_ahead(state)).assembly.pairs
     ends = listed_pairs(state.assembly)
     depth = overlaps(state)[:, lane]
-    intact = _lane_of(pairs.intact, lane)
+    intact, cemented = (lanes_of_bits(bits, state.features.lanes)[:, lane] for bits in (pairs.intact, pairs.cemented))
     normal = pairs.hertz * three_halves(np.maximum(depth, 0.0))
     if state.features.linear_group:
         pressed = np.maximum(depth - pairs.linear[:, REFERENCE_OVERLAP], 0.0) * pairs.linear[:, NORMAL]
-        normal = np.where(_lane_of(pairs.cemented, lane), pressed, normal)
+        normal = np.where(cemented, pressed, normal)
     else:
         normal = np.where(intact, 0.0, normal)
     bond = pairs.bond_force[:, :, lane]
@@ -207,11 +204,6 @@ def _contact_forces(state: State, ahead: State, lane: int) -> ContactForces:
         moment=bond[present, MOMENT].astype(float),
         bonded=intact[present],
     )
-
-
-def _lane_of(bits: Integers, lane: int) -> Flags:
-    """Flags of one lane."""
-    return ((bits >> np.uint32(lane)) & 1).astype(bool)
 
 
 def wall_contacts(state: State, lane: int = 0) -> WallForces:
@@ -234,22 +226,19 @@ def wall_reactions(state: State, lane: int = 0) -> Floats:
     return look_ahead(state).assembly.walls.reaction[:, :STIFFNESS, lane].astype(float)
 
 
-def net_forces(state: State, lane: int = 0) -> Floats:
-    """(N, 3) net force (N/m) and moment (N) on the disks without damping, in the order of the scene.
-
-    They follow from the change of velocities in one kernel step on a copy; zero for held disks.
-    """
-    return net_forces_from(state, look_undamped(state), lane)
-
-
 def look_undamped(state: State) -> State:
     """Result of `look_ahead` without damping."""
     undamped = state.assembly.grains._replace(damping=np.zeros_like(state.assembly.grains.damping))
     return look_ahead(replace(state, assembly=replace(state.assembly, grains=undamped)))
 
 
-def net_forces_from(state: State, ahead: State, lane: int) -> Floats:
-    """`net_forces`, where ``ahead`` is the result of `look_undamped`, the same for all lanes."""
+def net_forces(state: State, lane: int = 0, ahead: State | None = None) -> Floats:
+    """(N, 3) net force (N/m) and moment (N) on the disks without damping, in the order of the scene.
+
+    They follow from the change of velocities in one kernel step on a copy; zero for held disks. ``ahead`` is the result
+    of `look_undamped`, the same for all lanes, if it is known.
+    """
+    ahead = ahead or look_undamped(state)
     before = state.motion.velocity[:, :, lane] if state.steps else 0.0
     # Convert to double precision: NumPy 1 would divide single-precision arrays by a double in single precision.
     change = (ahead.motion.velocity[:, :, lane] - before).astype(float) / state.time_step[lane]
@@ -261,8 +250,7 @@ def unbalanced_ratio(state: State, lane: int = 0) -> float:
     """Sum of the net forces on the disks over the sum of their contact forces (PFC 'mech-ratio-average')."""
     _refuse_linear(state)
     ahead = look_undamped(state)
-    net = net_forces_from(state, ahead, lane)
-    contacts = _contact_forces(state, ahead, lane)
+    net, contacts = net_forces(state, lane, ahead), contact_forces(state, lane, ahead)
     magnitude = 2.0 * float(length(contacts.normal, contacts.shear).sum())
     magnitude += float(np.abs(ahead.assembly.walls.reaction[:, :STIFFNESS, lane].astype(float)).sum())
     unbalanced = float(length(net[:, X], net[:, Y]).sum())

@@ -1,19 +1,327 @@
-"""Starting and advancing a scene. States are values: advancing returns a new one."""
+"""Starting and advancing a scene, with control of the time step. States are values: advancing returns a new one.
+
+Present contacts, speeds and unbalanced forces set the limit; the step is a part of it. Regular checks reduce the step
+with its limit and never increase it. A step fixed by the caller ends the run instead.
+
+Impacts limit the step beyond the present stiffness.
+
+Disks that barely touch have little stiffness, and a step based on it skips their collision. The overlap reached in the
+collision counts, at present speeds or under unbalanced forces: loads, gravity, a lid. Hertz's law gives the duration
+of such a contact (Landau & Lifshitz, Theory of Elasticity, section 9).
+"""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.dem.engine.assembly import aligned_zeros, assemble, share_assembly
+from calcidem.dem.engine.assembly import (
+    Assembly,
+    aligned_zeros,
+    assemble,
+    install_forces,
+    lanes_of_bits,
+    pair_overlaps,
+    share_assembly,
+    wall_pair_overlaps,
+)
 from calcidem.dem.engine.fields import require
-from calcidem.dem.engine.histories import install_forces
-from calcidem.dem.engine.leapfrog import State, StepControl, duplicate, no_recording, run_in_place, start_leapfrog
+from calcidem.dem.engine.leapfrog import (
+    State,
+    StepControl,
+    change_step,
+    duplicate,
+    look_ahead,
+    no_recording,
+    run_in_place,
+    start_leapfrog,
+)
+from calcidem.dem.engine.portable import length, root
+from calcidem.dem.engine.readout import stored_energy
 from calcidem.dem.engine.scene import Precision, Preload, Regime, Scene
-from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks
-from calcidem.dem.engine.step_control import SAFETY, is_watched, look, refuse_blow_up, step_limit
+from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks, squared_frequencies
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import ROTATION, XY, Floats, Integers, Motion
+from calcidem.dem.kernels.layout import (
+    GAIN,
+    NORMAL,
+    NORMAL_SPEED,
+    ROTATION,
+    SPEEDS,
+    STIFFNESS,
+    TARGET,
+    TOP_SPEED,
+    XY,
+    Floats,
+    Integers,
+    Motion,
+    X,
+    Y,
+)
+
+
+class _Instant(NamedTuple):
+    """Present motion, forces and energies of a state, in double precision and memory order."""
+
+    velocity: Floats
+    force: Floats
+    """(N, 3, L) velocities (m/s, rad/s), and net forces (N/m) and moments (N)."""
+    overlap: Floats
+    wall_overlap: Floats
+    """(M, L) and (V, L) of the listed pairs, m."""
+    reaction: Floats
+    """(W, 3, L) as in `layout.Walls`."""
+    kinetic: Floats
+    stored: Floats
+    """(L,) energies, J/m, see `readout.Energies`."""
+
+
+def _contact_durations(
+    scene: Scene, assembly: Assembly, features: Features, now: _Instant, time_step: Floats
+) -> tuple[Floats, Floats]:
+    """Duration of the shortest contact that each disk may make, (N, L) s, and the fastest speed, (L,) m/s.
+
+    Infinite for held disks. Infinite for all disks if the free energy is negligible or no listed contact is loose.
+
+    Notes
+    -----
+    Two disks of reduced mass m* that collide at a speed v touch for ``3.218 (m*^2 / (h^2 v))^(1/5)``. Each disk is
+    assumed to hit an equal one, at the sum of its own speed and the fastest speed. A heavier partner or a wall prolongs
+    the contact. An unbalanced force F adds the rebound speed of a contact compressed by it: ``v^2 = 1.6 F d / m`` with
+    ``F = h d^1.5``. Hence v stays constant during a collision, and is positive for a disk at rest before it falls.
+    """
+    radius = assembly.grains.radius.astype(float)
+    inverse = assembly.grains.inverse_mass.astype(float)[:, None]
+    coefficient = scene.sand.hertz_coefficient(radius, radius)[:, None]
+    mass = scene.sand.density * np.pi * (radius * radius)[:, None]
+    speed, push = (length(field[:, X], field[:, Y]) for field in (now.velocity, now.force))
+    walls = _wall_speeds(assembly, now.reaction, time_step)
+    fastest = np.maximum(speed.max(axis=0), walls.max(axis=0, initial=0.0))
+    depth = root(push / coefficient, 3)
+    released = 0.8 * push * depth * depth * (inverse > 0.0)
+    own, disk = assembly.wall_pairs, assembly.wall_pairs.disk
+    free = (0.5 * mass * speed * speed + released).sum(axis=0) + (0.5 * mass[disk] * walls[own.wall] ** 2).sum(axis=0)
+    approach = np.sqrt((speed + fastest) ** 2 + 2.0 * released / mass)
+    ratio = 0.5 * mass / coefficient
+    with np.errstate(divide="ignore"):
+        duration = 3.2180 / root(approach / (ratio * ratio), 5)  # 2.943275 (5/4)^(2/5)
+    # Impacts do not matter if at most 1 % of the stored energy is free, or all listed contacts are cemented.
+    loose = (~lanes_of_bits(assembly.pairs.intact, features.lanes)).any(axis=0) | (len(assembly.wall_pairs.disk) > 0)
+    matters = (free > 1e-2 * now.stored) & loose
+    return np.where((inverse > 0.0) & matters, duration, np.inf), fastest
+
+
+def _wall_speeds(assembly: Assembly, reaction: Floats, time_step: Floats) -> Floats:
+    """Speeds (W, L) of walls along their normals, with a servo those of the next step, m/s."""
+    walls = assembly.walls
+    gain, target, fastest = (walls.servo[:, column, None].astype(float) for column in (GAIN, TARGET, TOP_SPEED))
+    held = reaction[:, STIFFNESS] > 0.0
+    speed = gain * np.abs(target - reaction[:, NORMAL]) / (np.where(held, reaction[:, STIFFNESS], 1.0) * time_step)
+    served = np.where(held, np.minimum(speed, fastest), fastest)
+    return np.where(gain > 0.0, served, np.abs(walls.motion[:, NORMAL_SPEED].astype(float)))
+
+
+SAFETY = 0.8  # default step over the critical time step
+_QUIET_LOOK = 256  # most steps to the next check
+
+
+class UnstableRunError(RuntimeError):
+    """Unstable run with unreliable results; the message names step, disk and remedy."""
+
+
+def step_limit(state: State) -> Floats:
+    """Limit (L,) of the step at present overlaps, speeds and unbalanced forces, s."""
+    overlap = pair_overlaps(state.assembly, state.motion.displacement, finite=state.features.finite)
+    wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
+    stability = critical_time_step_of_disks(state.scene, state.assembly, state.features, overlap, wall_overlap)
+    if not is_watched(state):
+        return stability
+    limits, _ = _impact_limits(state, _instant(state, look_ahead(state)))
+    return np.asarray(np.minimum(stability, limits.min(axis=0)))
+
+
+def is_watched(state: State) -> bool:
+    """Whether the step is checked: not with constant stiffnesses, nor if the caller checks it."""
+    return not state.features.linear and state.control.per_contact > 0.0
+
+
+def _impact_limits(state: State, now: _Instant) -> tuple[Floats, Floats]:
+    """Step limit (N, L) by possible impacts and by the motion in a step, s, and fastest speed (L,), m/s."""
+    limits, fastest = _contact_durations(state.scene, state.assembly, state.features, now, state.time_step)
+    with np.errstate(divide="ignore"):
+        limits = limits / (SAFETY * state.control.per_contact)
+        if state.features.search:
+            # The acceleration of a disk by an unsupported load counts, too.
+            load = state.assembly.grains.load.astype(float)[:, :, None]
+            pull = np.minimum(_accelerations(state, load), _accelerations(state, now.force)).max(axis=0)
+            # Four steps in flight may cross the skin from 0.35 of it (`leapfrog._reach`) to a half.
+            limits = np.minimum(limits, _time_across(0.0375 * state.skin, fastest, pull))
+    return limits, fastest
+
+
+def _instant(state: State, ahead: State) -> _Instant:
+    """Present motion, forces and energies of a state; ``ahead`` is the result of `look_ahead`."""
+    scene, order = state.scene, state.assembly.order
+    inertia = np.column_stack([scene.mass, scene.mass, scene.inertia])[order][:, :, None]
+    velocity, later = state.motion.velocity.astype(float), ahead.motion.velocity.astype(float)
+    before = velocity if state.steps else 0.0
+    overlap = pair_overlaps(state.assembly, state.motion.displacement, finite=state.features.finite)
+    wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
+    return _Instant(
+        velocity=velocity,
+        force=(later - before) / state.time_step * inertia,
+        overlap=overlap,
+        wall_overlap=wall_overlap,
+        reaction=ahead.assembly.walls.reaction.astype(float),
+        kinetic=0.5 * (inertia * velocity * (later if state.steps else velocity)).sum(axis=(0, 1)),
+        stored=stored_energy(scene, ahead.assembly, state.features, overlap, wall_overlap),
+    )
+
+
+def look(state: State) -> State:
+    """Return the state with a step within its limit, one step later if the step changed; see `advance`."""
+    if not is_watched(state):
+        # An unstable run ends at the next check.
+        return replace(state, control=replace(state.control, next_look=state.steps + 2000))
+    ahead = look_ahead(state)
+    now = _instant(state, ahead)
+    limits, fastest = _impact_limits(state, now)
+    control = _watch_energy(state, now, _watch_stability(state, now))
+    limit = np.minimum(control.stability, limits.min(axis=0))
+    control = replace(control, next_look=state.steps + _steps_to_look(state, now, limits, fastest))
+    current = replace(state, critical_time_step=limit, control=control)
+    if control.fixed:
+        _refuse_step(current, now, limits)
+        return current
+    step = np.where(state.time_step > 0.5 * (1.0 + control.fraction) * limit, control.fraction * limit, state.time_step)
+    return current if np.array_equal(step, state.time_step) else change_step(current, ahead, step)
+
+
+def _watch_stability(state: State, now: _Instant) -> StepControl:
+    """Return the control, with a new stability limit if overlaps have grown enough to lower it."""
+    control = state.control
+    sides = [np.maximum(side, 0.0) for side in (now.overlap, now.wall_overlap)]
+    overlap = np.stack(
+        [np.maximum(*(side.max(axis=0, initial=0.0) for side in sides)), sum(side.sum(axis=0) for side in sides)]
+    )
+    # Below half of the limit only overlaps 16 times as deep can matter, above it a growth by 30 %.
+    growth = np.where(state.time_step > 0.5 * control.stability, 1.3, 16.0)
+    if np.isfinite(control.overlap).all() and not (overlap > growth * control.overlap).any():
+        return control
+    limit = critical_time_step_of_disks(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
+    return replace(control, stability=limit, overlap=overlap)
+
+
+def _steps_to_look(state: State, now: _Instant, limits: Floats, fastest: Floats) -> int:
+    """Steps in which speeds and overlaps change little and no unlisted contact can form."""
+    step, pull = state.time_step, _accelerations(state, now.force).max(axis=0)
+    busy = (limits < np.inf).any()
+    touching = now.overlap[now.overlap > 0.0]
+    steps = [32 if busy else _QUIET_LOOK]
+    if len(touching):
+        # Motion by less than 0.3 of the mean overlap changes stiffnesses within the margin of the step.
+        steps.append(max(32, _steps_in(_time_across(0.3 * float(touching.mean()), fastest, 0.0), step)))
+    if state.features.search:
+        # Unlisted disks may approach each other by 1/20 of the skin; an unsupported disk at rest falls meanwhile.
+        steps.append(_steps_in(_time_across(0.05 * state.skin, fastest, pull), step))
+    return max(1, min(steps))
+
+
+def _steps_in(time: Floats, step: Floats) -> int:
+    """Whole steps in the shortest of the times (L,), s; none if a lane has blown up."""
+    return int(min(float(np.nan_to_num(time / step).min()), _QUIET_LOOK))
+
+
+def _time_across(way: float, speed: Floats, acceleration: Floats | float) -> Floats:
+    """Time (L,) in which no disk exceeds a distance (m), s: ``way = v t + a t^2 / 2``."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(2.0 * way / (speed + np.sqrt(speed * speed + 2.0 * way * acceleration)))
+
+
+def _accelerations(state: State, force: Floats) -> Floats:
+    """Accelerations (N, L) of the disks by forces (N, 3, L), m/s^2."""
+    return np.asarray(length(force[:, X], force[:, Y]) * state.assembly.grains.inverse_mass.astype(float)[:, None])
+
+
+def _watch_energy(state: State, now: _Instant, control: StepControl) -> StepControl:
+    """Return the control with the largest energy so far.
+
+    Raises
+    ------
+    UnstableRunError
+        If the energy has grown by more than loads have supplied. The test does not apply if walls or held disks supply
+        energy, bonds have broken, or shear forces are not rescaled, which creates energy.
+    """
+    load = state.assembly.grains.load.astype(float)[:, :, None]
+    supplied = (load * state.motion.displacement).sum(axis=(0, 1))
+    present = now.kinetic + now.stored
+    if state.steps == 0:
+        return replace(control, energy=np.stack([present, present]))
+    largest = np.maximum(control.energy[1], np.abs(supplied))
+    # A tenth of the largest energy is tolerated, and the kinetic energy of 1 kg at 1e-6 m/s.
+    least = 0.5e-12 * float(np.sum(state.scene.mass))
+    for lane in np.flatnonzero(present - supplied - control.energy[0] > 0.1 * largest + least).tolist():
+        if _is_closed(state, now, lane):
+            disk = int(np.argmax(length(now.velocity[:, X, lane], now.velocity[:, Y, lane])))
+            raise UnstableRunError(
+                f"after {state.steps} steps there are {present[lane]:.3g} J/m, at the start there were "
+                f"{control.energy[0, lane]:.3g}, and loads have supplied {supplied[lane]:.3g}; the fastest is "
+                f"{_describe_disk(state, disk)}: the step of {state.time_step[lane]:.3g} s is too long, choose a "
+                "smaller time_step"
+            )
+    return replace(control, energy=np.stack([control.energy[0], np.maximum(largest, present)]))
+
+
+def _is_closed(state: State, now: _Instant, lane: int) -> bool:
+    """Whether only loads supply energy to a lane."""
+    walls, pairs = state.assembly.walls, state.assembly.pairs
+    still = not state.features.servo and not np.any(walls.motion[:, SPEEDS, lane])
+    held = state.assembly.grains.inverse_mass == 0.0
+    whole = bool(((pairs.cemented ^ pairs.intact) >> np.uint32(lane) & 1 == 0).all())
+    return still and not np.any(now.velocity[held, :, lane]) and whole and state.features.rescaling
+
+
+def _refuse_step(state: State, now: _Instant, limits: Floats) -> None:
+    """Raise an `UnstableRunError` if a fixed step exceeds its limit."""
+    stability = state.control.stability
+    for lane in np.flatnonzero(
+        # The limit of impacts is an estimate, so it may be exceeded by 5 %.
+        (state.time_step > stability * (1.0 + 1e-9)) | (state.time_step > 1.05 * limits.min(axis=0))
+    ).tolist():
+        disk = int(np.argmin(limits[:, lane]))
+        if stability[lane] < limits[disk, lane]:
+            bounds = squared_frequencies(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
+            disk = int(np.argmax(bounds[:, lane]))
+        raise UnstableRunError(
+            f"time_step = {state.time_step[lane]:.3g} s: after {state.steps} steps the limit is "
+            f"{state.critical_time_step[lane]:.3g} s, set by {_describe_disk(state, disk)}: start with a smaller one, "
+            "or without, and it follows the limit"
+        )
+
+
+def refuse_blow_up(state: State) -> None:
+    """Raise an `UnstableRunError` if a disk's velocity is NaN or too large."""
+    velocity = state.motion.velocity
+    leap = 0.1 * float(np.min(state.scene.radius)) if state.features.finite and is_watched(state) else np.inf
+    moved = np.abs(velocity[:, XY]) * state.time_step
+    # Comparisons with NaN are false, so the valid case is tested.
+    if (moved <= leap).all() and np.isfinite(velocity).all():
+        return
+    size = np.where(np.isfinite(velocity), np.abs(velocity), np.inf)
+    size[:, ROTATION] = np.where(size[:, ROTATION] < np.inf, 0.0, np.inf)
+    disk, component, lane = (int(place) for place in np.unravel_index(int(np.argmax(size)), size.shape))
+    raise UnstableRunError(
+        f"after {state.steps} steps {_describe_disk(state, disk)} moves at {velocity[disk, component, lane]:.3g} m/s, "
+        f"more than a tenth of a radius in a step of {state.time_step[lane]:.3g} s: the run has blown up; "
+        "choose a smaller time_step"
+    )
+
+
+def _describe_disk(state: State, disk: int) -> str:
+    """Describe the scene's disk at a place in memory."""
+    number = int(state.assembly.order[disk])
+    return f"disk {number}, which began at ({state.scene.x[number]:.5g}, {state.scene.y[number]:.5g}) m"
+
 
 SKIN = 0.2  # largest gap of listed pairs over the mean radius
 

@@ -1,14 +1,16 @@
-"""Distribution of calcite in a sample: random cement at contacts (P) and in clusters (C).
+"""Distribution of calcite in a sample: random cement at contacts (P) and in clusters (C), and patterns of others.
 
 The virtual-entity method of the paper (section 2.2.1): calcite is not a particle but a bonded contact with a
 mass. `draw_cement` draws one ordering per seed; `CementOrdering.at` takes the part of it for a content. The
-samples of a seed are therefore nested: a cemented contact stays cemented at every larger content.
+samples of a seed are therefore nested: a cemented contact stays cemented at every larger content. Patterns of other
+packages, or of the calling program, are drawn from streams of the same kind.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
+from importlib.metadata import entry_points
 from itertools import chain
 from typing import Annotated, cast
 
@@ -21,9 +23,53 @@ from pydantic import AllowInfNan
 from calcidem.dem.engine.fields import NotNegative, Positive, checked
 from calcidem.dem.engine.portable import arc_sine, length
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
-from calcidem.dem.sample.own_pattern import draw_order
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
+
+Pattern = Callable[[Floats, np.random.Generator], npt.ArrayLike]
+"""Order (M,) in which contacts are cemented, from their points (M, 2) in m and a random generator of the seed."""
+
+GIVEN: dict[str, Pattern] = {}
+"""Patterns that the calling program gave, by name; they stand before those of packages."""
+
+
+class UnknownPatternError(ValueError):
+    """No package has the pattern of a configuration."""
+
+
+def give_patterns(patterns: Mapping[str, Pattern]) -> None:
+    """Make patterns of the calling program known in this process."""
+    GIVEN.update(patterns)
+
+
+def find_pattern(name: str) -> Pattern:
+    """Pattern of that name: given, or an entry point of the group ``calcidem.patterns``; `UnknownPatternError`."""
+    if name in GIVEN:
+        return GIVEN[name]
+    for found in entry_points(group="calcidem.patterns", name=name):
+        pattern: Pattern = found.load()
+        return pattern
+    known = ", ".join(sorted({*GIVEN, *entry_points(group="calcidem.patterns").names})) or "none"
+    raise UnknownPatternError(
+        f'drawn_by = "{name}": no installed package has this pattern (entry point of the group calcidem.patterns), and '
+        f"calcidem.run was given none; known are: {known}"
+    )
+
+
+class RandomPurpose(IntEnum):
+    """Purpose of a random stream; the values belong to a sample's identity and never change."""
+
+    DISKS = 0
+    P_CONTACTS = 1
+    CLUSTERS = 2
+
+
+def random_generator(root_seed: int, seed: int, purpose: RandomPurpose) -> np.random.Generator:
+    """Return the generator of a stream, independent of the order of calls.
+
+    Root, seed and purpose span a tree of NumPy's `SeedSequence` with independent branches.
+    """
+    sequence = np.random.SeedSequence(root_seed, spawn_key=(seed, purpose.value))
+    return np.random.Generator(np.random.PCG64(sequence))
 
 
 def toroid_area(
@@ -294,9 +340,9 @@ def draw_cement(packing: Packing, rule: CementRule, *, seed: int, root_seed: int
     return CementOrdering(
         rule=rule,
         p_rank=p_rank,
-        p_content=percent * _running_sum(p_area[order]),
+        p_content=percent * np.cumsum(np.r_[0.0, p_area[order]]),
         first_cluster=first_cluster,
-        c_content=percent * _running_sum(areas),
+        c_content=percent * np.cumsum(np.r_[0.0, areas]),
         centres=centres,
         pore_content=percent * pore_area,
     )
@@ -345,7 +391,12 @@ def _draw_p(
     Patches are drawn up to the threshold; contacts beyond it are never cemented with P.
     """
     if rule.drawn_by is not None:
-        return draw_order(rule.drawn_by, points, generator)
+        order = np.asarray(find_pattern(rule.drawn_by)(points.copy(), generator))
+        if order.shape != (len(points),) or not np.array_equal(np.sort(order), np.arange(len(points))):
+            raise ValueError(
+                f'drawn_by = "{rule.drawn_by}": gives no permutation of the {len(points)} contacts; return each once'
+            )
+        return order.astype(np.int64)
     if rule.p_patch_diameter == 0.0:
         return generator.permutation(len(points))
     never = np.iinfo(np.int64).max
@@ -424,8 +475,3 @@ def _circles(
         inside = length(*(points[found] - centres[circle]).T) <= radius
         held, number = np.unique(circle[inside], return_inverse=True)
         yield centres[held], number, found[inside]
-
-
-def _running_sum(values: Floats) -> Floats:
-    """Return the sums of the first 0, 1, 2, ... values."""
-    return np.concatenate([[0.0], np.cumsum(values)])

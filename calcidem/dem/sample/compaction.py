@@ -3,7 +3,8 @@
 The radii grow stepwise to the initial porosity; then the lid applies its stress, and the right side its own if a ratio
 of stresses is asked for. Both follow the PFC manual (radius
 expansion, wall servo). Disks come to rest by the explicit scheme of Cundall and Strack (1979,
-doi:10.1680/geot.1979.29.1.47) with local damping.
+doi:10.1680/geot.1979.29.1.47) with local damping. Cemented samples settle alike, after the installation of bonds has
+changed their forces.
 """
 
 import math
@@ -14,15 +15,13 @@ from time import perf_counter
 import numpy as np
 
 from calcidem.dem.engine.assembly import Assembly
-from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.leapfrog import State, duplicate, no_recording, run_in_place
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
-from calcidem.dem.engine.scene import Preload, Scene, Wall
+from calcidem.dem.engine.scene import Preload, Sand, Scene, Wall
 from calcidem.dem.engine.stability import critical_time_step_of_disks, scaled_densities
-from calcidem.dem.engine.state import SKIN, advance, choose_features, start
-from calcidem.dem.engine.step_control import UnstableRunError, step_limit
+from calcidem.dem.engine.state import SKIN, UnstableRunError, advance, choose_features, start, step_limit
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
+from calcidem.dem.kernels.layout import NORMAL_PATH, SPEEDS, Floats, Integers
 from calcidem.dem.sample.packing import LID, RIGHT, Packing, PackingError, PackingReport, PackingRule, PackingStage
 
 _FILLING_RATIO = 1e-2  # unbalanced-force ratio at which the lid may start to press
@@ -320,10 +319,7 @@ def _stage_of(cost: Cost, rule: PackingRule, ratios: list[float]) -> PackingStag
         fraction = expansion * (cost.expansion_step - 1) / cost.expansion_steps
     else:
         fraction = expansion + (1.0 - expansion) * pressed
-    ratio = ratios[-1] if ratios else 1.0  # no contacts yet
-    return PackingStage(
-        cost.expansion_step, cost.expansion_steps, cost.steps, ratio, rule.unbalanced_force_ratio, fraction
-    )
+    return PackingStage(cost.expansion_step, cost.expansion_steps, cost.steps, fraction)
 
 
 def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str:
@@ -395,3 +391,50 @@ def _coordination_without_rattlers(pairs: Integers, state: State) -> tuple[float
         if not fewer.any():
             return 2.0 * int(alive.sum()) / max(1, int(kept.sum())), int((~kept).sum())
         kept &= ~fewer
+
+
+class SettlingError(RuntimeError):
+    """A cemented sample did not come to rest."""
+
+
+def settle(
+    state: State, unbalanced_force_ratio: float, most_steps: int, check: Callable[[], None] = lambda: None
+) -> State:
+    """Return the state with every lane at rest under the lid's servo; steps restart from zero.
+
+    A balanced lane is frozen by a step of zero while the others continue, so its result does not depend on them.
+    `SettlingError` if a lane does not come to rest.
+
+    Parameters
+    ----------
+    state
+        Newly started state.
+    unbalanced_force_ratio
+        Ratio to reach.
+    most_steps
+        Largest number of steps.
+    check
+        Called every fraction of a second; may raise to end the run.
+    """
+    lanes = state.features.lanes
+    open_lanes = np.ones(lanes, dtype=bool)
+    grains = state.assembly.grains
+    damped = grains._replace(damping=np.full_like(grains.damping, 0.7))  # local damping factor
+    features = replace(state.features, servo=True, damping=True, recording=False, driven=False)
+    current = duplicate(replace(state, assembly=replace(state.assembly, grains=damped), features=features))
+    while open_lanes.any():
+        check()
+        if current.steps >= most_steps:
+            raise SettlingError(
+                f"a cemented sample is not at rest after {most_steps} steps: "
+                "raise most_settling_steps or unbalanced_force_ratio"
+            )
+        current = replace(current, time_step=np.where(open_lanes, state.time_step, 0.0))
+        current = run_in_place(current, 500, no_recording(current))  # steps between two checks
+        current = replace(current, time_step=state.time_step)
+        for lane in np.flatnonzero(open_lanes):
+            open_lanes[lane] = not unbalanced_ratio(current, int(lane)) < unbalanced_force_ratio
+    current.motion.velocity[...] = 0.0
+    current.assembly.walls.motion[:, SPEEDS] = 0.0
+    assembly = replace(current.assembly, grains=grains)
+    return replace(current, assembly=assembly, features=state.features, steps=0)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calcidem.dem.engine.material import Sand
+from calcidem.dem.engine.scene import Sand
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.packing import Packing
 

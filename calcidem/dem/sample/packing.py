@@ -162,8 +162,5 @@ class PackingStage:
     """Current radius step, from 1, and number of radius steps; one step more while the lid presses."""
     steps: int
     """Time steps so far."""
-    unbalanced_ratio: float
-    target_ratio: float
-    """Unbalanced-force ratio, and its value at rest."""
     fraction: float
     """Estimated part of the work done; under the lid from the logarithm of the smallest ratio so far."""

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calcidem.dem.engine.material import Sand
-from calcidem.dem.engine.scene import Scene
+from calcidem.dem.engine.scene import Sand, Scene
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.compaction import OWN_DISKS, Cost, box_walls, press
 from calcidem.dem.sample.judgement import LARGEST_OVERLAP, overlapping_pairs

@@ -13,8 +13,6 @@ from calcidem.dem.wave.reading import Reading, describe_refusal, read_section
 from calcidem.dem.wave.section import Section
 from calcidem.ends import CellStatus, Verdict
 
-LARGEST_NUMERICAL_ERROR = 0.05  # relative standard error above which no velocity of a content is given
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurement:
@@ -41,7 +39,7 @@ class Measurement:
 
     @property
     def effective_vs(self) -> float | None:
-        """Effective velocity of the sample, m/s, see `strip_wave`; None without a wave."""
+        """Effective velocity of the sample, m/s, see `StripWave`; None without a wave."""
         return None if self.reading is None else self.reading.wave.velocity
 
     @property
@@ -139,7 +137,7 @@ def interpret(experiment: Experiment, measurement: Measurement) -> Measurement:
     if vs is None:
         reason = f'the {experiment.pick.method.replace("_", " ")} cannot be read; pick.method = "peak" can'
         return replace(new, reason=reason)
-    if (found.numerical_error or 0.0) > LARGEST_NUMERICAL_ERROR:
+    if (found.numerical_error or 0.0) > 0.05:  # then no velocity of the content is given
         error = f"{Verdict.INACCURATE}: the standard error is {found.numerical_error:.1%}, 5 % are allowed"
         return replace(new, reason=error)
     return replace(new, status=CellStatus.DONE, vs=vs)

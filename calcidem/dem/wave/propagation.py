@@ -19,14 +19,18 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.kernels.steps import advance_steps
 from calcidem.dem.sample.cement import CementOrdering
-from calcidem.dem.sample.settling import settle
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.guards import unbalanced_speed
-from calcidem.dem.wave.pulse import Pulse
+from calcidem.dem.sample.compaction import settle
+from calcidem.dem.wave.experiment import (
+    Experiment,
+    driven_disks,
+    lane_bonds,
+    listening_disks,
+    station_disks,
+    wave_scene,
+)
 from calcidem.dem.wave.reading import is_settled, record_duration
-from calcidem.dem.wave.recorder import Recorder
-from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN
-from calcidem.dem.wave.scene import driven_disks, lane_bonds, listening_disks, station_disks, wave_scene
+from calcidem.dem.wave.recorder import Recorder, unbalanced_speed
+from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, Pulse
 from calcidem.dem.wave.section import Section
 
 

@@ -1,6 +1,6 @@
 """Velocities from a space-time section.
 
-1. **A damped wave is fitted to the section** (`strip_wave`). Its velocity is the effective velocity of the sample.
+1. **A damped wave is fitted to the section** (`StripWave`). Its velocity is the effective velocity of the sample.
 2. **The S wave of a receiver is the peak next to that of the fitted wave.** The time between the transmitted and this
    peak gives Vs, as in the paper (section 3.1.1). First arrival and cross-correlation are read beside it.
 3. **Its error is measured**: the peaks of the other stations scatter about those of the fitted wave as the receiver's
@@ -15,8 +15,16 @@ import numpy as np
 from calcidem.dem.engine.fields import PositivePart, checked
 from calcidem.dem.engine.portable import arc_sine, find_maxima, parabola_vertex, sliding_products
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.section import RESOLUTION, Section
-from calcidem.dem.wave.strip_wave import P_OVER_S, StripWave, far_stations, fit_velocity, fit_wave, waveform
+from calcidem.dem.wave.section import (
+    P_OVER_S,
+    RESOLUTION,
+    Section,
+    StripWave,
+    far_stations,
+    fit_velocity,
+    fit_wave,
+    waveform,
+)
 from calcidem.ends import Verdict
 
 Method = Literal["peak", "first_arrival", "cross_correlation"]
@@ -97,7 +105,7 @@ def is_settled(section: Section, clamp: float, remaining_speed: float) -> bool:
     section
         Section so far.
     clamp
-        K of the strip, see `strip_wave`, 1/m.
+        K of the strip, see `StripWave`, 1/m.
     remaining_speed
         Bound of all later velocities of the section, m/s.
     """
@@ -130,7 +138,7 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     section
         Complete section.
     clamp
-        K of the strip, see `strip_wave`, 1/m.
+        K of the strip, see `StripWave`, 1/m.
     rule
         Criteria.
     """

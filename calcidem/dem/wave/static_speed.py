@@ -1,17 +1,195 @@
-"""Speed of long shear waves in a cemented sample from its static stiffness, for comparison with velocities."""
+"""Static shear stiffness of a cemented sample from its contacts, without time integration.
+
+It gives the speed of long shear waves, for comparison with velocities.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+from scipy.spatial import Delaunay
 
+from calcidem.dem.engine.assembly import is_among, pair_keys
+from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State
+from calcidem.dem.engine.readout import overlaps
 from calcidem.dem.engine.scene import Bonds
+from calcidem.dem.engine.stability import pair_stiffness
 from calcidem.dem.engine.state import start
-from calcidem.dem.engine.statics import sheared_motion, sheared_triangles, triangulate
-from calcidem.dem.kernels.layout import Flags, Integers
-from calcidem.dem.sample.settling import settle
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.scene import wave_scene
+from calcidem.dem.kernels.layout import FIRST_ARM, NORMAL_X, NORMAL_Y, SECOND_ARM, Flags, Floats, Integers
+from calcidem.dem.sample.compaction import settle
+from calcidem.dem.wave.experiment import Experiment, wave_scene
+
+
+class ShearedPart(NamedTuple):
+    """Part of a sheared sample."""
+
+    modulus: float
+    """Mean shear stress over mean shear strain, Pa."""
+    solid: float
+    """Area fraction of disks."""
+
+
+def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
+    """Static motion of all disks in a simple shear ``u_y = x``: (N, 3) m and rad, in the order of the scene.
+
+    All contacts stick, with their stiffness in the state. Wall contacts do not count. `ValueError` if a bond is broken,
+    no disk touches another, or no disk is held.
+
+    Parameters
+    ----------
+    state
+        State with all bonds intact.
+    held
+        (N,) disks that follow the shear, but rotate freely. All others reach equilibrium.
+    lane
+        Sample.
+
+    Notes
+    -----
+    SuperLU factorizes the matrix; its last bits depend on the processor.
+    """
+    pairs, order = state.assembly.pairs, state.assembly.order
+    whole = bool(np.all((pairs.cemented ^ pairs.intact) >> np.uint32(lane) & 1 == 0))
+    require(whole, "state", "with broken bonds", "their contacts have no single stiffness")
+    require(bool(np.any(held)), "held", "no disk", "give disks that follow the shear")
+    strain_matrix, stiffness = _contact_springs(state, lane)
+    require(bool(np.any(stiffness > 0.0)), "state", "without contacts", "give disks that touch")
+    x, radius = np.asarray(state.scene.x)[order], state.assembly.grains.radius.astype(float)
+    motion = np.column_stack([np.zeros(len(x)), x, 0.5 * radius]).ravel()
+    free = np.column_stack([~held[order], ~held[order], np.ones(len(x), dtype=bool)]).ravel()
+    matrix = (strain_matrix.T @ sparse.diags_array(stiffness) @ strain_matrix).tocsr()
+    # Soft springs, 1e-9 of the median stiffness, tie disks to the mean strain and so hold loose ones.
+    ground = 1e-9 * float(np.median(stiffness[stiffness > 0.0])) * sparse.eye_array(int(free.sum()))
+    factors = splu(
+        (matrix[free][:, free] + ground).tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    motion[free] -= factors.solve((matrix @ motion)[free])
+    moved = motion.reshape(-1, 3)
+    return state.to_scene_order(np.column_stack([moved[:, :2], moved[:, 2] / radius]))
+
+
+class ShearedTriangles(NamedTuple):
+    """Delaunay triangles between centres of a sheared sample; weighted sums give the values of a part."""
+
+    corners: Integers
+    """(K, 3) disks."""
+    middle: Floats
+    """(K, 2) centroids, m."""
+    area: Floats
+    solid: Floats
+    """(K,) m^2; ``solid`` is the area of the disks."""
+    strain: Floats
+    stress: Floats
+    """(K,) shear strain and shear stress, times area."""
+
+    def weighted(self, weight: Floats) -> ShearedPart:
+        """Part of the sample in which each triangle (K,) counts with a weight; `ValueError` if none does."""
+        require(bool(weight.any()), "weight", 0, "give at least one triangle a weight")
+        area, solid, strain, stress = (
+            float((values * weight).sum()) for values in (self.area, self.solid, self.strain, self.stress)
+        )
+        return ShearedPart(stress / strain, solid / area)
+
+
+def triangulate(x: Floats, y: Floats) -> Integers:
+    """(K, 3) corners of the Delaunay triangles between points (N,)."""
+    corners: Integers = Delaunay(np.column_stack([x, y])).simplices
+    return corners
+
+
+def sheared_triangles(state: State, motion: Floats, corners: Integers, lane: int = 0) -> ShearedTriangles:
+    """Strain and stress of each triangle of a sheared sample.
+
+    The stress of a part is ``sum(branch f) / area`` over its contacts (Love 1927). Each of the two triangles that share
+    a contact as a side takes half of it, so a contact on the rim of a part counts half.
+
+    Parameters
+    ----------
+    state, motion, lane
+        See `sheared_motion`.
+    corners
+        Those of `triangulate` for the disks' centres, the same for all samples of a packing.
+    """
+    order, pairs = state.assembly.order, state.assembly.pairs
+    centres = np.column_stack([state.scene.x, state.scene.y])
+    radius = np.asarray(state.scene.radius)
+    ends = order[np.column_stack([pairs.first, pairs.second])]
+    force, branch = _force_changes(state, motion, lane), centres[ends[:, 1]] - centres[ends[:, 0]]
+    moments = 0.5 * (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])
+    sides = centres[np.roll(corners, 1, axis=1)] - centres[np.roll(corners, -1, axis=1)]  # opposite to each corner
+    double = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]  # area, negative if clockwise
+    # A linear function has the gradient sum(value times normal of the opposite side) over twice the area.
+    shear = motion[corners, 0] * sides[:, :, 0] - motion[corners, 1] * sides[:, :, 1]
+    return ShearedTriangles(
+        corners,
+        centres[corners].mean(axis=1),
+        0.5 * np.abs(double),
+        0.5 * (radius[corners] ** 2 * _angles(sides)).sum(axis=1),
+        0.5 * np.sign(double) * shear.sum(axis=1),
+        0.5 * _carried(corners, ends, moments, len(centres)).sum(axis=1),
+    )
+
+
+def _angles(sides: Floats) -> Floats:
+    """(K, 3) angles at the corners of triangles, from the sides (K, 3, 2) opposite to them, rad."""
+    length = np.hypot(sides[:, :, 0], sides[:, :, 1])
+    one, other = np.roll(length, 1, axis=1), np.roll(length, -1, axis=1)
+    return np.asarray(np.arccos(np.clip((one**2 + other**2 - length**2) / (2.0 * one * other), -1.0, 1.0)))
+
+
+def _carried(corners: Integers, pairs: Integers, moments: Floats, count: int) -> Floats:
+    """(K, 3) moments (M,) of the pairs (M, 2) on the sides of each triangle; 0 for sides without a pair."""
+    keys, sides = pair_keys(pairs, count), np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
+    rising, wanted = np.argsort(keys), pair_keys(sides, count)
+    place = np.minimum(np.searchsorted(keys[rising], wanted), len(keys) - 1)
+    return np.where(is_among(wanted, keys[rising]), moments[rising][place], 0.0).reshape(corners.shape)
+
+
+def _force_changes(state: State, motion: Floats, lane: int) -> Floats:
+    """(M, 2) change by a motion of the force of each pair's first disk on its second; tension positive."""
+    strain_matrix, stiffness = _contact_springs(state, lane)
+    scaled = np.column_stack([motion[:, :2], motion[:, 2] * np.asarray(state.scene.radius)])
+    change = (stiffness * (strain_matrix @ scaled[state.assembly.order].ravel())).reshape(3, -1)
+    normal = state.assembly.pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
+    tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
+    return np.asarray(change[0][:, None] * normal + change[1][:, None] * tangent)
+
+
+def _contact_springs(state: State, lane: int) -> tuple[sparse.csr_array, Floats]:
+    """Matrix (3 M, 3 N) from motions to approach, sliding and rolling of each pair, and stiffnesses (3 M,), N/m.
+
+    The motion of a disk is x, y and radius times rotation, in memory order.
+    """
+    pairs, radius = state.assembly.pairs, state.assembly.grains.radius.astype(float)
+    depth = None if state.features.linear else overlaps(state)
+    normal, shear, twist = (
+        stiffness[:, lane]
+        for stiffness in pair_stiffness(state.assembly, state.features, state.scene.sand.shear_ratio, depth)
+    )
+    if state.scene.sand.friction == 0.0:
+        shear = np.where(pairs.cemented >> np.uint32(lane) & 1, shear, 0.0)
+    geometry = pairs.geometry.astype(float)
+    n_x, n_y = geometry[:, NORMAL_X], geometry[:, NORMAL_Y]
+    one, none = np.ones(len(n_x)), np.zeros(len(n_x))
+    first, second = radius[pairs.first], radius[pairs.second]
+    blocks = [  # contributions of x, y and radius times rotation, of the first and of the second disk
+        (-n_x, -n_y, none, n_x, n_y, none),
+        (n_y, -n_x, -geometry[:, FIRST_ARM] / first, -n_y, n_x, -geometry[:, SECOND_ARM] / second),
+        (none, none, -one / first, none, none, one / second),
+    ]
+    columns = [3 * disk[:, None] + np.arange(3) for disk in (pairs.first, pairs.second)]
+    count = len(pairs.first)
+    rows = np.repeat(np.arange(3 * count), 6)
+    values = np.concatenate([np.column_stack(block) for block in blocks]).ravel()
+    places = np.tile(np.hstack(columns), (3, 1)).ravel()
+    shape = (3 * count, 3 * len(radius))
+    return sparse.csr_array((values, (rows, places)), shape=shape), np.concatenate([normal, shear, twist])
+
 
 LARGEST_STATIC_ERROR = 0.1
 """Relative uncertainty above which no static speed is stored."""
@@ -34,7 +212,7 @@ class StaticSpeed(NamedTuple):
 def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
     """Speed sqrt(G / rho) of shear waves much longer than a disk, in the inner part of a sample.
 
-    `ValueError` if the sample has no stiffness (`calcidem.dem.engine.statics.sheared_motion`), or no inner part;
+    `ValueError` if the sample has no stiffness (`calcidem.dem.wave.static_speed.sheared_motion`), or no inner part;
     `SettlingError` if new bonds change the forces of the sample and it does not come to rest.
 
     Parameters
@@ -48,7 +226,7 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
     -----
     G is mean stress over mean strain where the wave is: along the whole path, and between the damped layers at floor
     and lid, which it cannot enter, weighted across the path by ``cos^2(pi y / h)``, the energy of a wave in a strip of
-    height h (`strip_wave`).
+    height h (`StripWave`).
     The sample is sheared twice. First all disks at the walls follow the shear, then only those at the side walls, with
     floor and lid free. The speed is the geometric mean of both. Displacements prescribed all around give an upper bound
     for the whole box (Huet 1990, doi:10.1016/0022-5096(90)90041-2), far too high where stiff patches reach its walls.

@@ -6,7 +6,6 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
-from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +14,8 @@ import numpy as np
 import sqlalchemy as sa
 from numpy.typing import NDArray
 
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import unpack_arrays
 from calcidem.storage.errors import (
     ForeignDatabaseError,
     QueryError,
@@ -31,11 +32,9 @@ from calcidem.storage.records import (
     CampaignRecord,
     CellKey,
     CellResult,
-    CellStatus,
     PackingRecord,
     RunRecord,
 )
-from calcidem.storage.records.arrays import unpack_arrays
 from calcidem.storage.sql.engine import Address, Connections, find_damage, refuse_damaged, was_left_open
 from calcidem.storage.sql.lease import Lease, replace_database
 from calcidem.storage.sql.tables import (
@@ -49,9 +48,9 @@ from calcidem.storage.sql.tables import (
     RUN,
     STATUS,
     join_results,
+    parse_where,
     prepare_schema,
 )
-from calcidem.storage.sql.where import parse_where
 from calcidem.storage.store import ALL_CELLS, Closable, LeaseHolder, Selection, StoreMark
 
 T = TypeVar("T")
@@ -321,11 +320,32 @@ class StoreReader(Closable):
         it names. Others are None.
         """
         wanted = (ARRAY_RECORDS if with_arrays else ()) if isinstance(with_arrays, bool) else with_arrays
-        return self._piecewise(selection, partial(_results_of, wanted=wanted))
+        names = [name for name, quantity in QUANTITY_BY_NAME.items() if quantity.formula is None]
+        columns: list[Any] = [EXPRESSIONS[name].label(name) for name in names]
+        statement = join_results(sa.select(CELL.c.id, *columns)).where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
+
+        def fetch(connection: sa.Connection, chosen: sa.ColumnElement[bool]) -> Iterator[CellResult]:
+            arrays = _arrays_of(connection, chosen, wanted) if wanted else {}
+            for cell_id, *row in connection.execute(statement.where(chosen)):
+                values = dict(zip(names, row, strict=True))
+                key = CellKey(values["seed"], values["content"])
+                yield CellResult.from_values(key, values | arrays.get(cell_id, {}))
+
+        return self._piecewise(selection, fetch)
 
     def arrays(self, selection: Selection = ALL_CELLS) -> Iterator[tuple[CellKey, dict[str, Any]]]:
         """Array records (`ARRAY_RECORDS`) by name, of the selected cells with arrays, by seed, then content."""
-        return self._piecewise(selection, _all_arrays_of)
+        statement = sa.select(CELL.c.id, *_BY_KEY).order_by(*_BY_KEY)
+
+        def fetch(
+            connection: sa.Connection, chosen: sa.ColumnElement[bool]
+        ) -> Iterator[tuple[CellKey, dict[str, Any]]]:
+            arrays = _arrays_of(connection, chosen, ARRAY_RECORDS)
+            for cell_id, seed, content in connection.execute(statement.where(chosen)):
+                if cell_id in arrays:
+                    yield CellKey(seed, content), arrays[cell_id]
+
+        return self._piecewise(selection, fetch)
 
     def _piecewise(
         self, selection: Selection, fetch: Callable[[sa.Connection, sa.ColumnElement[bool]], Iterable[T]]
@@ -478,30 +498,6 @@ def _refuse_unknown_contents(connection: sa.Connection, name: str, campaign_id: 
         raise UnknownCellError(
             f"There is no content {', '.join(unknown)} in campaign '{name}'.", f"There are {there_are} %."
         )
-
-
-def _results_of(
-    connection: sa.Connection, chosen: sa.ColumnElement[bool], wanted: Collection[str]
-) -> Iterator[CellResult]:
-    """Outcomes of the chosen cells that have one, with these arrays, by seed, then content."""
-    arrays = _arrays_of(connection, chosen, wanted) if wanted else {}
-    names = [name for name, quantity in QUANTITY_BY_NAME.items() if quantity.formula is None]
-    columns: list[Any] = [EXPRESSIONS[name].label(name) for name in names]
-    statement = join_results(sa.select(CELL.c.id, *columns)).where(chosen, RESULT.c.cell_id.is_not(None))
-    for cell_id, *row in connection.execute(statement.order_by(*_BY_KEY)):
-        values = dict(zip(names, row, strict=True))
-        key = CellKey(values["seed"], values["content"])
-        yield CellResult.from_values(key, values | arrays.get(cell_id, {}))
-
-
-def _all_arrays_of(
-    connection: sa.Connection, chosen: sa.ColumnElement[bool]
-) -> Iterator[tuple[CellKey, dict[str, Any]]]:
-    """Keys and arrays of the chosen cells that have any, by seed, then content."""
-    arrays = _arrays_of(connection, chosen, ARRAY_RECORDS)
-    for cell_id, seed, content in connection.execute(sa.select(CELL.c.id, *_BY_KEY).where(chosen).order_by(*_BY_KEY)):
-        if cell_id in arrays:
-            yield CellKey(seed, content), arrays[cell_id]
 
 
 def _arrays_of(

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import ColumnElement, Connection, Table, and_, delete, insert, or_, select, tuple_, update
 
+from calcidem.ends import CellStatus
+from calcidem.storage.encoding import pack_arrays
 from calcidem.storage.errors import ReadOnlyStoreError, StoreError, UnknownCampaignError, UnknownCellError
 from calcidem.storage.records import (
     AttemptCount,
@@ -19,18 +21,15 @@ from calcidem.storage.records import (
     CampaignRecord,
     CellKey,
     CellResult,
-    CellStatus,
     PackedResult,
     PackingRecord,
     RunRecord,
+    as_utc,
 )
-from calcidem.storage.records.arrays import pack_arrays
-from calcidem.storage.records.run import as_utc
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import Lease
 from calcidem.storage.sql.reading import StoreReader, chunks
 from calcidem.storage.sql.tables import ARRAYS, ATTEMPT, CAMPAIGN, CELL, LEASE, PACKING, RESULT, RUN
-from calcidem.storage.store import RETRIED_BY_DEFAULT
 
 
 def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Store":
@@ -378,7 +377,9 @@ class Store(StoreReader):
                 _insert(connection, ATTEMPT, [row | {"cell_id": ids[a.key]} for row, a in zip(rows, new, strict=True)])
 
     def retry(
-        self, statuses: Collection[CellStatus] = RETRIED_BY_DEFAULT, keys: Iterable[CellKey] | None = None
+        self,
+        statuses: Collection[CellStatus] = (CellStatus.FAILED, CellStatus.TIMED_OUT),
+        keys: Iterable[CellKey] | None = None,
     ) -> tuple[CellKey, ...]:
         """Make settled cells with these outcomes pending again, by default of all keys; return their keys.
 
@@ -392,9 +393,11 @@ class Store(StoreReader):
         statement = select(CELL.c.id, CELL.c.seed, CELL.c.content).join(RESULT, RESULT.c.cell_id == CELL.c.id)
         with self._writing() as connection:
             found = connection.execute(statement.where(is_it).order_by(CELL.c.seed, CELL.c.content))
-            ids = {CellKey(seed, content): cell_id for cell_id, seed, content in found}
-            chosen = {key: cell_id for key, cell_id in ids.items() if wanted is None or key in wanted}
-            _drop_outcomes(connection, chosen.values())
+            settled = {CellKey(seed, content): cell_id for cell_id, seed, content in found}
+            chosen = {key: cell_id for key, cell_id in settled.items() if wanted is None or key in wanted}
+            for ids in chunks(chosen.values()):
+                connection.execute(delete(RESULT).where(RESULT.c.cell_id.in_(ids)))  # with their arrays
+                connection.execute(update(ATTEMPT).where(ATTEMPT.c.cell_id.in_(ids)).values(forgiven=True))
         return tuple(chosen)
 
     def _known_cells(self, connection: Connection, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
@@ -451,10 +454,3 @@ def _attempt_in(numbered: Sequence[tuple[int, int]]) -> ColumnElement[bool]:
     """Condition that an attempt is one of these (cell, number), in a form for which SQLite uses its index."""
     listed = tuple_(ATTEMPT.c.cell_id, ATTEMPT.c.number).in_(numbered)
     return and_(ATTEMPT.c.cell_id.in_([cell_id for cell_id, _ in numbered]), listed)
-
-
-def _drop_outcomes(connection: Connection, cell_ids: Iterable[int]) -> None:
-    """Make cells pending, and reset their losses."""
-    for chunk in chunks(cell_ids):
-        connection.execute(delete(RESULT).where(RESULT.c.cell_id.in_(chunk)))  # with their arrays
-        connection.execute(update(ATTEMPT).where(ATTEMPT.c.cell_id.in_(chunk)).values(forgiven=True))

@@ -10,7 +10,7 @@ import pytest
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.dem.sample.packing_file import _read_disks
 from calcidem.storage.errors import ForeignDatabaseError
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf import export_netcdf
 
 Invoke = Callable[..., str]
 

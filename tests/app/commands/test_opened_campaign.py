@@ -10,15 +10,14 @@ import pytest
 import calcidem.dem
 from calcidem.analysis.distribution import Distribution
 from calcidem.app.campaign import opened as opened_campaign
+from calcidem.app.campaign.cells import with_patterns
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.wave.experiment import Experiment
+from calcidem.storage.encoding import canonical_json
 from calcidem.storage.errors import StoreError, UnknownCellError
-from calcidem.storage.netcdf.export import export_netcdf
-from calcidem.storage.netcdf.import_netcdf import import_netcdf
-from calcidem.storage.records.canonical import canonical_json
+from calcidem.storage.netcdf import export_netcdf, import_netcdf
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 

@@ -1,15 +1,12 @@
 """`calcidem predict` and `campaign.predict`: velocities of the tutorial's campaign without simulating."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calcidem.app.campaign import opened
-from calcidem.app.campaign.opened import Campaign
-from calcidem.app.campaign.prediction import check_predictions, conductances, predict_velocity
+from calcidem.app.campaign.opened import Campaign, check_predictions, predict_velocity
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CementPattern
 
@@ -30,24 +27,18 @@ def test_seed_and_pattern_of_a_sample_predict_the_same(campaign: Campaign) -> No
 
 def test_the_feature_is_the_stored_conductance(campaign: Campaign) -> None:
     """From the pattern of the cement comes what the cell's record has."""
-    stored = campaign.cell(seed=2, content=5.0).network
-    assert stored is not None
-    analysis = campaign.analyse()
-    assert np.exp(conductances(analysis, 5.0)[2]) == pytest.approx(stored.network_conductance)
-    graph, cement = analysis.graphs[0], campaign.cell(seed=2, content=5.0).cement
-    assert cement is not None
-    again = graph.network.features(graph.bonded(cement)).network_conductance
-    assert again == pytest.approx(stored.network_conductance, rel=1e-9)  # SuperLU's last bits are the processor's
+    cell, graph = campaign.cell(seed=2, content=5.0), campaign.analyse().graphs[0]
+    assert cell.network is not None
+    assert cell.cement is not None
+    again = graph.network.features(graph.bonded(cell.cement)).network_conductance
+    assert again == pytest.approx(cell.network.network_conductance, rel=1e-9)  # SuperLU's last bits are the processor's
 
 
-def test_a_campaign_without_its_cement_predicts_from_its_content(
-    campaign: Campaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where no sample's cement can be drawn again, as with an older physics, the features are left out."""
-    cement = campaign.cell(seed=2, content=5.0).cement
-    bare = [replace(cell, cement=None) for cell in campaign.select(content=5.0, status="done")]
-    monkeypatch.setattr(opened, "with_patterns", lambda _store, _cells: iter(bare))
-    found = campaign.predict(content=5.0, pattern=cement)
+def test_a_campaign_without_conductances_predicts_from_its_content(campaign: Campaign) -> None:
+    """Where no sample has one, the feature is left out."""
+    cement, analysis = campaign.cell(seed=2, content=5.0).cement, campaign.analyse()
+    analysis.cells["network_conductance"][:] = np.nan
+    found = predict_velocity(analysis, 5.0, cement)
     assert found == campaign.predict(content=5.0)
     assert not found.uses_features
 

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calcidem.analysis.contact_network import NETWORK_FEATURES
-from calcidem.analysis.packing_graph import FEATURES
+from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES
 from calcidem.app.campaign.opened import Campaign
-from calcidem.app.cli.query import as_rows
+from calcidem.app.cli.results import as_rows
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import QUANTITY_BY_NAME, CellStatus
+from calcidem.storage.records import QUANTITY_BY_NAME
 from calcidem.storage.store import Selection
 
 Invoke = Callable[..., str]

@@ -13,7 +13,8 @@ from workbench import Workbench, open_workbench
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration
-from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.ends import CellStatus
+from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store
 
 TROUBLES = {

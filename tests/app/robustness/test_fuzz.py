@@ -13,7 +13,6 @@ from dataclasses import dataclass, fields
 from datetime import date
 from enum import Enum
 from functools import cache
-from importlib import import_module
 from inspect import Signature, signature
 from pathlib import Path
 from random import Random
@@ -26,6 +25,7 @@ from typer.models import OptionInfo
 from workbench import DISKS, OWN_DISKS, PLAN, TARGETS, Workbench
 
 from calcidem.app.cli import main as command_line
+from calcidem.app.cli.main import command_function
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.schema import SECTIONS
 
@@ -173,8 +173,7 @@ class Parameter:
 @cache
 def parameters(command: str) -> tuple[Parameter, ...]:
     """Arguments and options of a command."""
-    word = command.replace("-", "_")
-    function = getattr(import_module(f"calcidem.app.cli.{'import_' if word == 'import' else word}"), f"{word}_command")
+    function = command_function(command)
     found = []
     for name, hint in get_type_hints(function, include_extras=True).items():
         if name == "return":

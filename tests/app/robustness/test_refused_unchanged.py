@@ -14,18 +14,18 @@ import pytest
 from unchanged import unchanged_if_refused
 
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.campaign.packing import packing_record
 from calcidem.app.campaign.preview import preview_lines
 from calcidem.app.campaign.run import CampaignRun
-from calcidem.app.campaign.stored_packing import packing_record
 from calcidem.app.cli.exit_codes import _exit_code_of, tell_error
-from calcidem.app.cli.formats import Format, tell_rows
+from calcidem.app.cli.output import Format, tell_rows
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.engine.fields import FieldError, Problem
 from calcidem.dem.sample.packing import Packing
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import spreadsheet_value
-from calcidem.storage.netcdf.export import export_netcdf
+from calcidem.storage.netcdf import export_netcdf
 from calcidem.storage.sql.store import Store
 
 Change = Callable[[Configuration], Configuration]

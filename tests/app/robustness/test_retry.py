@@ -9,8 +9,9 @@ import pytest
 from calcidem.app.campaign.launch import Launch
 from calcidem.app.campaign.run import retry_cells
 from calcidem.app.config.schema import Configuration
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import LeaseHeldError, StoreUnavailableError
-from calcidem.storage.records import CellKey, CellStatus
+from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import Store
 
 PENDING_BEFORE = 6

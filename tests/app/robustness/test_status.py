@@ -17,7 +17,7 @@ from scipy import stats
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.status import CampaignStatus, _is_being_written
-from calcidem.app.cli.status_view import status_view
+from calcidem.app.cli.views import status_view
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import Store, read_campaign
 

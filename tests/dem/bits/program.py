@@ -16,14 +16,13 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.app.campaign.stored_packing import packing_from_bytes, packing_to_bytes
+from calcidem.app.campaign.packing import packing_from_bytes, packing_to_bytes
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration
-from calcidem.dem.engine.material import Sand
-from calcidem.dem.sample.cement import CementRule
+from calcidem.dem.engine.scene import Sand
+from calcidem.dem.sample.cement import CementRule, RandomPurpose, random_generator
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.sample.random_streams import RandomPurpose, random_generator
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import PickRule

@@ -18,13 +18,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from calcidem.sweep.batch import Batch, Cell, plan_batches
-from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.attempt import StopRequest
+from calcidem.sweep.batch import Batch, BatchOutcome, Cell, plan_batches
 from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE
-from calcidem.sweep.signals import StopRequest
-from calcidem.sweep.sweep_end import SweepState
+from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE, SweepState
 
 CONTENTS = (0.0, 2.55, 9.0)
 
@@ -70,7 +68,7 @@ class Sink:
                 message = "" if failure is None else failure.message
                 self._connection.execute(
                     "insert or replace into cell values (?, ?, ?, ?, ?, ?)",
-                    (seed, content, status, value, message, outcome.place.rank),
+                    (seed, content, status, value, message, outcome.rank),
                 )
                 self._connection.execute("delete from running where seed = ? and content = ?", (seed, content))
         self._perhaps_die("while")

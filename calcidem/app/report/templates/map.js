@@ -59,13 +59,14 @@ const HEADINGS = {
   vs_peak: "by peak",
   vs_first_arrival: "by first arrival",
   vs_cross_correlation: "by correlation",
-  vs_error: "relative standard error",
+  vs_error: "standard error (%)",
   effective_vs: "effective Vs (m/s)",
-  pulse_effect: "effect of the pulse",
+  pulse_effect: "effect of the pulse (%)",
   path_normalized_connectivity: "C_d,n",
   seconds: "time (s)",
   reason: "reason",
 };
+const IN_PERCENT = new Set(["vs_error", "pulse_effect"]);
 let shownColumns = [];
 
 function sortRows() {
@@ -92,7 +93,9 @@ function showRows() {
   const rows = chosen.slice(page * ROWS, (page + 1) * ROWS).map((place) => {
     const values = shownColumns.map((name) => {
       const mark = name === "pulse_effect" && isLoud(place) ? " ~" : "";
-      const text = name === "seed" ? seedOf(place) : escape(number(valueOf(name, place))) + mark;
+      const value = valueOf(name, place);
+      const shown = IN_PERCENT.has(name) && value !== null ? number(100 * value, 2) : number(value);
+      const text = name === "seed" ? seedOf(place) : escape(shown) + mark;
       return name === "seed" ? `<td><a href="${link(place)}" aria-label="${labelOf(place)}">${text}</a></td>` : `<td>${text}</td>`;
     });
     return `<tr>${values.join("")}</tr>`;
@@ -315,7 +318,8 @@ function take(records) {
   cellCount = seeds.length * contents.length;
   cursor = Math.min(cursor, cellCount - 1);
   const there = (name) => name in HEADINGS && ["seed", "content", "status", "vs"].concat(quantities.map((one) => one.name)).includes(name);
-  shownColumns = [...SHOWN, ...SHOWN_LATER].filter(there);
+  const repeats = (name) => name === "vs_peak" && columns.vs_peak?.every((value, place) => value === columns.vs[place]);
+  shownColumns = [...SHOWN, ...SHOWN_LATER].filter((name) => there(name) && !repeats(name));
   const numeric = quantities.filter(({ name, kind }) => kind !== "text" && name !== "vs");
   offer("colour",
     option("vs", "Vs") + option("deviation", "Vs against the mean of its content") + option("status", "outcome") +

@@ -68,9 +68,10 @@ class GpuSteps:
     def advance(self, features: Features, steps: int, time_step: Floats, system: System) -> int:
         """Advance the samples on the card; copy to the host what it looks at."""
         if system.pairs.first is not self._listed:
+            if self._listed is None:  # a renewed list does not change which sample is ahead
+                self._ahead = np.zeros(time_step.shape[1], np.int64)
             self._listed = system.pairs.first
             self._card, self._time_step, self._plan = _send(system), _send(time_step[0][:, None]), _plan(system)
-            self._ahead = np.zeros(time_step.shape[1], np.int64)
         card = self._card._replace(recording=_send(system.recording))
         done, disks = _send(self._ahead), len(system.grains.radius)
         kernel = gpu_kernel(replace(features, lanes=1), len(system.walls.normal), time_step.dtype)

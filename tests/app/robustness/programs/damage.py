@@ -15,10 +15,11 @@ from typing import Any
 from typer.testing import CliRunner
 
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.stored_packing import packing_record, stored_packing
+from calcidem.app.campaign.packing import packing_record, stored_packing
 from calcidem.app.cli.main import _build_application
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError
-from calcidem.storage.records import CellKey, CellResult, CellStatus
+from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store
 
 SOURCE = Path(__file__).parents[4] / "docs" / "tutorial" / "quick.db"

@@ -15,7 +15,7 @@ from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.campaign.run import retry_cells
 from calcidem.app.config.reader import load_configuration
-from calcidem.storage.records import CellStatus
+from calcidem.ends import CellStatus
 
 CHECKOUT = Path(__file__).parents[4]
 sys.path.append(str(CHECKOUT / "tests"))

@@ -17,11 +17,10 @@ from typing import Any
 from sqlalchemy import Engine, event
 
 from calcidem.app.campaign import run as campaign
-from calcidem.app.campaign.store_sink import StoreSink
-from calcidem.app.campaign.task import CellComputation
+from calcidem.app.campaign.cells import CellComputation
+from calcidem.app.campaign.run import StoreSink
 from calcidem.app.cli.main import main
-from calcidem.sweep.batch import Batch
-from calcidem.sweep.outcome import BatchOutcome
+from calcidem.sweep.batch import Batch, BatchOutcome
 
 FAULT, VICTIM, MOMENT = (os.environ.get(name, "") for name in ("FAULT", "VICTIM", "MOMENT"))
 FOLDER = Path(os.environ["FAULT_FOLDER"])
@@ -118,7 +117,7 @@ def happens(moment: str, outcomes: Sequence[BatchOutcome[Any, Any]]) -> None:
     if not external or moment != MOMENT or FaultySink.commits < 2 or not is_first_time():
         return
     if VICTIM == "worker":
-        os.kill(int((FOLDER / f"rank-{outcomes[0].place.rank}").read_text()), SIGNALS[FAULT])
+        os.kill(int((FOLDER / f"rank-{outcomes[0].rank}").read_text()), SIGNALS[FAULT])
         return
     victim = os.getpid() if VICTIM == "master" else MPIRUN
     if FAULT == "SIGSTOP":

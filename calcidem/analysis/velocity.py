@@ -1,0 +1,181 @@
+"""Errors of velocities, quantities derived from a shear-wave velocity, and advice about those of a campaign."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from calcidem.analysis.intervals import is_in_doubt
+from calcidem.ends import CellStatus
+from calcidem.storage.records import MOST_PULSE_EFFECT, depends_on_pulse
+
+if TYPE_CHECKING:
+    import xarray as xr  # its import would delay a rank by half a second
+
+
+BUDGET_QUANTITIES = ("vs", "reading_error", "numerical_error", "pulse_effect", "vs_error")
+"""Quantities of each cell that `error_budget` needs, besides its content."""
+
+
+def are_samples(vs: ArrayLike, content: ArrayLike) -> NDArray[np.bool_]:
+    """Whether each cell is a distinct sample with a velocity: the population of all numbers about a campaign.
+
+    Without cement all seeds give the same sample, so only the first of them counts. ``content``, percent, broadcasts to
+    the shape of ``vs``; NaN where a cell has no velocity.
+    """
+    found: NDArray[np.bool_] = np.isfinite(np.asarray(vs, dtype=float))
+    bare = found & (np.asarray(content, dtype=float) == 0.0)
+    found[bare] = np.arange(np.count_nonzero(bare)) == 0
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorBudget:
+    """Errors of the velocities of some cells."""
+
+    total: float
+    reading: float
+    numerical: float
+    pulse: float
+    """Medians of the relative standard error of Vs and of its three parts, over the samples of which all are known, so
+    that no part exceeds the whole; NaN if unknown.
+    """
+    scatter: float
+    """Root mean square of the reading errors, m/s: their part of the standard deviation of Vs. NaN for one sample."""
+    loud: int
+    """Number of samples whose velocity depends on the pulse."""
+
+    @property
+    def texts(self) -> tuple[str, str]:
+        """Texts on the standard error of a velocity, and on its parts."""
+        if not np.isfinite(self.total):
+            return "unknown", "no error of the reading is stored"
+        parts = (self.total, self.reading, self.numerical, self.pulse)
+        total, reading, numerical, pulse = (f"{100 * part:.2g} %" for part in parts)
+        return total, f"median; reading {reading}, simulation {numerical}, pulse {pulse}"
+
+    def __str__(self) -> str:
+        """Return both in one text."""
+        total, parts = self.texts
+        return f"{total} ({parts})"
+
+
+def error_budget(cells: Mapping[Any, ArrayLike]) -> ErrorBudget:
+    """Summarise the errors of the distinct samples with a velocity among cells.
+
+    ``cells`` has content, and `BUDGET_QUANTITIES` in arrays of one shape with NaN if missing.
+    """
+    counted = are_samples(cells["vs"], cells["content"])
+    columns = np.array([np.asarray(cells[name], dtype=float)[counted] for name in BUDGET_QUANTITIES])
+    vs, reading, _, pulse, _ = columns
+    known = columns[:, np.isfinite(columns).all(axis=0)]
+    _, *parts, total = known if known.size else columns
+    absolute = (vs * reading)[np.isfinite(vs * reading)]
+    return ErrorBudget(
+        total=median_known(total),
+        reading=median_known(parts[0]),
+        numerical=median_known(parts[1]),
+        pulse=median_known(parts[2]),
+        scatter=float(np.sqrt(np.mean(absolute**2))) if vs.size > 1 and absolute.size else np.nan,
+        loud=int(depends_on_pulse(pulse).sum()),
+    )
+
+
+def median_known(given: ArrayLike) -> float:
+    """Median of the finite values; NaN if there are none."""
+    values = np.asarray(given, dtype=float)
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan
+
+
+FEWEST_WAVELENGTHS = 2.0
+"""Wavelengths from transmitter to receiver below which near field and shear wave arrive together (section 3.1.3)."""
+
+Values = TypeVar("Values", float, NDArray[np.float64], "xr.DataArray")
+
+
+def small_strain_modulus(vs: Values, density: float | None = None) -> Values:
+    """Shear modulus G0 = rho Vs^2 (Eq. 1), Pa; the default density of the sample is that of Table 1, 1659 kg/m^3.
+
+    Examples
+    --------
+    >>> small_strain_modulus(200.0)
+    66360000.0
+    """
+    return vs * vs * (1659.0 if density is None else density)
+
+
+def damping_ratio(local_damping: float) -> float:
+    """Damping ratio D = alpha / pi of local damping (section 3.1.2).
+
+    Examples
+    --------
+    >>> round(damping_ratio(0.3), 4)
+    0.0955
+    """
+    return local_damping / math.pi
+
+
+def median_diameter_by_mass(radius: ArrayLike) -> float:
+    """Median diameter d50 by mass of disks (N,), in the unit of the radii.
+
+    This is the median of soil mechanics: 2.632 mm for the paper's disks, uniform from 2.12 to 3 mm. Their median by
+    number is 2.562 mm.
+    """
+    ascending = np.sort(np.asarray(radius, dtype=np.float64))
+    passing = np.cumsum(ascending * ascending)
+    return 2.0 * float(ascending[np.searchsorted(passing, 0.5 * passing[-1])])
+
+
+def wavelengths(
+    vs: float | None, frequency: float, distance: float, median_diameter: float
+) -> tuple[float, float] | tuple[None, None]:
+    """Wavelengths on a path (m), and wavelength over median diameter by mass (m); None and None without a velocity."""
+    if vs is None:
+        return None, None
+    wavelength = vs / frequency
+    return distance / wavelength, wavelength / median_diameter
+
+
+NOTE_QUANTITIES = (
+    *("content", "status", "vs", "pulse_effect", "wavelengths_on_path", "wavelength_over_d50", "broken_bonds"),
+)
+"""Quantities of each cell that `notes_on` needs."""
+
+FEWEST_GRAINS = 6.0
+"""Grains in a wavelength below which they scatter and slow the wave."""
+
+
+def notes_on(columns: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Advice from `NOTE_QUANTITIES` of all cells, columns (N,), a sentence each; empty if there is none."""
+    content, vs, status = (columns[name] for name in ("content", "vs", "status"))
+    counted, contents = are_samples(vs, content), np.unique(content).tolist()
+
+    def medians(name: str) -> dict[float, float]:
+        return {at: median_known(columns[name][counted & (content == at)]) for at in contents}
+
+    def where(found: Mapping[float, bool]) -> str:
+        return ", ".join(f"{at:g}" for at, is_so in found.items() if is_so)
+
+    failed = ~np.isin(status, (CellStatus.DONE, CellStatus.PENDING))
+    doubtful = {at: is_in_doubt(int(counted[content == at].sum()), int(failed[content == at].sum())) for at in contents}
+    near = where({at: median < FEWEST_WAVELENGTHS for at, median in medians("wavelengths_on_path").items()})
+    short = where({at: median < FEWEST_GRAINS for at, median in medians("wavelength_over_d50").items()})
+    loud = where({at: bool(depends_on_pulse(median)) for at, median in medians("pulse_effect").items()})
+    broken = int(np.count_nonzero(columns["broken_bonds"].astype(float) > 0))
+    notes = {
+        f"At {near} % fewer than two wavelengths lie between transmitter and receiver, so near field and shear wave "
+        "arrive together: a higher wave.frequency or a wider packing separates them.": near,
+        f"At {short} % a wavelength has fewer than {FEWEST_GRAINS:g} grains, which scatter and slow it: a lower "
+        "wave.frequency measures the sand.": short,
+        f"At {loud} % Vs depends on the pulse by more than {100 * MOST_PULSE_EFFECT:g} %: a smaller wave.amplitude "
+        "measures the sample.": loud,
+        f"Cells in which the pulse broke bonds: {broken}; a smaller wave.amplitude breaks none.": broken,
+        f"Possible selection bias at {where(doubtful)} %: cells without velocity may shift the mean by more than its "
+        "standard error.": where(doubtful),
+        f"Cells without velocity: {failed.sum()}. 'calcidem status DB' has reasons and remedies.": failed.any(),
+    }
+    return [note for note, applies in notes.items() if applies]

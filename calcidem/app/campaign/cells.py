@@ -1,0 +1,361 @@
+"""Cells between simulation and store: their computation by a worker, and records of cement and sections."""
+
+import contextlib
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property, lru_cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calcidem.analysis.packing_graph import PackingGraph, packing_graph
+from calcidem.analysis.velocity import median_diameter_by_mass, wavelengths
+from calcidem.app.campaign.identity import physics_version
+from calcidem.app.campaign.packing import cache_folder, packing_record, stored_packing
+from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
+from calcidem.dem.engine.gpu import choose_gpu
+from calcidem.dem.kernels.compiling import watch_compiling
+from calcidem.dem.sample.cement import (
+    GIVEN,
+    CementCapacityError,
+    CementOrdering,
+    Pattern,
+    PlacedCement,
+    UnknownPatternError,
+    content_of_contacts,
+    give_patterns,
+)
+from calcidem.dem.sample.packing import Packing
+from calcidem.dem.wave.check import Check, check_content, kernels_of
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.measurement import Measurement, measure
+from calcidem.dem.wave.propagation import prepare_recorder
+from calcidem.dem.wave.reading import PickRule, Reading, read_section
+from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
+from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.section import RESOLUTION, Section, clamp_of_strip
+from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
+from calcidem.ends import Verdict
+from calcidem.storage.errors import OutputRefusedError, StoreError
+from calcidem.storage.files import write_atomically
+from calcidem.storage.records import (
+    CellKey,
+    CellResult,
+    CementPattern,
+    GrainPath,
+    NetworkFeatures,
+    PackedResult,
+    PathFeatures,
+    RecordedSection,
+)
+from calcidem.sweep.batch import Batch, Cell
+from calcidem.sweep.ranks import keep_freed_memory, own_rank
+from calcidem.sweep.schedule import LaunchError
+from calcidem.version import __version__
+
+if TYPE_CHECKING:
+    from calcidem.storage.sql.store import Store  # which the ranks do not need
+
+
+if sys.platform != "win32":
+    import fcntl
+
+
+@dataclass(frozen=True)
+class CellComputation:
+    """Computation of a batch up to the stored bytes, a `calcidem.sweep.attempt.Compute`.
+
+    It is prepared at its first batch, or when it is unpickled. Then the kernels are compiled first, each by one of the
+    processes that begin together on a machine.
+    """
+
+    configuration: Configuration
+    packing: Packing
+    """Configuration and packing of the campaign."""
+
+    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None], /) -> Sequence[PackedResult]:
+        """Measure the cells of a batch, which have the same content."""
+        run, experiment = self.configuration.run, self._experiment
+        content = batch.cells[0][1]
+        seeds = [seed for seed, _ in batch.cells]
+        measurements = measure(
+            experiment,
+            content,
+            seeds,
+            lanes=run.lanes,
+            check=deadline_check,
+            ordering=self._ordering,
+            checked=partial(self._checked, check=deadline_check),
+        )
+        results = [
+            cell_result(measurement, experiment, run.store_sections, self._graph) for measurement in measurements
+        ]
+        if run.static_speed:
+            speeds = (static_speed(experiment, measurement.cement.bonded) for measurement in measurements)
+            results = [
+                replace(result, static_speed=found.speed if found.error <= LARGEST_STATIC_ERROR else None)
+                for result, found in zip(results, speeds, strict=True)
+            ]
+        return tuple(result.packed() for result in results)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle for preparation in another process, without the URL of the database, which may have a password."""
+        told = replace(self.configuration, run=replace(self.configuration.run, database=None))
+        return _prepared_computation, (told, self.packing, _version(), {**GIVEN})
+
+    @cached_property
+    def _experiment(self) -> Experiment:
+        return self.configuration.experiment(self.packing)
+
+    @cached_property
+    def _ordering(self) -> Callable[[int], CementOrdering]:
+        # Batches of the same seeds follow each other; a seed has 0.3 MB.
+        return lru_cache(64)(self._experiment.ordering)
+
+    def _checked(self, content: float, check: Callable[[], None]) -> Check:
+        """Check of a content, kept in a file for the other processes of the machine and for later runs."""
+        name = f"check-{self.configuration.hash[:32]}-{self._experiment.packing.content_hash[:32]}-{content!r}.json"
+        path = cache_folder() / name
+        with contextlib.suppress(OSError, ValueError, TypeError):  # without a readable file it is computed
+            return Check(**json.loads(path.read_text(encoding="utf-8")))
+        found = self._experiment.once(check_content, content, self.configuration.run.lanes, check=check)
+        with contextlib.suppress(OSError, OutputRefusedError):  # which only costs time later
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with write_atomically(path) as temporary:
+                temporary.write_text(json.dumps(asdict(found)), encoding="utf-8")
+        return found
+
+    @cached_property
+    def _graph(self) -> PackingGraph:
+        return packing_graph(
+            packing_record(self.packing, index=0, packing_hash=self.configuration.packing_hash),
+            self.configuration.wave.transmitter_half_width,
+            self.configuration.wave.receiver_half_width,
+            self.configuration.wave.boundary_thickness,
+        )
+
+
+def _version() -> str:
+    """Versions that determine the bits of a cell."""
+    return f"calcidem {__version__} with physics version {PHYSICS_VERSION}"
+
+
+def _prepared_computation(
+    configuration: Configuration, packing: Packing, version: str, patterns: Mapping[str, Pattern]
+) -> CellComputation:
+    """Computation in a process of an executor, with compiled kernels."""
+    give_patterns(patterns)
+    if _version() != version:
+        raise LaunchError(f"a worker has {_version()}, the program that stores the campaign has {version}")
+    keep_freed_memory()
+    if configuration.run.gpu:
+        choose_gpu((own_rank() or 1) - 1)  # rank 0 computes nothing
+    compilations = kernel_compilations(configuration, packing)
+    if sys.platform == "win32":  # each process for itself
+        for compile_kernel in compilations:
+            compile_kernel()
+        return CellComputation(configuration, packing)
+    with contextlib.ExitStack() as stack:
+        others = []
+        for number, compile_kernel in enumerate(compilations):
+            path = Path(tempfile.gettempdir()) / f"calcidem-kernel-{number}-{os.getuid()}.lock"
+            file = stack.enter_context(path.open("w", encoding="ascii"))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                others.append((file, compile_kernel))  # another process compiles it; continue with the next
+                continue
+            except OSError:
+                pass  # a file system without locks: each process for itself
+            compile_kernel()
+            file.close()  # and unlock it
+        for file, compile_kernel in others:
+            fcntl.flock(file, fcntl.LOCK_SH)  # wait for it, and load the result from disk
+            if configuration.run.gpu:
+                compile_kernel()  # each process proves its own GPU
+    return CellComputation(configuration, packing)
+
+
+def cell_result(
+    measurement: Measurement, experiment: Experiment, store_sections: bool, graph: PackingGraph | None = None
+) -> CellResult:
+    """Record of a measurement for the store; the storing process sets attempt, rank and host.
+
+    Without a ``graph`` of the packing, as in `verify`, features of path and network are left out. So no quantity
+    that `is_exact` may need it.
+    """
+    cement, section, reading = measurement.cement, measurement.section, measurement.reading
+    packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
+    path, features, network = (None, None, None) if graph is None else _describe_graph(graph, pattern)
+    on_path, over_d50 = wavelengths(measurement.vs, section.frequency, section.distance, _median_diameter(packing))
+    return CellResult(
+        key=CellKey(measurement.seed, measurement.content),
+        status=measurement.status,
+        reason=measurement.reason,
+        vs=measurement.vs,
+        vs_peak=reading and reading.peak,
+        vs_first_arrival=reading and reading.first_arrival,
+        vs_cross_correlation=reading and reading.cross_correlation,
+        coherence=reading and reading.wave.coherence,
+        reading_error=reading and reading.error,
+        vs_bias=reading and reading.bias,
+        effective_vs=measurement.effective_vs,
+        effective_error=measurement.effective_error,
+        frequency=section.frequency,
+        distance=section.distance,
+        wavelengths_on_path=on_path,
+        wavelength_over_d50=over_d50,
+        time_step=section.time_step,
+        stability_limit=section.stability_limit,
+        steps=section.steps,
+        law=measurement.check.law,
+        numerical_error=measurement.check.numerical_error,
+        pulse_effect=measurement.check.pulse_effect,
+        content_reached=cement.content_reached,
+        content_of_contacts=content_of_contacts(packing, experiment.cement_rule, cement.kind),
+        p_contacts=cement.p_contacts,
+        c_contacts=cement.c_contacts,
+        clusters=cement.clusters,
+        bonded_contacts=int(np.count_nonzero(cement.bonded)),
+        broken_bonds=section.broken_bonds,
+        retry=section.retry,
+        seconds=measurement.seconds,
+        features=features,
+        network=network,
+        path=path,
+        section=stored_section(section) if store_sections else None,
+        cement=pattern,
+    )
+
+
+@lru_cache(maxsize=4)  # cached, since every cell needs it
+def _median_diameter(packing: Packing) -> float:
+    return median_diameter_by_mass(packing.radius)
+
+
+def _describe_graph(
+    packing: PackingGraph, cement: CementPattern
+) -> tuple[GrainPath | None, PathFeatures | None, NetworkFeatures]:
+    """Path, its features and those of the network of one sample.
+
+    There is no path if no chain of contacts joins transmitter and receiver.
+    """
+    bonded = packing.bonded(cement)
+    network = packing.network.features(bonded)
+    if network.network_gap_contacts is None:
+        return None, None, network
+    paths = packing.shortest_paths(bonded)
+    return GrainPath(np.array(paths.first().grains, dtype=np.int32)), packing.features(paths), network
+
+
+def kernel_compilations(
+    configuration: Configuration, packing: Packing, tell: Callable[[str, str, int], object] = lambda *_: None
+) -> list[Callable[[], None]]:
+    """Functions that compile the kernels of the campaign, in any order, by a step of one sample.
+
+    ``tell`` receives each compiled function: its kernel, its name, and the number of finished ones.
+    """
+    experiment = configuration.experiment(packing)
+    # Samples settle at once, so that the kernel of their settling is also compiled.
+    experiment = experiment.with_wave(unbalanced_force_ratio=1e300)
+    seed, content = configuration.campaign.seed_numbers[0], max(configuration.campaign.contents)
+    kernels = kernels_of(experiment, configuration.run.lanes)
+    return [
+        partial(_run_first_step, settings, content, seed, lanes, partial(tell, f"{name} ({number} of {len(kernels)})"))
+        for number, (name, settings, lanes) in enumerate(kernels, 1)
+    ]
+
+
+def _run_first_step(
+    experiment: Experiment, content: float, seed: int, lanes: int, tell: Callable[[str, int], object]
+) -> None:
+    """Start the wave of one sample. With a GPU the processor computes the same steps, so there are more of them."""
+    bonded = experiment.ordering(seed).at(content).bonded
+    with watch_compiling(tell):
+        recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), lanes, lambda: None)
+        recorder.record_chunk(SAMPLES_PER_CHUNK if experiment.gpu else 1)
+
+
+def stored_experiment(store: "Store", packing_index: int = 0) -> Experiment:
+    """Experiment of the cells of a packing, as `calcidem.Campaign.experiment`, for modules that `Campaign` imports."""
+    packing = stored_packing(store.packing(packing_index))
+    return Configuration.from_physics(store.record.parameters).experiment(packing)
+
+
+def with_patterns(store: "Store", outcomes: Iterable[CellResult]) -> Iterator[CellResult]:
+    """Yield outcomes of a store; cement that is not stored is drawn again from the seed.
+
+    An outcome has no cement if it was never drawn, or would differ now: with another physics version, or without the
+    stored packing.
+    """
+    same_physics = physics_version(store.record) == PHYSICS_VERSION
+    experiment = lru_cache(lambda index: stored_experiment(store, index))
+    ordering = lru_cache(1)(lambda index, seed: experiment(index).ordering(seed))  # cells are sorted by seed
+    for outcome in outcomes:
+        if not same_physics or outcome.cement is not None or outcome.bonded_contacts is None:
+            yield outcome
+            continue
+        try:
+            cement = ordering(outcome.packing_index, outcome.key.seed).at(outcome.key.content)
+        except (StoreError, CementCapacityError, UnknownPatternError):
+            yield outcome
+            continue
+        drawn = cement.content_reached, cement.p_contacts, cement.c_contacts, cement.clusters
+        known = outcome.content_reached, outcome.p_contacts, outcome.c_contacts, outcome.clusters
+        packing = experiment(outcome.packing_index).packing
+        yield replace(outcome, cement=pattern_of(packing, cement)) if drawn == known else outcome
+
+
+def pattern_of(packing: Packing, cement: PlacedCement) -> CementPattern:
+    """Record of the cement for the store."""
+    contacts = packing.pairs[cement.bonded].astype(np.int32)
+    return CementPattern(contacts, cement.kind[cement.bonded], cement.centres.astype(float))
+
+
+def stored_section(section: Section) -> RecordedSection:
+    """Record of a section for the store."""
+    return RecordedSection(
+        sampling_interval=section.sampling_interval,
+        start_time=section.start_time,
+        pulse_frequency=section.frequency,
+        resolution=section.amplitude * RESOLUTION,
+        places=np.array(section.places),
+        across=section.across,
+        along=section.along,
+    )
+
+
+def section_of(stored: RecordedSection) -> Section:
+    """Section from a record, with the same bits as recorded."""
+    return Section(
+        sampling_interval=stored.sampling_interval,
+        start_time=stored.start_time,
+        frequency=stored.pulse_frequency,
+        amplitude=stored.resolution / RESOLUTION,
+        places=tuple(stored.places.tolist()),
+        across=stored.across,
+        along=stored.along,
+    )
+
+
+def section_reader(store: "Store") -> Callable[[CellResult], Reading | Verdict]:
+    """Return a function that reads the stored section of a cell again, with the configuration of its campaign.
+
+    It raises a `ValueError` without a section, and takes each packing from the store once.
+    """
+    wave, pick = (store.record.parameters.get(name, {}) for name in ("wave", "pick"))
+    rule = PickRule(**{field.name: pick[field.name] for field in fields(PickRule) if field.name in pick})
+    layers = 2.0 * wave.get("boundary_thickness", WaveRule().boundary_thickness)
+    clamp = lru_cache(lambda index: clamp_of_strip(store.packing(index).height - layers))
+
+    def read(cell: CellResult) -> Reading | Verdict:
+        if cell.section is None:
+            raise ValueError(f"cell = {cell.key}: no section is stored")
+        return read_section(section_of(cell.section), clamp(cell.packing_index), rule)
+
+    return read

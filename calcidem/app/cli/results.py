@@ -1,0 +1,394 @@
+"""See results: ``calcidem status``, ``report``, ``serve``, ``query`` and ``show``."""
+
+import io
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from numpy.typing import NDArray
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from calcidem.app.campaign.notices import printable, tell
+from calcidem.app.cli.options import (
+    HIGHEST_SEED,
+    CampaignName,
+    Database,
+    OnlyContents,
+    OnlySeeds,
+    number_parser,
+    parse_percentage,
+    progress_bar,
+)
+from calcidem.app.cli.output import Format, FormatOption, RecordRows, tell_rows
+from calcidem.ends import CellStatus, Verdict
+from calcidem.storage.errors import QueryError
+from calcidem.storage.store import Selection
+from calcidem.sweep.schedule import pluralize
+
+if TYPE_CHECKING:
+    from calcidem.app.campaign.opened import Campaign
+    from calcidem.app.campaign.status import CampaignStatus
+
+
+def status_command(
+    database: Database,
+    watch: Annotated[bool, typer.Option("--watch", help="Refresh until every cell has finished.")] = False,
+    interval: Annotated[
+        float,
+        typer.Option(
+            parser=number_parser(0.1, 86400.0, "is not a number of seconds from 0.1 to 86400"),
+            help="Seconds between two refreshes with --watch.",
+        ),
+    ] = 2.0,
+    half_width: Annotated[
+        float | None,
+        typer.Option(
+            "--halfwidth",
+            parser=number_parser(1e-6, 1e6, "is not a number above 0, from 1e-6 to 1e6"),
+            metavar="M/S",
+            help="Also estimate the seeds and the time for 95 % intervals of the means with this half-width.",
+        ),
+    ] = None,
+    layout: FormatOption = Format.TABLE,
+    campaign: CampaignName = None,
+) -> None:
+    """Show the progress of a campaign, also while it runs: cells, Vs so far, time left, failures."""
+    from calcidem.app.campaign.status import CampaignStatus
+
+    def until_finished() -> Iterator[CampaignStatus]:
+        while True:
+            found = CampaignStatus.read(database, campaign)
+            yield found
+            if not (watch and found.pending):
+                return
+            time.sleep(interval)
+
+    try:
+        _show_status(until_finished(), half_width, layout, one_per_line=watch)
+    except KeyboardInterrupt:
+        typer.echo()
+
+
+def _show_status(
+    statuses: "Iterator[CampaignStatus]", half_width: float | None, layout: Format, *, one_per_line: bool
+) -> None:
+    """Show each status of a campaign, on a terminal replacing the former one."""
+    from calcidem.app.cli.output import PLAIN_WIDTH
+    from calcidem.app.cli.views import status_as_json, status_view
+
+    if layout is not Format.TABLE:
+        for found in statuses:
+            whole = status_as_json(found, half_width)
+            if one_per_line and layout is Format.JSON:
+                typer.echo(json.dumps(whole))
+            else:
+                tell_rows([row | row["cells"] for row in whole["contents"]], layout, whole=whole)
+        return
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        for found in statuses:
+            Console(highlight=False, width=PLAIN_WIDTH).print(status_view(found, PLAIN_WIDTH, half_width))
+        return
+    with Live(Group(), console=console, auto_refresh=False, vertical_overflow="visible") as live:
+        for found in statuses:
+            live.update(status_view(found, console.width, half_width), refresh=True)
+
+
+def report_command(
+    database: Database,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="Page to write or replace; DB.html beside the database if not given."),
+    ] = None,
+    with_studies: Annotated[
+        bool, typer.Option("--with-studies", help="Run the frequency and damping studies and include them.")
+    ] = False,
+    files: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF)."),
+    ] = None,
+    measured: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="Laboratory velocities to compare, a row for each specimen or mean: content, Vs, and sd, samples, "
+            "confining stress; or G0 and density.",
+        ),
+    ] = None,
+    campaign: CampaignName = None,
+) -> None:
+    """Write one self-contained page: configuration, tables, figures, failures, errors and run time."""
+    from calcidem.app.config.reader import read_targets
+    from calcidem.app.report.page import unnamed_page, write_report
+    from calcidem.storage.files import refuse_to_replace
+    from calcidem.storage.sql.store import read_campaign
+
+    if out is None:
+        with read_campaign(database, campaign) as store:
+            out = unnamed_page(store)
+    refuse_to_replace(out)
+    targets = read_targets(measured, tell) if measured else ()
+    studies = None
+    if with_studies:
+        from calcidem.app.studies.sensitivity import run_studies
+
+        studies = run_studies(database, campaign_name=campaign)
+    with progress_bar("Report") as watch:
+        page = write_report(
+            database, out, campaign_name=campaign, studies=studies, measured=targets, files=files, watch=watch
+        )
+    typer.echo(f"Wrote {page}")
+    if files is not None:
+        typer.echo(f"Wrote {len(list(files.iterdir()))} files to {files}")
+
+
+def serve_command(
+    databases: Annotated[list[str], typer.Argument(metavar="DB...", help="SQLite files or database URLs.")],
+    campaign: Annotated[
+        list[str] | None,
+        typer.Option("--campaign", metavar="NAME", help="Campaigns of a database that has several; may be repeated."),
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any that is free.")] = 0,
+    host: Annotated[str, typer.Option(metavar="HOST", help="Address to listen on.")] = "127.0.0.1",
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Wait for databases and campaigns that do not exist yet.")
+    ] = False,
+) -> None:
+    """Show campaigns side by side in the browser, also while they run.
+
+    The printed address has a secret token. Ctrl-C ends the server. Databases are only read.
+    """
+    from calcidem.app.serve.address import PageAddress
+
+    address = PageAddress.take(host, port)
+    from calcidem.app.serve.server import LivePage
+
+    if campaign and len(databases) > 1:
+        raise typer.BadParameter("give one database with it", param_hint="--campaign")
+    names: list[str | None] = list(campaign) if campaign else [None]
+    wanted = [(database, name) for database in databases for name in names]
+
+    def tell() -> None:
+        typer.echo(printable(f"Live page: {address.url}"))
+        sys.stdout.flush()
+
+    LivePage(wanted, address).serve(tell, wait=wait)
+    sys.stdout.flush()
+    os._exit(0)  # without waiting for a thread that reads a slow or locked database
+
+
+Columns = Mapping[str, NDArray[Any]]
+"""Columns of equal length by name of their quantity, as from `StoreReader.table`."""
+
+
+def query_command(
+    database: Database,
+    content: OnlyContents = None,
+    seed: OnlySeeds = None,
+    status: Annotated[list[CellStatus] | None, typer.Option(help="Only this status; may be repeated.")] = None,
+    where: Annotated[str | None, typer.Option(help='Filter such as "vs > 1500 and clusters >= 40".')] = None,
+    columns: Annotated[str | None, typer.Option(help='Columns, such as "seed,vs,steps", or "all".')] = None,
+    sort: Annotated[str, typer.Option(help='Columns to sort by, such as "-vs,seed"; "-" means descending.')] = "",
+    limit: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Most rows to show.")] = None,
+    layout: FormatOption = Format.TABLE,
+    out: Annotated[Path | None, typer.Option(help="File to write; .csv, .json or .parquet choose the format.")] = None,
+    features: Annotated[
+        bool,
+        typer.Option("--features", help="Show correlations of path features with Vs instead."),
+    ] = False,
+    campaign: CampaignName = None,
+) -> None:
+    """Show the cells of a campaign that meet all given conditions.
+
+    --features gives Pearson's correlation within a content, its 95 % interval, p by exchanging seeds at random, and p
+    corrected for the number of features.
+    """
+    from calcidem.storage.records import QUANTITY_BY_NAME
+    from calcidem.storage.sql.store import read_campaign
+
+    selection = Selection(seed or None, content or None, status or None, where)
+    if features:
+        if columns is not None or sort or limit is not None:
+            raise typer.BadParameter("goes with neither --columns, --sort nor --limit", param_hint="--features")
+        rows, remark = _feature_rows(database, selection, campaign)
+        headings = {name: name != "feature" for name in rows[0]}
+    else:
+        names = tuple(
+            dict.fromkeys(_split_list("seed,content,status,vs,vs_error,seconds" if columns is None else columns))
+        )
+        names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
+        with read_campaign(database, campaign) as store:
+            rows = as_rows(store.table(names, selection, sort=_split_list(sort), limit=limit))
+        headings = _headings(names)
+        remark = pluralize(len(rows), "cell")
+    if layout is Format.TABLE and out is not None:
+        layout = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET}.get(out.suffix.lower(), layout)
+    if layout is not Format.TABLE:
+        tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
+    elif out is None:
+        typer.echo(_as_table(headings, rows, remark), nl=False)
+    else:
+        from calcidem.storage.files import write_text_atomically
+
+        write_text_atomically(out, _as_table(headings, rows, remark))
+    if out is not None:
+        typer.echo(f"Wrote {out}: {remark}")
+
+
+def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[RecordRows, str]:
+    """Correlation of path features of the selected cells with Vs within one content, and number of cells."""
+    from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, feature_correlations
+    from calcidem.app.campaign.cells import with_patterns
+    from calcidem.storage.sql.store import read_campaign
+
+    with read_campaign(database, campaign_name) as store:
+        try:
+            found = feature_correlations(CampaignAnalysis(store, with_cement=with_patterns), selection)
+        except UnavailableError as error:
+            raise QueryError(f"Features have nothing to go with: {error}.", "Select cells with a velocity.") from error
+    rows = found.to_dataframe().rename_axis("feature").reset_index().to_dict("records")
+    return rows, f"{pluralize(found.attrs['samples'], 'cell')} with a velocity and features"
+
+
+def _split_list(text: str) -> list[str]:
+    """Parts of a list separated by commas."""
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def as_rows(columns: Columns) -> RecordRows:
+    """Columns as rows of Python objects; missing real numbers are NaN, other missing values None."""
+    from calcidem.storage.records import QUANTITY_BY_NAME
+
+    values: list[list[Any]] = []
+    for name, column in columns.items():
+        kind = QUANTITY_BY_NAME[name].kind
+        if kind == "text":
+            values.append(list(column))
+        elif kind == "whole":
+            values.append([None if math.isnan(value) else int(value) for value in column.tolist()])
+        else:
+            values.append([float(value) for value in column.tolist()])
+    return [dict(zip(columns, row, strict=True)) for row in zip(*values, strict=True)]
+
+
+def _headings(names: Sequence[str]) -> dict[str, bool]:
+    """Header of each column of a table, and whether it has numbers."""
+    from calcidem.storage.records import QUANTITY_BY_NAME
+
+    headings = {}
+    for name in names:
+        quantity = QUANTITY_BY_NAME[name]
+        bare = quantity.unit == "1" and quantity.kind == "real"  # a fraction or a ratio, not percent
+        unit = " [-]" if bare else f" [{quantity.unit}]" if quantity.unit not in {"", "1"} else ""
+        headings[f"{name}{unit}"] = quantity.kind != "text"
+    return headings
+
+
+def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str) -> str:
+    """Rows in aligned columns, no wider than needed."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading, numeric in headings.items():
+        table.add_column(Text(heading), justify="right" if numeric else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*(Text(_format_value(value)) for value in row.values()))
+    stream = io.StringIO()
+    # Rich cuts columns to the width of the terminal; a table in a pipe must stay complete.
+    Console(file=stream, width=100_000, highlight=False).print(table)
+    lines = (line.rstrip() for line in stream.getvalue().splitlines())
+    return "\n".join([*lines, remark, ""])
+
+
+def _format_value(value: object) -> str:
+    """Value for people: six digits, the first line of a text, nothing for a missing value."""
+    if value is None or value != value:  # noqa: PLR0124 - NaN
+        return ""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return printable(value).partition("\n")[0]
+
+
+def show_command(
+    database: Database,
+    seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED, help="Seed of the cell.")],
+    content: Annotated[
+        float, typer.Option(parser=parse_percentage, metavar="PERCENT", help="Calcite content of the cell.")
+    ],
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures of the cell.")] = None,
+    movie: Annotated[Path | None, typer.Option(metavar="FILE", help="Movie of the wave, .gif or .mp4.")] = None,
+    frames: Annotated[int, typer.Option(min=2, help="Most frames of the movie, at 15 a second.")] = 90,
+    layout: FormatOption = Format.TABLE,
+    campaign: CampaignName = None,
+) -> None:
+    """Show one cell: its quantities, or why it has no velocity and what may give one.
+
+    With --out also figures: cement, path, signals, and the section with the candidates for the S wave.
+    """
+    from calcidem.storage.records import QUANTITY_BY_NAME
+    from calcidem.storage.sql.store import read_campaign
+    from calcidem.storage.store import Selection
+
+    with read_campaign(database, campaign) as store:
+        store.cell(seed=seed, content=content)  # raises an error if there is none
+        (row,) = as_rows(store.table(tuple(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,))))
+    if layout is Format.TABLE:
+        from calcidem.app.cli.output import make_console, make_table
+
+        table = make_table(f"Seed {seed} at {content:g} %.", "quantity", "value")
+        for meaning, value in _cell_rows(row):
+            table.add_row(meaning, Text(printable(value)))
+        if verdict := Verdict.of(row["reason"] or ""):
+            table.add_row("remedy", verdict.remedy)
+        make_console().print(table)
+    else:
+        tell_rows([row], layout)
+    if out is None and movie is None:
+        return
+    from calcidem.app.campaign.opened import open_campaign
+
+    with open_campaign(database, campaign) as opened:
+        for file in () if out is None else _draw_cell(opened, seed, content, out):
+            typer.echo(f"Wrote {file}", err=layout is not Format.TABLE)
+        if movie is not None:
+            with progress_bar("Movie") as watch:
+                opened.plot.movie(movie, seed=seed, content=content, frames=frames, watch=watch)
+            typer.echo(f"Wrote {movie}", err=layout is not Format.TABLE)
+
+
+def _cell_rows(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Meanings and values, with units, of the quantities of a cell that it has."""
+    from calcidem.app.report.tables import ABSENT, EXCEPTIONAL, decimal, readable_unit, significant
+    from calcidem.storage.records import QUANTITY_BY_NAME
+
+    for name, value in row.items():
+        quantity = QUANTITY_BY_NAME[name]
+        if quantity.kind == "text":
+            text = str(value or "")
+        else:
+            is_share = quantity.meaning.startswith("relative")
+            text = decimal(value) if quantity.kind == "whole" else significant(100 * value if is_share else value, 4)
+            text += " %" if is_share and text != ABSENT else ""
+        if text in {"", ABSENT} or (name in EXCEPTIONAL and not value):
+            continue
+        yield quantity.meaning, text if quantity.kind == "text" else f"{text} {readable_unit(quantity.unit)}".rstrip()
+
+
+def _draw_cell(opened: "Campaign", seed: int, content: float, folder: Path) -> Iterator[Path]:
+    """Draw a cell into a folder as far as it has what the figures need, and give the files."""
+    from calcidem.analysis.campaign_analysis import UnavailableError
+    from calcidem.analysis.figures.style import save
+
+    plot = opened.plot
+    figures = {"cement": plot.cement, "path": plot.path, "signals": plot.signal, "section": plot.section}
+    for name, draw in figures.items():
+        with suppress(UnavailableError):
+            yield from save(draw(seed=seed, content=content), folder, f"seed{seed}_content{content:g}_{name}")

@@ -1,0 +1,307 @@
+"""Vary and fit: ``calcidem predict``, ``sensitivity`` and ``calibrate``."""
+
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from calcidem.app.campaign.notices import tell
+from calcidem.app.cli.options import (
+    HIGHEST_SEED,
+    SEEDS_AT_ONCE,
+    CampaignName,
+    ConfigurationFile,
+    Database,
+    Level,
+    OnlyContents,
+    StudyCores,
+    number_parser,
+    parse_percentage,
+    refuse_options,
+)
+from calcidem.app.cli.output import Format, FormatOption, tell_rows
+from calcidem.input_file import read_input
+from calcidem.storage.records import P_CONTACT, CementPattern
+from calcidem.sweep.ranks import available_cores
+from calcidem.sweep.schedule import EXIT_ERROR
+from calcidem.table import Table
+
+if TYPE_CHECKING:
+    from calcidem.app.studies.calibrate import FittedContent, FittedParameters
+
+
+def predict_command(
+    database: Database,
+    content: Annotated[
+        float | None,
+        typer.Option(
+            parser=parse_percentage,
+            metavar="PERCENT",
+            help="Content of the sample; without it all are checked.",
+        ),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, max=HIGHEST_SEED, help="Seed whose cement is drawn.")] = None,
+    pattern: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Or its cemented contacts: two grain numbers (from 0) per line."),
+    ] = None,
+    level: Level = 0.95,
+    layout: FormatOption = Format.TABLE,
+    campaign: CampaignName = None,
+) -> None:
+    """Predict Vs of a sample from the campaign's own samples of its content, with an interval; nothing is simulated.
+
+    The feature is the conductance of the cement as a network (network_conductance). Leaving out each sample in turn
+    checks the intervals.
+    """
+    from calcidem.app.campaign.opened import check_predictions, open_campaign
+
+    if (seed is not None and pattern is not None) or (content is None and (seed, pattern) != (None, None)):
+        raise typer.BadParameter("give --content, and one of --seed and --pattern or none of them")
+    cement = None if pattern is None else _read_pattern(pattern)
+    with open_campaign(database, campaign) as opened:
+        predicted: dict[str, float] = {}
+        if content is not None:
+            prediction = opened.predict(content=content, seed=seed, pattern=cement, level=level)
+            low, high = prediction.interval.low, prediction.interval.high
+            predicted = {"content": content, "vs": prediction.vs, "vs_interval_low": low, "vs_interval_high": high}
+            if layout is Format.TABLE:
+                source = "content and features" if prediction.uses_features else "the content alone"
+                typer.echo(
+                    f"{content:g} %: Vs {prediction.vs:.0f} m/s, {100.0 * level:g} % of such samples from {low:.0f} to "
+                    f"{high:.0f} m/s, from {source}."
+                )
+        analysis = opened.analyse()
+        checks = check_predictions(analysis, level)
+        alone = check_predictions(analysis, level, with_cement=False)
+    chosen = [known for known in checks if content is None or np.isclose(known, content)]
+    if layout is Format.TABLE:
+        _tell_checks(checks, alone, chosen, content)
+        return
+    rows: list[dict[str, Any]] = [
+        {
+            "content": known,
+            "n": checks[known][1].size,
+            "coverage": float(checks[known][0].mean()),
+            "score": float(checks[known][1].mean()),
+            "score_alone": float(alone[known][1].mean()),
+            **predicted,
+        }
+        for known in chosen
+    ]
+    if not rows and predicted:  # too few samples for a check
+        rows = [dict(predicted)]
+    tell_rows(rows, layout, names=("content", "n", "coverage", "score", "score_alone", *predicted))
+
+
+def _read_pattern(path: Path) -> CementPattern:
+    """Cemented contacts in a file; P and C contacts have the same effect on a path."""
+    known = {"first": "first|i|a", "second": "second|j|b"}
+    content = read_input(path, 1_000_000_000)  # bytes; the contacts of 10 million disks have fewer
+    table = Table.read(content, path, known, tuple(known))
+    if not table.rows and not table.head:
+        raise typer.BadParameter(f"{path} has no line of two grain numbers; give one for each cemented contact")
+    places = table.places(known)
+    chosen = [places.get(name, place) for place, name in enumerate(known)]
+    try:
+        contacts = [[int(row[place]) for place in chosen] for _, row in table.rows]
+        pairs = np.array(contacts, dtype=np.int32).reshape(len(contacts), 2)
+    except (ValueError, OverflowError, IndexError) as error:
+        raise typer.BadParameter(f"{path}: {error}; give two grain numbers on each line") from error
+    return CementPattern(pairs, np.full(len(pairs), P_CONTACT, dtype=np.uint8), np.empty((0, 2)))
+
+
+def _tell_checks(
+    checks: dict[float, tuple[Any, Any]],
+    alone: dict[float, tuple[Any, Any]],
+    chosen: list[float],
+    content: float | None,
+) -> None:
+    """Tell how far to trust predictions: a table of all contents, or a sentence on one."""
+    from calcidem.app.cli.output import make_console, make_table
+
+    if not chosen:
+        if content is None:
+            typer.echo("No content has the six velocities that a check needs.")
+        return
+    inside, scores, without = (
+        np.concatenate([found[known][part] for known in chosen])
+        for found, part in ((checks, 0), (checks, 1), (alone, 1))
+    )
+    if content is None:
+        table = make_table(
+            None, numbers=("content, %", "samples", "in interval, %", "score, m/s", "of content alone, m/s")
+        )
+        for known in chosen:
+            own, score = checks[known]
+            numbers = f"{100.0 * own.mean():.1f}", f"{score.mean():.1f}", f"{alone[known][1].mean():.1f}"
+            table.add_row(f"{known:g}", str(own.size), *numbers)
+        make_console().print(table)
+    typer.echo(
+        f"Of {inside.size} samples, each predicted from the other seeds of its content, {100.0 * inside.mean():.1f} % "
+        f"lay in their interval. Mean interval score {scores.mean():.1f} m/s; {without.mean():.1f} m/s for the content "
+        "alone."
+    )
+
+
+def sensitivity_command(
+    plan: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PLAN.toml|frequency|damping",
+            help="Variants of a configuration, or the quantity to vary.",
+        ),
+    ],
+    database: Annotated[
+        str,
+        typer.Option(
+            "--db",
+            metavar="DB",
+            help="Database for all variants; frequency, damping: that of the campaign.",
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="TABLE.md", help="File for the table; figures and NetCDF beside it."),
+    ] = None,
+    content: OnlyContents = None,
+    campaign: CampaignName = None,
+    only_table: Annotated[bool, typer.Option("--only-table", help="Compute nothing; show what is stored.")] = False,
+    cores: StudyCores = 0,
+) -> None:
+    """Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs.
+
+    'frequency' or 'damping' instead of a plan computes samples of a stored campaign with other values; its database is
+    not written.
+    """
+    from calcidem.app.studies.points import study_workers
+    from calcidem.app.studies.sensitivity import compute_variants, read_variants, variant_table, vary_one
+    from calcidem.storage.files import refuse_to_replace
+
+    if out is not None:
+        refuse_to_replace(out)
+    if str(plan) in {"frequency", "damping"}:
+        refuse_options("leave it out: it is for a plan", {"--only-table": only_table, "--cores": cores or None})
+        result = vary_one(str(plan), database, content, campaign)
+    else:
+        refuse_options("leave it out: the plan has it", {"--content": content, "--campaign": campaign})
+        variants = read_variants(plan, database)
+        if not only_table:
+            with study_workers(cores or available_cores()) as executor:
+                compute_variants(variants, tell, executor)
+        result = variant_table(variants)
+    if out is None:
+        typer.echo(result.text)
+        return
+    for written in result.write(out):
+        typer.echo(f"Wrote {written}")
+
+
+def calibrate_command(
+    configuration: ConfigurationFile,
+    target: Annotated[
+        Path,
+        typer.Option(
+            help="Table: content (percent), Vs (m/s), optionally sd, samples; a row for each specimen or mean."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibrated configuration to write.")],
+    free: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--free",
+            "--parameter",
+            metavar="SECTION.KEY[=LOW:HIGH]",
+            help="Number to fit, in its range; may be repeated. Default: sand.wave_stiffness_factor, "
+            "pattern.p_share, pattern.cluster_area.",
+        ),
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=3, max=SEEDS_AT_ONCE, help="Seeds at each content.")] = 16,
+    first_seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED - SEEDS_AT_ONCE, help="First seed.")] = 1,
+    predict: Annotated[
+        list[float] | None,
+        typer.Option(
+            parser=parse_percentage,
+            metavar="PERCENT",
+            help="Content to predict and not to fit; may be repeated.",
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            parser=number_parser(0.0, 1.0, "is not a number from 0 to 1"),
+            metavar="PART",
+            help="Relative error of the model, added to that of the targets.",
+        ),
+    ] = 0.02,
+    cores: StudyCores = 0,
+) -> None:
+    """Fit parameters to measured means, and standard deviations, of Vs; write a configuration."""
+    from calcidem.analysis.measured import group_specimens
+    from calcidem.app.campaign.packing import provide_packing
+    from calcidem.app.config.reader import load_configuration, parse_file, read_targets
+    from calcidem.app.studies.calibrate import FITTED_BY_DEFAULT, FitPlan, calibrate
+    from calcidem.app.studies.points import ParameterRange, refuse_unwritable, study_workers, text_with_values
+    from calcidem.storage.files import refuse_to_replace, write_text_atomically
+
+    refuse_to_replace(out)
+    loaded = load_configuration(configuration)
+    targets = tuple(joined for joined, _ in group_specimens(read_targets(target, tell)))
+    if len(targets) > len({row.content for row in targets}):
+        raise typer.BadParameter(
+            "has one content under several confining stresses; give the rows of one of them", param_hint="--target"
+        )
+    packing = provide_packing(loaded, None)
+    ranges = [ParameterRange.parse(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
+    chosen = range(first_seed, first_seed + seeds)
+    plan = FitPlan(targets, ranges, chosen, tuple(dict.fromkeys(predict or ())), tolerance)
+    _, text = parse_file(configuration)
+    refuse_unwritable(text, loaded, plan.start(loaded, packing), out)
+    trials = out.with_suffix(".trials.db")
+    tell(f"Every trial is a campaign in {trials}; after a stop the same command continues.")
+    with study_workers(cores or available_cores()) as executor:
+        fitted = calibrate(loaded, packing, plan, trials, executor, tell)
+    typer.echo("\n".join(_calibration_lines(fitted)))
+    if not fitted.is_fitted:
+        typer.echo(f"Nothing was fitted: {out} is not written.")
+        raise typer.Exit(EXIT_ERROR)
+    write_text_atomically(out, text_with_values(text, fitted.values))
+    typer.echo(f"Wrote {out}")
+
+
+def _calibration_lines(fitted: "FittedParameters") -> Iterator[str]:
+    """Report on a calibration."""
+    if fitted.is_fitted:
+        for name, value in fitted.values.items():
+            low, high = fitted.intervals.get(name, (None, None))
+            posterior = "" if low is None else f", 95 % of the posterior {low:.4g} to {high:.4g}"
+            yield f"{name} = {value:.5g} +- {fitted.deviations[name]:.2g}{posterior}"
+        for (i, first), (j, second) in combinations(enumerate(fitted.values), 2):
+            yield f"correlation of {first} and {second}: {fitted.correlation[i, j]:+.2f}"
+        yield f"chi-square {fitted.chi_square:.1f} with {fitted.freedom} degrees of freedom"
+    for row in fitted.contents:
+        yield _content_line(row, fitted.trials)
+    yield from (f"Doubt: {doubt}." for doubt in fitted.doubts)
+
+
+def _content_line(row: "FittedContent", trials: int) -> str:
+    """One content: targets, results, and number of seeds."""
+    target = row.target
+    if row.seeds <= 1:
+        return f"{row.role} {row.content:g} %: {row.seeds} of {row.planned} seeds have a velocity"
+    mean, sd = f"mean {row.mean:.1f} +- {row.mean_error:.1f} m/s", f"sd {row.sd:.1f} m/s"
+    if target is not None:
+        mean += f" (target {target.vs:.1f}, {100.0 * (row.mean / target.vs - 1.0):+.1f} %)"
+    if target is not None and target.sd is not None:
+        sd += f" (target {target.sd:.1f}, x {row.sd / target.sd:.2f})"
+    used = f"{row.seeds} of {row.planned} seeds" + (f" in all {trials} trials" if row.role == "fitted" else "")
+    bands = [
+        f"{name} {band[0]:.0f} to {band[1]:.0f}"
+        for name, band in (("mean", row.mean_band), ("sd", row.sd_band))
+        if band is not None
+    ]
+    predicted = f"; 95 % of campaigns have {', '.join(bands)} m/s" if bands else ""
+    return f"{row.role} {row.content:g} %: {mean}, {sd}; {used}{predicted}"

@@ -1,0 +1,368 @@
+"""Texts and tables for the terminal: of a run, and of the status of a campaign."""
+
+import math
+import os
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from calcidem.analysis.intervals import is_in_doubt
+from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, are_samples, median_known, small_strain_modulus
+from calcidem.app.campaign.notices import printable, tell
+from calcidem.app.campaign.status import (
+    FEWEST_TO_PLAN,
+    STATUS_QUANTITIES,
+    UNREAD,
+    URGENCY,
+    CampaignStatus,
+    ContentStatus,
+    ProgressDisplay,
+    Trouble,
+)
+from calcidem.app.cli.exit_codes import tell_error
+from calcidem.app.cli.options import IS_QUIET
+from calcidem.app.cli.output import WholeTable, format_number, make_console, make_table
+from calcidem.app.config.examples import calibration_note
+from calcidem.app.config.schema import Configuration
+from calcidem.dem.sample.packing import WALL_NAMES, Packing
+from calcidem.ends import CellStatus, Verdict
+from calcidem.storage.records import MOST_PULSE_EFFECT
+from calcidem.storage.sql.engine import Address
+from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
+from calcidem.sweep.ranks import COMMAND_VARIABLE, available_cores, launcher
+from calcidem.sweep.schedule import duration, first_of, pluralize
+
+if TYPE_CHECKING:
+    from calcidem.analysis.intervals import SeedPlan
+
+
+class TerminalView:
+    """A `calcidem.app.campaign.run.RunView` on the terminal, or in the log, of this process.
+
+    Ranks that `calcidem run --ranks` started only write sentences: their command shows the progress and the results.
+    """
+
+    def __init__(self, *, with_report: bool, cores_used: bool) -> None:
+        self.console = make_console()
+        self.quiet, self.is_told_by_command = IS_QUIET.get(), COMMAND_VARIABLE in os.environ
+        self.cores_used = cores_used or launcher() is not None
+        self.with_report = with_report
+
+    def display(self) -> ProgressDisplay:
+        """Display of the progress, unless only results are wanted."""
+        return ProgressDisplay(None if self.quiet else self.console, shows_progress=not self.is_told_by_command)
+
+    def begin(self, configuration: Configuration, packing: Packing) -> None:
+        """Report on the packing, and on idle cores."""
+        if self.is_told_by_command:
+            return
+        for line in packing_lines(packing):
+            tell(line)
+        if note := calibration_note(configuration):
+            tell(note)
+        if not self.cores_used and sys.platform == "linux" and (cores := available_cores()) > 1:
+            tell(f"Computing on one of {cores} cores; 'calcidem run' with --ranks 0 uses all.")
+
+    def finish(self, store: Store, configuration: Configuration, code: int, *, in_haste: bool) -> None:
+        """Show the velocities, export them and write the report if requested; in haste show them only."""
+        if self.is_told_by_command:
+            return
+        from calcidem.storage.netcdf import belongs_to_another, export_netcdf  # imported after the cells
+
+        plan = configuration.campaign
+        self.console.print(_vs_table(store, Selection(None if plan.until else plan.seed_numbers, plan.contents)))
+        if plan.until is not None and code == 0:
+            from calcidem.app.campaign.plan import SeedDemand
+
+            for line in SeedDemand.of_store(store, plan).lines():
+                tell(line)
+        address = Address.parse(configuration.database)
+        tell(f"Database: {address}")
+        netcdf = configuration.netcdf
+        if belongs_to_another(netcdf, store.record.hash):  # two campaigns of one database, or with one name
+            netcdf = netcdf.with_stem(f"{netcdf.stem}-{store.record.hash[:8]}")
+        if in_haste:
+            tell(f"NetCDF:   not written, to end quickly; calcidem export {address} OUT.nc does it")
+        else:
+            tell(f"Wrote {export_netcdf(store, netcdf)}")
+        if self.with_report and code == 0:
+            from calcidem.app.report.page import write_report
+
+            page = write_report(configuration.database, netcdf.with_suffix(".html").absolute())
+            tell(f"Wrote {page}")
+
+    def refuse(self, error: Exception) -> int:
+        """Report an error, and return its exit code."""
+        return tell_error(error)
+
+
+def packing_lines(packing: Packing) -> Iterator[str]:
+    """Report on a packing."""
+    report = packing.report
+    yield (
+        f"Packing: {len(packing.radius)} disks in {packing.width:.4g} m x {packing.height:.4g} m, "
+        f"porosity {report.porosity:.4f}, {len(packing.pairs)} contacts"
+    )
+    yield (
+        f"  coordination number {report.coordination_number:.3f}, "
+        f"{report.coordination_number_without_rattlers:.3f} without {report.rattlers} rattlers"
+    )
+    stresses = zip(WALL_NAMES, report.wall_stress, strict=True)
+    yield f"  normal stress: {', '.join(f'{name} {stress:.1f} Pa' for name, stress in stresses)}"
+    mean, largest = (
+        f"{100.0 * overlap / float(packing.radius.mean()):.2g} %"
+        for overlap in (report.mean_overlap, report.largest_overlap)
+    )
+    yield (
+        f"  overlap: mean {mean}, largest {largest} of the mean radius; "
+        f"unbalanced-force ratio {report.unbalanced_ratio:.2g}; made in {report.seconds:.0f} s ({report.steps} steps)"
+    )
+    yield f"  content hash {packing.content_hash}"
+
+
+def _vs_table(store: Store, selection: Selection) -> Table:
+    """Table of Vs against content for selected cells of the store's campaign."""
+    columns = store.table((*STATUS_QUANTITIES, "effective_vs", "wavelengths_on_path", "broken_bonds"), selection)
+    found = CampaignStatus.of(store, columns, ())
+    velocities = ("mean m/s", "sd m/s", "reading m/s", "effective m/s", "its sd m/s")
+    table = make_table("Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda"))
+    table.add_column("other cells")
+    marks, is_near, counted = [], False, are_samples(columns["vs"], columns["content"])
+    for one in found.contents:
+        here = (columns["content"] == one.content) & counted
+        marks.append(_marks_of(one.counts, one.budget.loud))
+        median = median_known(columns["wavelengths_on_path"][here])
+        is_near |= (near := median < FEWEST_WAVELENGTHS)
+        effective = columns["effective_vs"][here].astype(float)
+        effective = effective[np.isfinite(effective)]
+        mean = float(effective.mean()) if effective.size else np.nan
+        deviation = float(effective.std(ddof=1)) if effective.size > 1 else np.nan
+        others = one.counts.keys() - {CellStatus.DONE}
+        table.add_row(
+            f"{one.content:g}",
+            f"{one.counts.get(CellStatus.DONE, 0)}/{len(one.statuses)}{marks[-1]}",
+            *map(format_number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
+            format_number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, "{:.4g}"),
+            format_number(median, "{:.2f}") + (" *" if near else ""),
+            ", ".join(f"{one.counts[status]} {status.words}" for status in CellStatus if status in others),
+        )
+    remarks = [f"standard error of Vs: {found.budget}; reading m/s: sd of Vs by reading errors alone"]
+    if is_near:
+        remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
+    remarks += _remarks_on(marks, found.budget.loud)
+    if count := int(np.count_nonzero(columns["broken_bonds"] > 0)):
+        remarks.append(
+            f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
+        )
+    if any(found.counts.get(status) for status in UNREAD):
+        remarks.append("'calcidem status DB' has reasons and remedies of cells without velocity")
+    table.caption = "\n".join(remarks)
+    return table
+
+
+_STATUS_CHARACTERS = {
+    CellStatus.DONE: ("#", "green"),
+    CellStatus.PENDING: (".", "dim"),
+    CellStatus.NO_ARRIVAL: ("n", "yellow"),
+    CellStatus.UNSTABLE: ("u", "magenta"),
+    CellStatus.FAILED: ("F", "bold red"),
+    CellStatus.TIMED_OUT: ("T", "bold red"),
+    CellStatus.QUARANTINED: ("Q", "bold white on red"),
+}
+"""Character and style of each status of a cell; the characters differ, so colours are not needed."""
+
+_PARTLY_DONE = "+"
+"""Character for cells of which some are done and the others pending."""
+
+
+def status_view(status: CampaignStatus, width: int, half_width: float | None = None) -> RenderableType:
+    """Whole status, for a terminal of this many columns, and the seeds for a half-width (m/s)."""
+    columns = max(10, width - 78)  # the table needs so many besides the matrix
+    parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
+    parts += [_matrix_table(status, columns), _legend(status, columns)]
+    marks = [_marks_of(content.counts, content.budget.loud) for content in status.contents]
+    parts += [Text(f"  {remark}") for remark in _remarks_on(marks, status.budget.loud)]
+    if status.counts.get(CellStatus.DONE):
+        parts.append(Text(f"  standard error of Vs: {status.budget}"))
+    if half_width is not None:
+        parts += map(Text, _seed_lines(status, half_width))
+    parts += [Text(printable(line), overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
+    verdicts = {Verdict.of(trouble.reason) for trouble in status.troubles}
+    parts += [Text(f"No arrival: {verdict.explained}.") for verdict in Verdict if verdict in verdicts]
+    return Group(*parts)
+
+
+def _head_lines(status: CampaignStatus) -> Iterator[str]:
+    """Campaign, its progress, and its last run."""
+    yield (
+        f"Campaign {status.name}: {len(status.seeds)} seeds x {len(status.contents)} contents, hash {status.hash[:12]}"
+        + "".join(f", packing {found[:12]}" for found in status.content_hashes.values())
+    )
+    total = sum(status.counts.values())
+    finished = total - status.pending
+    counts = [f"{status.counts[kind]} {kind.words}" for kind in CellStatus if status.counts.get(kind)]
+    # never 100 % before all cells have finished
+    percent = f"{math.floor(100 * finished / total)} %" if total else "-"
+    yield f"{finished} of {total} cells finished ({percent}): {', '.join(counts)}"
+    if status.last_run is not None:
+        run = status.last_run
+        ended = run.exit_state or "stopped unexpectedly; the same 'calcidem run' command continues"
+        yield (
+            f"Run {status.run_number} on {run.host} with {pluralize(run.ranks, 'rank')}"
+            f" since {run.started:%Y-%m-%d %H:%M} UTC: {'running' if status.running else ended}"
+        )
+    if status.pending and math.isfinite(status.seconds_left):
+        workers = pluralize(status.workers, "core") + ("" if status.running else " (as in the last run)")
+        yield f"Time left: {duration(status.seconds_left)} on {workers}"
+
+
+def _matrix_table(status: CampaignStatus, columns: int) -> WholeTable:
+    """Seeds x contents as characters, with Vs so far and the time left of each content."""
+    per_character = _seeds_per_character(status, columns)
+    seeds = f"seeds {status.seeds[0]} to {status.seeds[-1]}" if status.seeds else "seeds"
+    table = WholeTable(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("content %", justify="right", no_wrap=True)
+    table.add_column(seeds, no_wrap=len(seeds) <= columns)
+    for name in ("done", "mean Vs m/s", "95 % of mean", "sd m/s", "s/cell", "left"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for content in status.contents:
+        table.add_row(
+            f"{content.content:g}",
+            _matrix_row(content, status.seeds, per_character),
+            f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}"
+            f"{_marks_of(content.counts, content.budget.loud)}",
+            format_number(content.mean),
+            format_number(content.interval.half_width, "+- {:.1f}"),
+            format_number(content.deviation),
+            format_number(content.seconds_per_cell, "{:.2g}"),
+            duration(None if math.isnan(content.seconds_left) else content.seconds_left / status.workers),
+        )
+    return table
+
+
+def _seeds_per_character(status: CampaignStatus, columns: int) -> int:
+    """Number of seeds per character, so that the matrix fits into the columns."""
+    return max(1, math.ceil(len(status.seeds) / columns))
+
+
+def _matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: int) -> Text:
+    """One character for each seed of a content, or for several seeds with their most severe status."""
+    row = Text()
+    for start in range(0, len(seeds), per_character):
+        planned = [content.statuses[s] for s in seeds[start : start + per_character] if s in content.statuses]
+        worst = min(planned, key=URGENCY.__getitem__, default=None)
+        symbol, style = _STATUS_CHARACTERS[worst] if worst is not None else (" ", "")
+        if worst is CellStatus.PENDING and CellStatus.DONE in planned:
+            symbol = _PARTLY_DONE
+        row.append(symbol, style)
+    return row
+
+
+def _legend(status: CampaignStatus, columns: int) -> Text:
+    """Legend of the characters in a matrix of this number of columns."""
+    text = Text("  ")
+    for kind, (symbol, style) in _STATUS_CHARACTERS.items():
+        if status.counts.get(kind):
+            text.append(symbol, style).append(f" {kind.words}   ")
+    if len(status.seeds) > columns:
+        text.append(f"{_PARTLY_DONE} partly done   one character for {_seeds_per_character(status, columns)} seeds")
+    return text
+
+
+def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
+    """Cells that failed or were tried again, the most severe first."""
+    if not status.troubles:
+        return
+    yield ""
+    yield "Failed or repeated cells:"
+    yield from (f"  {line}" for line in first_of([_trouble_line(trouble) for trouble in status.troubles]))
+    went_wrong = {trouble.status for trouble in status.troubles if trouble.reason}
+    if went_wrong & {*UNREAD}:
+        kinds = " and ".join(kind.words for kind in UNREAD if kind in went_wrong)
+        yield f"Cells with {kinds} give the same again; 'calcidem show DB --seed S --content C --out DIR' draws them."
+    for kind in sorted(went_wrong - {*UNREAD}):
+        yield f"'calcidem run CONFIG --retry {kind}' computes cells that are {kind.words} again."
+
+
+def _trouble_line(trouble: Trouble) -> str:
+    """One line about a cell."""
+    history = pluralize(trouble.attempts, "attempt")
+    if trouble.losses:
+        history += f", {pluralize(trouble.losses, 'worker')} lost"
+    if trouble.retry:
+        history += f", computed again with half the time step ({trouble.retry})"
+    reason = f": {trouble.reason}" if trouble.reason else ""
+    return f"{trouble.key}: {trouble.status.words} after {history}{reason}"
+
+
+def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":
+    """Seeds that a content needs for a half-width in m/s; None if its scatter is unknown."""
+    from calcidem.analysis.intervals import SeedPlan  # statistics of SciPy, which take half a second
+
+    if len(content.vs) < FEWEST_TO_PLAN:
+        return None
+    return SeedPlan.of_values(content.vs, half_width, unreadable=sum(content.counts.get(kind, 0) for kind in UNREAD))
+
+
+def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
+    """Seeds and time for a half-width in m/s at each content."""
+    yield f"\nSeeds for a mean of +- {half_width:g} m/s (95 %):"
+    for content in status.contents:
+        if content.content == 0.0:
+            yield "  0 %: all seeds are the same sample"
+            continue
+        plan = _plan_of(content, half_width)
+        if plan is None:
+            yield f"  {content.content:g} %: not known before {FEWEST_TO_PLAN} seeds have a velocity"
+            continue
+        seconds = None if math.isnan(content.seconds_per_cell) else plan.more * content.seconds_per_cell
+        needed = f"{plan.needed} ({plan.needed_low} to {plan.needed_high}, since the scatter is uncertain)"
+        more = f"{plan.more} more, about {duration(seconds)} on one core"
+        yield f"  {content.content:g} %: {needed}; {plan.present} give +- {plan.present_half_width:.1f} m/s; {more}"
+
+
+def status_as_json(status: CampaignStatus, half_width: float | None = None) -> dict[str, Any]:
+    """Whole status in JSON's types; a missing number is null."""
+    told = status.to_json()
+    for content, row in zip(status.contents, told["contents"], strict=True):
+        row["status"] = [content.statuses.get(seed) for seed in status.seeds]
+        if half_width is not None and (plan := _plan_of(content, half_width)) is not None:
+            row |= {"seeds_needed": plan.needed, "more_seeds": plan.more}
+    return told | {
+        "packing_content_hashes": list(status.content_hashes.values()),
+        "seeds": list(status.seeds),
+        "troubles": [
+            {"seed": trouble.key.seed, "content": trouble.key.content}
+            | {name: getattr(trouble, name) for name in ("status", "attempts", "losses", "reason", "retry")}
+            for trouble in status.troubles
+        ],
+    }
+
+
+def _marks_of(counts: Mapping[CellStatus, int], loud: int) -> str:
+    """Marks beside the number of cells of a content, if failed ones may bias the mean, or the pulse changes them.
+
+    `calcidem.analysis.intervals.is_in_doubt` explains the first; ``loud`` is the number of cells with the second.
+    """
+    done = counts.get(CellStatus.DONE, 0)
+    failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0)
+    return f"{' !' if is_in_doubt(done, failed) else ''}{' ~' if loud else ''}"
+
+
+def _remarks_on(marks: Iterable[str], loud: int) -> Iterator[str]:
+    """Meaning of these marks, and how to find the cells."""
+    if any("!" in mark for mark in marks):
+        yield "! possible selection bias: cells without velocity may shift the mean by more than its standard error"
+    if loud:
+        samples = pluralize(loud, "sample")
+        yield (
+            f"~ Vs of {samples} depends on the pulse by more than {100 * MOST_PULSE_EFFECT:g} %: "
+            "a smaller wave.amplitude measures the sample"
+        )

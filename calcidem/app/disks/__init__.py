@@ -1,1 +1,0 @@
-"""Import of disks of other programs as a packing."""
