@@ -299,8 +299,8 @@ def _make_front(state: State) -> Front:
     )
 
 
-def run_in_place(state: State, steps: int, recording: Recording, kernel: Kernel = advance_steps) -> State:
-    """Advance a state in place by ``steps`` steps, relisting pairs when needed; ``kernel`` does as `advance_steps`."""
+def run_in_place(state: State, steps: int, recording: Recording, kernel: Kernel | None = None) -> State:
+    """Advance a state in place by ``steps`` steps, relisting pairs when needed, by the kernel or another one."""
     done = 0
     if state.features.search and steps > 0 and _left_reach(state):
         # The reach was left in the last step of an earlier call, which did not relist.
@@ -327,7 +327,7 @@ def _left_reach(state: State) -> bool:
     return bool((moved[:, 0] ** 2 + moved[:, 1] ** 2 > reach * reach).any() or (np.abs(walls) > reach).any())
 
 
-def run_kernel(state: State, steps: int, recording: Recording, kernel: Kernel = advance_steps) -> int:
+def run_kernel(state: State, steps: int, recording: Recording, kernel: Kernel | None = None) -> int:
     """Run the kernel on a state in place; return the number of completed steps."""
     assembly, lanes = state.assembly, state.features.lanes
     system = System(
@@ -343,10 +343,10 @@ def run_kernel(state: State, steps: int, recording: Recording, kernel: Kernel = 
     )
     time_step = state.time_step.astype(state.motion.velocity.dtype).reshape(1, -1)
     if not state.features.bundled:
-        return kernel(state.features, steps, time_step, system)
+        return (kernel or advance_steps)(state.features, steps, time_step, system)
     bundles = plan_bundles(assembly.pairs, system.front.block, state.scene.count)
     bundled = bundle(system, bundles, state.features)
-    done = kernel(state.features, steps, time_step, bundled)
+    done = (kernel or advance_steps)(state.features, steps, time_step, bundled)
     unbundle(bundled, bundles, system, state.features)
     return done
 

@@ -17,7 +17,6 @@ from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Flags, Floats
-from calcidem.dem.kernels.steps import advance_steps
 from calcidem.dem.sample.cement import CementOrdering
 from calcidem.dem.sample.compaction import settle
 from calcidem.dem.wave.experiment import (
@@ -128,7 +127,7 @@ def prepare_recorder(
         unbalanced_speed=speed,
         signs=np.array([*signs, *[1.0] * (lanes - len(signs))]),
         breakable=rule.most_broken_bonds,
-        kernel=gpu_steps() if experiment.gpu else advance_steps,
+        kernel=gpu_steps() if experiment.gpu else None,
     )
 
 

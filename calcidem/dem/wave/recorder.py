@@ -17,7 +17,6 @@ from calcidem.dem.engine.portable import length
 from calcidem.dem.engine.readout import look_undamped, net_forces, overlaps, wall_overlaps
 from calcidem.dem.engine.stability import critical_time_step, hertz_tangent
 from calcidem.dem.kernels.layout import LISTENED, XY, Floats, Integers, Recording, X, Y
-from calcidem.dem.kernels.steps import advance_steps
 from calcidem.dem.wave.experiment import RECEIVER, TRANSMITTER
 from calcidem.dem.wave.rule import Pulse
 from calcidem.dem.wave.section import Counts, Section, quantise
@@ -163,8 +162,8 @@ class Recorder:
     """(L,) sense of the pulse: 1, or -1 for a reversed one. Sections are positive as the pulse."""
     breakable: float = 0.0
     """See `problems_of`."""
-    kernel: Kernel = advance_steps
-    """Advances the samples: on the processor, or on a GPU."""
+    kernel: Kernel | None = None
+    """Advances the samples on a GPU; None for the processor."""
     counts: Counts = field(init=False)
     """(L, 2, X, S) motion across and along so far, see `Section`."""
     broken: Integers = field(init=False)
