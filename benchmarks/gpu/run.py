@@ -34,12 +34,12 @@ LANES = 32
 
 
 def install(wheels: str | None) -> None:
-    """Install the extra, unless it is there."""
+    """Install the extra, unless it is there, and begin again: numba-cuda takes the place of numba's at the start."""
     if importlib.util.find_spec("numba_cuda") is None:
         source = [] if wheels is None else ["--no-index", "--find-links", wheels]
-        subprocess.run(
-            [sys.executable, "-m", "pip", "install", "-q", *source, "numba-cuda[cu13]>=0.30.4", "numpy<2.5"], check=True
-        )
+        wanted = ["numba-cuda[cu13]>=0.30.4", "numpy<2.5"]
+        subprocess.run([sys.executable, "-m", "pip", "install", "-q", *source, *wanted], check=True)
+        os.execv(sys.executable, [sys.executable, *sys.argv])  # noqa: S606 - this program
 
 
 class Clock:
@@ -107,8 +107,8 @@ def sections(content: float, law: str, precision: str) -> dict[str, Any]:
 
 def batch_profile() -> list[str]:
     """Where the time of one batch at 0.66 % goes, of the second of two."""
+    from calcidem.app.campaign.cells import CellComputation  # noqa: PLC0415
     from calcidem.app.campaign.packing import provide_packing  # noqa: PLC0415 - as above
-    from calcidem.app.campaign.task import CellComputation  # noqa: PLC0415
     from calcidem.app.config.reader import change_configuration  # noqa: PLC0415
     from calcidem.sweep.batch import Batch  # noqa: PLC0415
 
@@ -135,10 +135,9 @@ def campaign(folder: Path, seeds: int, ranks: int, *options: str) -> tuple[dict[
     subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True)
     spent = time.monotonic() - began
     with open_campaign(folder / "c.db") as opened:
-        table = opened.table()
-    columns = [name for name in ("seed", "content", "status", "vs", "effective_vs", "steps", "law") if name in table]
-    rows = table[columns].sort_values(["content", "seed"])
-    return {"s": spent, "cells a second": len(rows) / spent}, json.loads(rows.to_json(orient="values"))
+        columns = ["content", "seed", "status", "vs", "effective_vs", "steps", "law", "numerical_error"]
+        rows = opened.to_dataframe(columns).sort_values(["content", "seed"])
+    return {"s": spent, "cells a second": len(rows) / spent}, json.loads(rows.to_json(orient="values", double_precision=15))
 
 
 def main() -> None:
