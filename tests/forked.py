@@ -20,7 +20,7 @@ _SERVER.set_forkserver_preload(
         "calcidem.app.studies.calibrate",
         "calcidem.analysis.figures.registry",
         "calcidem.dem.wave.measurement",
-        "calcidem.storage.netcdf.export",
+        "calcidem.storage.netcdf",
         "scipy.stats",
         "xarray",
     ]

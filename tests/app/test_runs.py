@@ -52,7 +52,7 @@ def test_order_and_company_do_not_change_a_bit(workshop: "Workshop", expected: "
 @pytest.mark.parametrize(
     ("number", "ranks"),
     [
-        ("SIGTERM", 2),
+        ("SIGTERM", 3),
         pytest.param("SIGUSR1", 3, marks=pytest.mark.full),
         pytest.param("SIGINT", 1, marks=pytest.mark.full),
     ],
