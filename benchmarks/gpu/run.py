@@ -137,7 +137,9 @@ def campaign(folder: Path, seeds: int, ranks: int, *options: str) -> tuple[dict[
     with open_campaign(folder / "c.db") as opened:
         columns = ["content", "seed", "status", "vs", "effective_vs", "steps", "law", "numerical_error"]
         rows = opened.to_dataframe(columns).sort_values(["content", "seed"])
-    return {"s": spent, "cells a second": len(rows) / spent}, json.loads(rows.to_json(orient="values", double_precision=15))
+    return {"s": spent, "cells a second": len(rows) / spent}, json.loads(
+        rows.to_json(orient="values", double_precision=15)
+    )
 
 
 def main() -> None:

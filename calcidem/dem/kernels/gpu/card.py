@@ -54,11 +54,15 @@ class GpuSteps:
     def __call__(self, features: Features, steps: int, time_step: Floats, system: System) -> int:
         """Advance a system in place, as `advance_steps` does; return the number of steps that all samples have done.
 
-        The first call for a kernel and card computes its steps on the processor, too. `GpuError` if a bit differs.
+        The first call for a kernel and card computes its steps on the processor, too. `GpuError` if a bit
+        differs, or for features that waves do not need.
         """
         unfit = [name for name in ("account", "servo", "bundled") if getattr(features, name)]
         if unfit:
-            raise ValueError(f"a GPU computes waves of two samples or more side by side, without {', '.join(unfit)}")
+            raise GpuError(
+                f"run.gpu: a GPU computes two or more samples side by side, without {', '.join(unfit)}: leave gpu out, "
+                "or give run.lanes of 32"
+            )
         kernel = replace(features, lanes=1), time_step.dtype, cuda.current_context().device.uuid
         if kernel not in _proved:
             _prove(features, steps, time_step, system)
