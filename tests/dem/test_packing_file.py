@@ -98,7 +98,7 @@ def test_a_packing_that_blows_up_or_comes_no_nearer_to_rest_says_so(
     with pytest.raises(PackingError, match=r"10400 steps .* more steps will not help"):
         packing_from_csv(file, SAND, replace(rule, unbalanced_force_ratio=1e-18))
     # The lid closes at its largest speed, so only time is lacking.
-    with pytest.raises(PackingError, match=r"10400 steps .* of 1e\+09 Pa; raise most_steps"):
+    with pytest.raises(PackingError, match=r"10400 steps .* stress = 1e\+09 Pa; raise most_steps"):
         packing_from_csv(file, SAND, replace(rule, stress=1e9))
 
     def blow_up(*_: object) -> State:

@@ -581,7 +581,7 @@ def predict_velocity(
 ) -> Prediction:
     """Predict Vs of a sample of a content (%) of a campaign, with an interval.
 
-    With the sample's cement the prediction uses its conductance (`contact_network.NETWORK_FEATURES`), of which Vs is
+    With the sample's cement the prediction uses its conductance (`packing_graph.NETWORK_FEATURES`), of which Vs is
     about a power, without it the content alone. The seed to predict takes no part in the fit. `QueryError` if the
     cement is not that of a sample of this content, or the campaign has too few velocities there.
     """

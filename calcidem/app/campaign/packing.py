@@ -16,7 +16,6 @@ from calcidem.app.config.presets import preset_packings
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.cement import RandomPurpose, random_generator
-from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.judgement import refuse_changed
 from calcidem.dem.sample.packing import (
     PACKING_METHOD,
@@ -26,7 +25,6 @@ from calcidem.dem.sample.packing import (
     PackingReport,
     PackingStage,
 )
-from calcidem.dem.sample.packing_file import packing_from_csv
 from calcidem.input_file import MOST_BYTES, InputFileError, read_input
 from calcidem.storage.encoding import unpack_arrays
 from calcidem.storage.errors import DamagedStoreError, OutputRefusedError
@@ -186,6 +184,9 @@ def new_packing(
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
     """New packing of a configuration, without search in storage; see `provide_packing`."""
+    from calcidem.dem.sample.compaction import make_packing  # noqa: PLC0415 - the engine, which most commands do not need
+    from calcidem.dem.sample.packing_file import packing_from_csv  # noqa: PLC0415 - as above
+
     draw = configuration.packing_draw
     if draw.file is not None:
         tell(f"Packing: the disks in {draw.file} are brought to rest; this is done once.")

@@ -6,7 +6,6 @@ from typing import Self
 
 import numpy as np
 
-from calcidem.analysis.intervals import FEWEST_READ, next_seed_count
 from calcidem.app.config.schema import CampaignPlan, Configuration
 from calcidem.dem.wave.experiment import WAVELENGTHS
 from calcidem.storage.records import PackedResult, canonical_content
@@ -107,6 +106,8 @@ class SeedDemand:
 
     def lines(self) -> Iterator[str]:
         """Summary once all cells are known, in sentences."""
+        from calcidem.analysis.intervals import FEWEST_READ  # noqa: PLC0415 - statistics, only for `until`
+
         counts = sorted(self._counts.values())
         cells, equal = sum(counts), counts[-1] * len(counts)
         saving = f", {1 - cells / equal:.0%} less than {equal} with as many at each" if equal > cells else ""
@@ -130,6 +131,8 @@ class SeedDemand:
 
     def _next(self, content: float, most: int) -> int:
         """Next number of seeds; 0 while an outcome is missing, or if there are enough."""
+        from calcidem.analysis.intervals import next_seed_count  # noqa: PLC0415 - as above
+
         until, count = self._plan.until, self._counts[content]
         cells = [(seed, content) for seed in range(1, count + 1)]
         if until is None or content == 0.0 or not all(cell in self._known for cell in cells):
