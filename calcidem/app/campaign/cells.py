@@ -21,6 +21,7 @@ from calcidem.app.campaign.patterns import (
     stored_section,
 )
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
+from calcidem.dem.engine.gpu import choose_gpu
 from calcidem.dem.kernels.compiling import watch_compiling
 from calcidem.dem.sample.cement import (
     GIVEN,
@@ -34,6 +35,7 @@ from calcidem.dem.wave.check import Check, check_content, kernels_of
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.propagation import prepare_recorder
+from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_atomically
@@ -47,7 +49,7 @@ from calcidem.storage.records import (
     PathFeatures,
 )
 from calcidem.sweep.batch import Batch, Cell
-from calcidem.sweep.ranks import keep_freed_memory
+from calcidem.sweep.ranks import keep_freed_memory, own_rank
 from calcidem.sweep.schedule import LaunchError
 from calcidem.version import __version__
 
@@ -146,6 +148,8 @@ def _prepared_computation(
     if _version() != version:
         raise LaunchError(f"a worker has {_version()}, the program that stores the campaign has {version}")
     keep_freed_memory()
+    if configuration.run.gpu:
+        choose_gpu((own_rank() or 1) - 1)  # rank 0 computes nothing
     compilations = kernel_compilations(configuration, packing)
     if sys.platform == "win32":  # each process for itself
         for compile_kernel in compilations:
@@ -159,14 +163,16 @@ def _prepared_computation(
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                others.append(file)  # another process compiles it; continue with the next
+                others.append((file, compile_kernel))  # another process compiles it; continue with the next
                 continue
             except OSError:
                 pass  # a file system without locks: each process for itself
             compile_kernel()
             file.close()  # and unlock it
-        for file in others:
+        for file, compile_kernel in others:
             fcntl.flock(file, fcntl.LOCK_SH)  # wait for it, and load the result from disk
+            if configuration.run.gpu:
+                compile_kernel()  # each process proves its own GPU
     return CellComputation(configuration, packing)
 
 
@@ -263,8 +269,8 @@ def kernel_compilations(
 def _run_first_step(
     experiment: Experiment, content: float, seed: int, lanes: int, tell: Callable[[str, int], object]
 ) -> None:
-    """Start the wave of one sample."""
+    """Start the wave of one sample. With a GPU the processor computes the same steps, so there are more of them."""
     bonded = experiment.ordering(seed).at(content).bonded
     with watch_compiling(tell):
         recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), lanes, lambda: None)
-        recorder.record_chunk(1)
+        recorder.record_chunk(SAMPLES_PER_CHUNK if experiment.gpu else 1)

@@ -32,6 +32,7 @@ from calcidem.app.campaign.status import (
 )
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
+from calcidem.dem.engine.gpu import refuse_missing_gpu
 from calcidem.dem.sample.cement import Pattern, give_patterns
 from calcidem.dem.sample.packing import Packing, PackingStage
 from calcidem.ends import DECIDED_BY_PHYSICS, CellStatus
@@ -219,7 +220,10 @@ def prepared_store(
 
     An existing database is checked before the packing is made, so that one of another campaign is refused at once. A
     new one is created after the packing, so that a configuration that the packing cannot fulfil creates none.
+    `GpuError` if `run.gpu` asks for a GPU that is not here.
     """
+    if configuration.run.gpu:
+        refuse_missing_gpu()
     if _exists(configuration.database):  # an empty one is refused for reading, and new for writing
         with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as stored:
             if choose_campaign(stored, configuration) and stored.packing_indices():

@@ -14,6 +14,7 @@ from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.options import IS_VERBOSE
 from calcidem.app.config.schema import ConfigurationError
 from calcidem.dem.engine.fields import FieldError
+from calcidem.dem.kernels.gpu import GpuError
 from calcidem.dem.sample.packing import PackingError, PackingFileError
 from calcidem.input_file import InputFileError
 from calcidem.storage.errors import (
@@ -35,7 +36,16 @@ _EXIT_BAD_INPUT = 2
 EXIT_ROUNDING = 3
 """`calcidem verify`: stored and computed numbers are the same to rounding."""
 
-_BAD_INPUT = (ConfigurationError, FieldError, InputFileError, LaunchError, PackingFileError, StoreError, OSError)
+_BAD_INPUT = (
+    ConfigurationError,
+    FieldError,
+    GpuError,
+    InputFileError,
+    LaunchError,
+    PackingFileError,
+    StoreError,
+    OSError,
+)
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 

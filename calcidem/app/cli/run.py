@@ -1,6 +1,6 @@
 """``calcidem init`` and ``calcidem run``: a configuration, and its campaign in this process or on MPI ranks."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from enum import StrEnum
 from functools import partial
@@ -148,6 +148,14 @@ def run_command(
     dask: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Compute on the workers of the Dask scheduler there.")
     ] = None,
+    gpu: Annotated[
+        bool,
+        typer.Option(
+            "--gpu",
+            help="Propagate the waves on NVIDIA GPUs, with the same bits. This version was shown on numba's CUDA "
+            "simulator only; it has not been run on a GPU.",
+        ),
+    ] = False,
     restarts: Annotated[
         int | None,
         typer.Option(min=0, metavar="K", help="With --ranks: start again up to K times (3) if a rank dies."),
@@ -180,7 +188,12 @@ def run_command(
     Cells with the status failed, timed_out or quarantined (three runs died while computing them) are computed again
     only with --retry.
     """
-    overrides = {"database": database, "output": None if output is None else str(output), "part": part}
+    overrides = {
+        "database": database,
+        "output": None if output is None else str(output),
+        "part": part,
+        "gpu": gpu or None,
+    }
     if part is not None and with_report:
         raise typer.BadParameter("a part is not a whole campaign; merge the parts first", param_hint="--report")
     if check or packing_only:
@@ -213,7 +226,9 @@ def run_command(
             arguments = ["run", str(configuration)]
             arguments += [word for name, value in options.items() if value is not None for word in (name, str(value))]
             arguments += [
-                name for name, is_on in (("--quiet", IS_QUIET.get()), ("--verbose", IS_VERBOSE.get())) if is_on
+                name
+                for name, is_on in (("--gpu", gpu), ("--quiet", IS_QUIET.get()), ("--verbose", IS_VERBOSE.get()))
+                if is_on
             ]
             launch = Launch(arguments, ranks, 3 if restarts is None else restarts, start_timeout)
             code = launch.run(load, TerminalView(with_report=with_report, cores_used=True))
@@ -252,7 +267,7 @@ def _make_packing_alone(configuration: "Configuration") -> None:
         advise(f"{warning}.")
 
 
-def _live_page(configuration: Path, overrides: dict[str, str | None]) -> AbstractContextManager[None]:
+def _live_page(configuration: Path, overrides: Mapping[str, str | bool | None]) -> AbstractContextManager[None]:
     """Live page of the campaign while the command runs."""
     from calcidem.app.serve.address import page_beside_run
     from calcidem.sweep.ranks import launcher
@@ -266,7 +281,7 @@ def _live_page(configuration: Path, overrides: dict[str, str | None]) -> Abstrac
 
 
 def _read_overridden(
-    configuration: Path, overrides: dict[str, str | None], retry: Sequence[_Retried] = ()
+    configuration: Path, overrides: Mapping[str, str | bool | None], retry: Sequence[_Retried] = ()
 ) -> "Configuration":
     """Configuration, on rank 0 alone, so that the others do not import its reader. Cells to retry become pending."""
     from calcidem.app.config.reader import load_configuration

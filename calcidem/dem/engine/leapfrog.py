@@ -5,8 +5,9 @@ fill bundles in list order, separately for each block of disks (see `layout.Fron
 bundle repeat its last pair with zero stiffness. Its forces are zero and change no sum.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -33,6 +34,9 @@ from calcidem.dem.kernels.layout import (
 )
 from calcidem.dem.kernels.records import RECORD
 from calcidem.dem.kernels.steps import advance_steps
+
+Kernel: TypeAlias = Callable[[Features, int, Floats, System], int]
+"""`advance_steps`, or what does the same elsewhere."""
 
 _HISTORY_NUMBERS = {"shear": 1, "root": 1, "bond_force": 3}
 """Histories of a pair, and the count of values in each."""
@@ -295,14 +299,14 @@ def _make_front(state: State) -> Front:
     )
 
 
-def run_in_place(state: State, steps: int, recording: Recording) -> State:
-    """Advance a state in place by ``steps`` steps, relisting pairs when needed."""
+def run_in_place(state: State, steps: int, recording: Recording, kernel: Kernel | None = None) -> State:
+    """Advance a state in place by ``steps`` steps, relisting pairs when needed, by the kernel or another one."""
     done = 0
     if state.features.search and steps > 0 and _left_reach(state):
         # The reach was left in the last step of an earlier call, which did not relist.
         state = _renew_neighbours(state)
     while done < steps:
-        count = run_kernel(state, steps - done, recording._replace(offset=recording.offset + done))
+        count = run_kernel(state, steps - done, recording._replace(offset=recording.offset + done), kernel)
         done += count
         state = replace(state, steps=state.steps + count)
         if done < steps:
@@ -323,7 +327,7 @@ def _left_reach(state: State) -> bool:
     return bool((moved[:, 0] ** 2 + moved[:, 1] ** 2 > reach * reach).any() or (np.abs(walls) > reach).any())
 
 
-def run_kernel(state: State, steps: int, recording: Recording) -> int:
+def run_kernel(state: State, steps: int, recording: Recording, kernel: Kernel | None = None) -> int:
     """Run the kernel on a state in place; return the number of completed steps."""
     assembly, lanes = state.assembly, state.features.lanes
     system = System(
@@ -339,10 +343,10 @@ def run_kernel(state: State, steps: int, recording: Recording) -> int:
     )
     time_step = state.time_step.astype(state.motion.velocity.dtype).reshape(1, -1)
     if not state.features.bundled:
-        return advance_steps(state.features, steps, time_step, system)
+        return (kernel or advance_steps)(state.features, steps, time_step, system)
     bundles = plan_bundles(assembly.pairs, system.front.block, state.scene.count)
     bundled = bundle(system, bundles, state.features)
-    done = advance_steps(state.features, steps, time_step, bundled)
+    done = (kernel or advance_steps)(state.features, steps, time_step, bundled)
     unbundle(bundled, bundles, system, state.features)
     return done
 

@@ -103,11 +103,17 @@ def check_content(
 
 
 def kernels_of(experiment: Experiment, lanes: int) -> tuple[tuple[str, Experiment, int], ...]:
-    """Name, settings and width of the kernels that the samples of an experiment need; one more if a check refuses."""
+    """Name, settings and width of the kernels that the samples of an experiment need; one more if a check refuses.
+
+    That one is included for a GPU, which has to prove all its kernels before any cell is computed.
+    """
     usual = experiment.with_wave(law=cheapest_law(experiment))
     if not experiment.is_checked:
         return (("samples", usual, lanes),)
-    return ("samples", usual, lanes), ("check samples", _finer(experiment, experiment.wave.step_fraction), _LANES)
+    finer = ("check samples", _finer(experiment, experiment.wave.step_fraction), _LANES)
+    if experiment.gpu and experiment.wave.law == "auto":
+        return ("samples", usual, lanes), finer, ("finite law", experiment.with_wave(law="finite"), lanes)
+    return ("samples", usual, lanes), finer
 
 
 def cheapest_law(experiment: Experiment) -> Law:

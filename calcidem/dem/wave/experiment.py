@@ -217,6 +217,8 @@ class Experiment:
     """(contents in percent, frequencies in Hz), interpolated linearly; None takes Table 2 of the paper. Or a function
     of an experiment and a content, percent, that returns the frequency in Hz and is called once for each content.
     """
+    gpu: bool = False
+    """Propagate waves on a GPU, with the same bits (`calcidem.dem.engine.gpu`)."""
     _kept: dict[tuple[Callable[..., Any], tuple[Any, ...]], Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calcidem.dem.engine.fields import require
+from calcidem.dem.engine.gpu import gpu_steps
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.readout import net_forces
 from calcidem.dem.engine.scene import Bonds, Scene
@@ -126,6 +127,7 @@ def prepare_recorder(
         unbalanced_speed=speed,
         signs=np.array([*signs, *[1.0] * (lanes - len(signs))]),
         breakable=rule.most_broken_bonds,
+        kernel=gpu_steps() if experiment.gpu else None,
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from calcidem.dem.engine.assembly import lanes_of_bits
 from calcidem.dem.engine.fields import require
-from calcidem.dem.engine.leapfrog import State, run_in_place
+from calcidem.dem.engine.leapfrog import Kernel, State, run_in_place
 from calcidem.dem.engine.portable import length
 from calcidem.dem.engine.readout import look_undamped, net_forces, overlaps, wall_overlaps
 from calcidem.dem.engine.stability import critical_time_step, hertz_tangent
@@ -162,6 +162,8 @@ class Recorder:
     """(L,) sense of the pulse: 1, or -1 for a reversed one. Sections are positive as the pulse."""
     breakable: float = 0.0
     """See `problems_of`."""
+    kernel: Kernel | None = None
+    """Advances the samples on a GPU; None for the processor."""
     counts: Counts = field(init=False)
     """(L, 2, X, S) motion across and along so far, see `Section`."""
     broken: Integers = field(init=False)
@@ -206,7 +208,7 @@ class Recorder:
             axes=np.repeat([Y, X], len(self.listeners)),
             samples=np.zeros((samples, 1 + len(groups), lanes), dtype),
         )
-        self.state = run_in_place(self.state, steps, recording)
+        self.state = run_in_place(self.state, steps, recording, self.kernel)
         self.broken = broken_bonds(self.state)
         recorded = recording.samples[:, LISTENED:].astype(float).transpose(2, 1, 0)
         recorded *= self.signs[:, None, None]

@@ -1,0 +1,36 @@
+"""A GPU in the place of the processor: `gpu_steps` advances samples as `advance_steps` does.
+
+This version was shown on numba's CUDA simulator only; it has not been run on a GPU.
+"""
+
+from types import ModuleType
+
+from calcidem.dem.engine.leapfrog import Kernel
+from calcidem.dem.kernels.gpu import GpuError
+
+
+def gpu_steps() -> Kernel:
+    """Kernel on a GPU for the samples of one state, to which it is bound."""
+    kernel: Kernel = _card().GpuSteps()
+    return kernel
+
+
+def refuse_missing_gpu() -> None:
+    """Raise a `GpuError` if this machine has no NVIDIA GPU, or lacks its driver or numba-cuda."""
+    _card().refuse_missing()
+
+
+def choose_gpu(number: int) -> None:
+    """Use one of the visible GPUs in this thread: workers with successive numbers take turns. Errors as above."""
+    _card().choose(number)
+
+
+def _card() -> ModuleType:
+    """The code for GPUs, which needs an extra of the package."""
+    try:
+        from calcidem.dem.kernels.gpu import card  # noqa: PLC0415 - an extra of the package
+    except ImportError as error:
+        raise GpuError(
+            f"run.gpu: numba-cuda is missing ({error}): pip install 'calcidem[gpu]', or leave gpu out"
+        ) from error
+    return card
