@@ -168,14 +168,14 @@ def test_a_p_wave_that_is_apart_is_not_taken_for_the_wave_up_to_a_half(height: f
 # --- The peak at the receiver
 
 
-@pytest.mark.parametrize("held", [HELD, 2.0 * HELD, 4.0 * HELD])
+@pytest.mark.parametrize("held", [0.0, HELD, 2.0 * HELD])  # in thinner strips crests are two thirds of a period apart
 def test_the_peak_of_a_fitted_wave_moves_smoothly_with_its_velocity(held: float) -> None:
-    """From 0.6 wavelengths on the path: the edge of the samples looked at is no crest, nor is a later crest taken.
+    """From half a wavelength on the path: the edge of the samples looked at is no crest, nor is a later crest taken.
 
     A fit that changes by a part in a hundred must not move the peak by more than a few of them of the travel time.
     """
     given = section(guided(1.0, HELD))
-    travel = np.geomspace(0.6, 3.0, 160)  # wavelengths on the path
+    travel = np.geomspace(0.5, 3.0, 180)  # wavelengths on the path
     waves = [StripWave(DISTANCE * FREQUENCY / one, 0.0, 1.0, held / DISTANCE) for one in travel]
     peaks = [_peaks_of_wave(given, wave, (DISTANCE,))[0] - given.transmitted_peak for wave in waves]
     assert np.all(np.array(peaks) > 0.0)
