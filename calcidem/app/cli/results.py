@@ -221,6 +221,16 @@ def query_command(
         if columns is not None or sort or limit is not None:
             raise typer.BadParameter("goes with neither --columns, --sort nor --limit", param_hint="--features")
         rows, remark = _feature_rows(database, selection, campaign)
+        if layout is Format.TABLE and out is None:  # for people, in 80 columns
+            rows = [
+                {
+                    "feature": row["feature"],
+                    "pearson (95 %)": f"{row['pearson']:+.2f} ({row['pearson_low']:+.2f} to {row['pearson_high']:+.2f})",
+                    "p": f"{row['p']:.2g}",
+                    "corrected": f"{row['p_corrected']:.2g}",
+                }
+                for row in rows
+            ]
         headings = {name: name != "feature" for name in rows[0]}
     else:
         names = tuple(
