@@ -225,7 +225,7 @@ def query_command(
             rows = [
                 {
                     "feature": row["feature"],
-                    "pearson (95 %)": f"{row['pearson']:+.2f} ({row['pearson_low']:+.2f} to {row['pearson_high']:+.2f})",
+                    "pearson (95 %)": "{pearson:+.2f} ({pearson_low:+.2f} to {pearson_high:+.2f})".format_map(row),
                     "p": f"{row['p']:.2g}",
                     "corrected": f"{row['p_corrected']:.2g}",
                 }
