@@ -1,6 +1,8 @@
 import sys
 from collections import Counter
+from functools import partial
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from places import CHECKOUT
 
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies import stability as study
-from calcidem.app.studies.stability import SceneVerdict, stability
+from calcidem.app.studies.stability import SceneVerdict, judge_scene, stability
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import wave_scene
@@ -47,14 +49,28 @@ def test_a_quantity_of_a_campaign_is_varied_alone(
 
 
 def test_scenes_of_a_campaign_are_drawn_in_all_quantities(
-    small_configuration: Configuration, small_packing: Packing
+    small_configuration: Configuration, small_packing: Packing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A scene has a value of every quantity within its range, the same for the same seed."""
-    first, again = (
-        stability(small_configuration, small_configuration.experiment(small_packing), 5.0, scenes=3, draw=2)
-        for _ in range(2)
-    )
+    """A scene has a value of every quantity within its range, the same for the same seed, also after a stop."""
+    judge = partial(stability, small_configuration, small_configuration.experiment(small_packing), 5.0, scenes=3)
+    kept = tmp_path / "new" / "kept.json"
+    begun: list[str] = []
+
+    def stop_at_the_third(told: str) -> None:
+        begun.append(told)
+        if len(begun) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        judge(draw=2, kept=kept, progress=stop_at_the_third)
+    first = judge(draw=2)
+    judged: list[int] = []
+    with monkeypatch.context() as patched:
+        patched.setattr(study, "judge_scene", lambda *words: judged.append(1) or judge_scene(*words))
+        again = judge(draw=2, kept=kept)
+    assert len(judged) == 1
     assert first.rows == again.rows
+    assert not kept.exists()
     assert all(row.keys() >= study.QUANTITIES.keys() for row in first.rows)
     assert not first.is_wrong
 

@@ -184,7 +184,7 @@ def stability_command(
 ) -> None:
     """Show which extreme values of step, bonds, damping, pulse and content are stable, refused or stopped.
 
-    Exit code 1 if a velocity is silently wrong.
+    After a stop, the same command with --out continues. Exit code 1 if a velocity is silently wrong.
     """
     from calcidem.app.config.reader import load_configuration
     from calcidem.app.studies.stability import stability
@@ -195,7 +195,8 @@ def stability_command(
     cells = Cells.of_campaign(loaded, 1, db, tell)
     middle = cells.contents[len(cells.contents) // 2]
     chosen = middle if content is None else content
-    result = stability(loaded, cells.experiment, chosen, scenes=scenes, draw=draw, progress=tell)
+    kept = out and out / "stability.partial.json"
+    result = stability(loaded, cells.experiment, chosen, scenes=scenes, draw=draw, kept=kept, progress=tell)
     tell_study(result, layout, out and out / "stability.md")
     if result.is_wrong:
         raise typer.Exit(EXIT_ERROR)

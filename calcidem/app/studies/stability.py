@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,8 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import PATTERNS
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
+from calcidem.input_file import read_text
+from calcidem.storage.files import write_text_atomically
 from calcidem.storage.records import NORMAL_95
 
 
@@ -79,13 +82,15 @@ def stability(
     *,
     scenes: int = 0,
     draw: int = 1,
+    kept: Path | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> StudyResult:
     """Judge the first seed of a campaign at a content, percent, with each of the `QUANTITIES` varied alone.
 
     With ``scenes``, as many scenes are judged, in which all quantities are drawn with the seed ``draw``, between their
     second value and their last but one. Grain sizes are not varied, since each needs a packing of its own.
-    ``experiment`` is that of the campaign.
+    ``experiment`` is that of the campaign. The file ``kept`` has the scenes judged so far: after a stop the same study
+    goes on with it, and removes it at the end.
     """
     seed, contents = configuration.campaign.seed_numbers[0], configuration.campaign.contents
     plan = replace(configuration.campaign, seeds=(seed,), contents=(content,), until=None)
@@ -103,7 +108,12 @@ def stability(
         groups = {"all": draw_latin(ranges, _POWERS, scenes, draw)}
     else:
         groups = {key: [{key: value} for value in values] for key, (_, values) in QUANTITIES.items()}
-    rows = []
+    identity = [configuration.hash, experiment.packing.content_hash, content, scenes, draw]
+    former: list[dict[str, Any]] = []
+    if kept is not None and kept.exists():
+        told = json.loads(read_text(kept, 100_000_000))  # bytes; a million scenes have more
+        former = told["rows"] if told["identity"] == identity else []
+    rows: list[dict[str, Any]] = []
     for name, group in groups.items():
         for number, drawn in enumerate(group):
             progress(f"{name}: scene {number + 1} of {len(group)}")
@@ -113,7 +123,17 @@ def stability(
                 if changed["campaign.contents"] > max(contents):  # the campaign may lack a frequency there
                     changed.setdefault("wave.frequency", experiment.frequency(max(contents)))
             scene = partial(_changed_experiment, replace(configuration, campaign=plan), experiment.packing, changed)
-            rows.append({"quantity": name, **changed, **asdict(judge_scene(scene, seed))})
+            judged = {"quantity": name, **changed}
+            if len(rows) < len(former):
+                judged = former[len(rows)] | {"verdict": SceneVerdict(former[len(rows)]["verdict"])}
+            else:
+                judged |= asdict(judge_scene(scene, seed))
+            rows.append(judged)
+            if kept is not None and len(rows) > len(former):
+                kept.parent.mkdir(parents=True, exist_ok=True)
+                write_text_atomically(kept, json.dumps({"identity": identity, "rows": rows}))
+    if kept is not None:
+        kept.unlink(missing_ok=True)
     counts = markdown_table(
         ("quantity", *SceneVerdict),
         count_verdicts({name: [row["verdict"] for row in rows if row["quantity"] == name] for name in groups}),
