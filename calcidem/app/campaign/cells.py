@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -52,10 +51,6 @@ from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.ranks import keep_freed_memory, own_rank
 from calcidem.sweep.schedule import LaunchError
 from calcidem.version import __version__
-
-if TYPE_CHECKING:
-    pass  # which the ranks do not need
-
 
 if sys.platform != "win32":
     import fcntl

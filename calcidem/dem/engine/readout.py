@@ -1,7 +1,7 @@
 """Reading a state: contact forces, unbalanced force, energies.
 
 Contact histories belong to the position before the last drift. One kernel step on a copy brings them to the present
-position, so no contact law is implemented twice.
+position. Energies stored in contacts are the integrals of the laws.
 """
 
 from dataclasses import dataclass, replace
