@@ -54,6 +54,7 @@ ALLOWED = {
     ("app/config/presets/__init__.py", "read_text"): "of the package",
     ("analysis/published.py", "read_text"): "of the package",
     ("dem/kernels/compiling.py", "read_bytes"): "of the package",
+    ("dem/kernels/gpu/steps.py", "read_bytes"): "of the package",
     ("app/campaign/cells.py", "open"): "writes",
     ("app/campaign/cells.py", "read_text"): "of the cache, which this program writes",
     ("app/report/page.py", "open"): "writes",

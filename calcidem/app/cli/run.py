@@ -102,6 +102,10 @@ def init_command(
         size = disks or grain_size or ",".join(f"{d!r}m" for d in read_grading(grading or Path()))
         own = OwnSand.of_words(size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent)
         text = own.text()
+        if 0.0 < max(own.contents) < 0.1:
+            typer.echo(
+                f"Contents are percent of the sand's mass: is {max(own.contents):g} % meant, not a fraction?", err=True
+            )
     if slurm:
         job = file.with_suffix(".sbatch")
         _write_new(job, slurm_job(file.name), "submit it, or remove it first")

@@ -22,6 +22,7 @@ from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.analysis.measured import Target
 from calcidem.analysis.packing_graph import installed_features
 from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
+from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
@@ -128,6 +129,7 @@ def write_report(
         analysis = CampaignAnalysis(store, 5000, with_patterns, installed_features(), measured)
         write_text_atomically(target, _render_page(analysis, studies or {}, watch))
         if files is not None:
+            tell("Drawing all figures in three formats takes a minute or more.")
             _write_files(analysis, files)
     return target
 
