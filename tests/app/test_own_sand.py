@@ -258,7 +258,7 @@ def test_fractions_for_percent_are_questioned(tmp_path: Path, invoke: Callable[.
     """A hundredth of a percent of calcite is hardly meant."""
     words = ("--grain-size", "0.3mm", "--contents")
     assert "is 0.03 % meant, not a fraction?" in invoke("init", str(tmp_path / "a.toml"), *words, "0,0.01,0.03")
-    assert "fraction" not in invoke("init", str(tmp_path / "b.toml"), *words, "0,1,3")
+    assert "not a fraction" not in invoke("init", str(tmp_path / "b.toml"), *words, "0,1,3")
 
 
 def test_a_refused_sand_leaves_no_job(

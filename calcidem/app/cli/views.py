@@ -158,8 +158,10 @@ def _vs_table(store: Store, selection: Selection) -> Table:
             ", ".join(f"{one.counts[status]} {status.words}" for status in CellStatus if status in others),
         )
     remarks = [
-        f"standard error of Vs: {found.budget}; reading m/s: sd of Vs by reading errors alone; "
-        "G0: for a soil of 1659 kg/m3"
+        (
+            f"standard error of Vs: {found.budget}; reading m/s: sd of Vs by reading errors alone; "
+            "G0: for a soil of 1659 kg/m3"
+        )
     ]
     if is_near:
         remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
