@@ -40,6 +40,15 @@ def test_plots_are_found_and_explained(campaign: Campaign) -> None:
     assert isinstance(campaign.plot.histograms(), Figure)
 
 
+def test_laboratory_velocities_are_drawn_beside_a_campaign(campaign: Campaign, tmp_path: Path) -> None:
+    """From a table as a laboratory writes it, without a change of the campaign's other figures."""
+    table = tmp_path / "measured.csv"
+    table.write_text("content (%);Vs (m/s)\n1,5;512,5\n", encoding="utf-8")
+    (axes,) = campaign.plot.vs_range(measured=table).axes
+    assert "measured specimen" in axes.figure.legends[0].get_texts()[-1].get_text()
+    assert campaign.plot.analysis.measured == ()
+
+
 def test_a_figure_of_one_panel_is_drawn_into_own_axes(campaign: Campaign) -> None:
     """What the axes hold stays, the velocities come beside it, and the figure returned is that of the axes."""
     figure, (axes, other) = plt.subplots(1, 2)

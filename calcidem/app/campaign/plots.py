@@ -26,6 +26,7 @@ from calcidem.analysis.figures.samples import (
 from calcidem.analysis.figures.signals import draw_signals, load_arrival, read_arrival
 from calcidem.analysis.figures.style import MM, MS, drawn_in
 from calcidem.app.campaign.patterns import section_of, section_reader, stored_section
+from calcidem.app.config.reader import read_targets
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import film_wave
 from calcidem.dem.wave.reading import Reading
@@ -97,9 +98,15 @@ class CampaignPlots:
         self._cemented = cemented
 
     @_with_caption
-    def vs_range(self, ax: Axes | None = None) -> Figure:
-        """Draw Vs of all samples against calcite content, with means and intervals."""
-        return self._draw("vs_range", ax)
+    def vs_range(self, ax: Axes | None = None, *, measured: str | os.PathLike[str] | None = None) -> Figure:
+        """Draw Vs of all samples against calcite content, with means and intervals.
+
+        ``measured`` is a table of laboratory velocities, as for `calcidem report --measured`, drawn beside.
+        """
+        if measured is None:
+            return self._draw("vs_range", ax)
+        with drawn_in(ax):
+            return _FIGURES["vs_range"].draw(replace(self.analysis, measured=read_targets(Path(measured))))
 
     @_with_caption
     def histograms(self, ax: Axes | None = None) -> Figure:
