@@ -197,6 +197,12 @@ def test_the_peak_of_a_strip_wave_is_early_by_the_stated_bias(travel: float) -> 
     assert periods(plane.first_arrival) == pytest.approx(travel, abs=0.012)  # smoothing bends the pulse's foot
 
 
+def test_a_wave_that_a_strip_does_not_pass_has_no_peak() -> None:
+    """Far below the cut-off frequency of a thin strip nothing arrives; an edge of the samples is no peak."""
+    slow = StripWave(DISTANCE * FREQUENCY / 0.6, 0.0, 1.0, 6.0 * CLAMP)
+    assert np.isnan(_peaks_of_wave(section(guided(1.0, HELD)), slow, (DISTANCE,))[0])
+
+
 @pytest.mark.parametrize("late", [-0.3, -0.013, 0.0, 1e-4, 0.2])
 @pytest.mark.parametrize("travel", [0.7, 2.0])
 @pytest.mark.parametrize("samples", [40, 67])

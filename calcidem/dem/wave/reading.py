@@ -142,9 +142,7 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     rule
         Criteria.
     """
-    if _largest(section) < SILENCE:
-        return Verdict.SILENT
-    wave = fit_wave(section, clamp)
+    wave = None if _largest(section) < SILENCE else fit_wave(section, clamp)
     if wave is None:
         return Verdict.SILENT
     if not _is_decided(section, wave.velocity):
@@ -152,6 +150,8 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     far = far_stations(section.places)
     smoothed = smooth(section.across[:, -len(far) :] * RESOLUTION, rule.smoothing * section.period)
     signal, expected = smoothed[:, -1], _peaks_of_wave(section, wave, far)
+    if not np.isfinite(expected[-1]):
+        return Verdict.NO_PEAK  # so slow a wave does not pass this strip
     late = [_peak_near(smoothed[:, one], when, section.period) - when for one, when in enumerate(expected)]
     travel = (expected[-1] - section.transmitted_peak) * section.sampling_interval
     bias = section.distance / (travel * wave.velocity) - 1.0
@@ -177,24 +177,20 @@ def _peaks_of_wave(section: Section, wave: StripWave, places: tuple[float, ...])
 
     The highest may be a later one on a path of a wavelength, where two are nearly equal.
     """
+    # The pulse has its peak half a period after it begins.
     arrival = [(place / wave.velocity - section.start_time) / section.sampling_interval for place in places]
-    # The pulse has its peak half a period after it begins. In a strip a peak is early, by less than a period.
-    begin, end = np.array([(int(one - 0.5 * section.period), int(one + section.period) + 2) for one in arrival]).T
-    sample = begin[:, None] + np.arange((end - begin).max())
+    begin = np.array([int(one) - 1 for one in arrival])
+    sample = begin[:, None] + np.arange(int(section.period) + 4)
     motion = waveform(wave, section.frequency, places, section.start_time + section.sampling_interval * sample)
-    found = []
-    for first, count, when, one in zip(begin.tolist(), (end - begin - 1).tolist(), arrival, motion, strict=True):
-        crests = [i for i in range(1, count) if one[i - 1] < one[i] >= one[i + 1] and one[i] > 0.0]
-        top = min(
-            crests, key=lambda i: abs(first + i - when - 0.5 * section.period), default=int(one[1:count].argmax()) + 1
-        )
-        found.append(float(first + top) + parabola_vertex(one, top))
-    return found
+    return [
+        _peak_near(signal, one + 0.5 * section.period, section.period, first)
+        for signal, one, first in zip(motion, arrival, begin.tolist(), strict=True)
+    ]
 
 
-def _peak_near(signal: Floats, when: float, period: float) -> float:
-    """Sample of the peak of a signal (T,) next to a sample; NaN if none is within half a period."""
-    peaks = [i + parabola_vertex(signal, i) for i in find_maxima(signal).tolist() if signal[i] > SILENCE]
+def _peak_near(signal: Floats, when: float, period: float, first: int = 0) -> float:
+    """Peak next to a sample, of a signal (T,) from the sample ``first`` on; NaN if none is within half a period."""
+    peaks = [first + i + parabola_vertex(signal, i) for i in find_maxima(signal).tolist() if signal[i] > SILENCE]
     near = [peak for peak in peaks if abs(peak - when) < 0.5 * period]
     return min(near, key=lambda peak: abs(peak - when), default=np.nan)
 
@@ -208,9 +204,9 @@ def describe_refusal(found: Reading | Verdict, section: Section, rule: PickRule)
             f"{found.verdict}: the wave of {found.wave.velocity:.0f} m/s has a coherence of {found.wave.coherence:.2f}"
         )
     end = f"{1e3 * section.duration:.3g} ms"
-    if found is Verdict.SILENT:
-        return f"{found}: the receiver reaches {_largest(section):.2%} of v0 in {end}"
-    return f"{found}: the record ends at {end}"
+    if found is Verdict.TOO_SHORT:
+        return f"{found}: the record ends at {end}"
+    return f"{found}: the receiver reaches {_largest(section):.2%} of v0 in {end}"
 
 
 def smooth(motion: Floats, half_width: float) -> Floats:
