@@ -97,6 +97,10 @@ FEWEST_WAVELENGTHS = 2.0
 Values = TypeVar("Values", float, NDArray[np.float64], "xr.DataArray")
 
 
+SOIL_DENSITY = 1659.0
+"""Of the paper's soil, kg/m3 (Table 1)."""
+
+
 def small_strain_modulus(vs: Values, density: float | None = None) -> Values:
     """Shear modulus G0 = rho Vs^2 (Eq. 1), Pa; the default density of the sample is that of Table 1, 1659 kg/m^3.
 
@@ -105,7 +109,7 @@ def small_strain_modulus(vs: Values, density: float | None = None) -> Values:
     >>> small_strain_modulus(200.0)
     66360000.0
     """
-    return vs * vs * (1659.0 if density is None else density)
+    return vs * vs * (SOIL_DENSITY if density is None else density)
 
 
 def damping_ratio(local_damping: float) -> float:

@@ -16,6 +16,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import wave_scene
 from calcidem.dem.wave.measurement import measure
 from calcidem.ends import CellStatus
+from calcidem.storage.errors import OutputRefusedError
 
 sys.path.append(str(CHECKOUT / "benchmarks" / "stability"))
 
@@ -63,6 +64,8 @@ def test_scenes_of_a_campaign_are_drawn_in_all_quantities(
 
     with pytest.raises(KeyboardInterrupt):
         judge(draw=2, kept=kept, progress=stop_at_the_third)
+    with pytest.raises(OutputRefusedError, match="another study: draw differ"):
+        judge(draw=3, kept=kept)
     first = judge(draw=2)
     judged: list[int] = []
     with monkeypatch.context() as patched:

@@ -103,10 +103,8 @@ class CampaignPlots:
 
         ``measured`` is a table of laboratory velocities, as for `calcidem report --measured`, drawn beside.
         """
-        if measured is None:
-            return self._draw("vs_range", ax)
-        with drawn_in(ax):
-            return _FIGURES["vs_range"].draw(replace(self.analysis, measured=read_targets(Path(measured))))
+        targets = () if measured is None else read_targets(Path(measured))
+        return self._draw("vs_range", ax, replace(self.analysis, measured=targets) if targets else None)
 
     @_with_caption
     def histograms(self, ax: Axes | None = None) -> Figure:
@@ -203,10 +201,10 @@ class CampaignPlots:
         with drawn_in(ax):
             return draw_preferential_paths(self.analysis.graphs[sample.packing_index], [sample])
 
-    def _draw(self, name: str, ax: Axes | None) -> Figure:
-        """Draw a figure of the report, in axes of the caller if given."""
+    def _draw(self, name: str, ax: Axes | None, analysis: CampaignAnalysis | None = None) -> Figure:
+        """Draw a figure of the report, in axes of the caller if given, of another analysis than the own if given."""
         with drawn_in(ax):
-            return _FIGURES[name].draw(self.analysis)
+            return _FIGURES[name].draw(analysis or self.analysis)
 
     def movie(
         self,

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from calcidem.analysis.intervals import is_in_doubt
-from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, are_samples, median_known, small_strain_modulus
+from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, SOIL_DENSITY, are_samples, median_known, small_strain_modulus
 from calcidem.app.campaign.notices import printable, tell
 from calcidem.app.campaign.status import (
     FEWEST_TO_PLAN,
@@ -160,7 +160,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     remarks = [
         (
             f"standard error of Vs: {found.budget}; reading m/s: sd of Vs by reading errors alone; "
-            "G0: for a soil of 1659 kg/m3"
+            f"G0: for a soil of {SOIL_DENSITY:g} kg/m3"
         )
     ]
     if is_near:

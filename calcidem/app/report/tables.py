@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlation_tests, correlations
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES, describe_feature
 from calcidem.analysis.published import published_study
-from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, damping_ratio, median_known, small_strain_modulus
+from calcidem.analysis.velocity import (
+    FEWEST_WAVELENGTHS,
+    SOIL_DENSITY,
+    damping_ratio,
+    median_known,
+    small_strain_modulus,
+)
 from calcidem.app.report.wording import (
     ABSENT,
     Table,
@@ -92,7 +98,7 @@ def _meaning_table(analysis: CampaignAnalysis) -> Table:
     return Table.of(
         "What Vs stands for (medians). G0 = rho c\N{SUPERSCRIPT TWO} of the mean effective_vs, not where the pulse "
         "changes it, for a soil of "
-        f"{published_study().parameters['soil_density']:g} kg/m\N{SUPERSCRIPT THREE}. Local damping of {alpha:g} is a "
+        f"{SOIL_DENSITY:g} kg/m\N{SUPERSCRIPT THREE}. Local damping of {alpha:g} is a "
         f"damping ratio of {damping_ratio(alpha):.3f}, and slows fronts. Marked: fewer than "
         f"{FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver. d50 is that by mass. Calcite by Eq. 2 "
         "counts each cemented contact once; the content counts overlapping clusters in full."

@@ -3,7 +3,6 @@
 Each content is measured for itself and written at once, so that the same command continues after a stop.
 """
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -24,6 +23,7 @@ from calcidem.app.studies.study import (
     StudyResult,
     at_common_times,
     markdown_table,
+    read_former,
     relative_deviation,
     signal_distance,
 )
@@ -32,8 +32,6 @@ from calcidem.dem.wave.experiment import Experiment, domain_of
 from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.reading import smooth
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, Law, Pulse
-from calcidem.input_file import read_text
-from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.records import NORMAL_95
 
 DEFAULT = "default"
@@ -321,18 +319,7 @@ def accuracy(
 
 def _read_parts(file: Path, identity: Mapping[str, object]) -> dict[float, ContentErrors]:
     """Results of an earlier start by content; `OutputRefusedError` if they are not of the same study."""
-    try:
-        told = json.loads(read_text(file, 100_000_000))  # bytes; 100 settings of 1,000 cells have fewer
-        parts = TypeAdapter(list[ContentErrors]).validate_python(told["parts"])
-        other = [name.replace("_", " ") for name, value in identity.items() if told[name] != value]
-    except (ValueError, LookupError, TypeError) as error:
-        raise OutputRefusedError(f"{file} is not a file of this command.", "Give another folder.") from error
-    if other:
-        raise OutputRefusedError(
-            f"{file} has the results of another study: {', '.join(other)} differ.",
-            "Give another folder, or the same configuration, database, seeds and settings to continue.",
-        )
-    return {part.content: part for part in parts}
+    return {part.content: part for part in read_former(file, identity, "parts", list[ContentErrors])}
 
 
 def choose_settings(cells: Cells, only: Sequence[str]) -> list[Setting]:

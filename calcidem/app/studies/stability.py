@@ -30,13 +30,12 @@ from calcidem.analysis.figures.style import (
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.study import StudyResult, markdown_table, signal_distance
+from calcidem.app.studies.study import StudyResult, markdown_table, read_former, signal_distance
 from calcidem.dem.engine.scene import Sand
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import PATTERNS
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
-from calcidem.input_file import read_text
 from calcidem.storage.files import write_text_atomically
 from calcidem.storage.records import NORMAL_95
 
@@ -90,7 +89,7 @@ def stability(
     With ``scenes``, as many scenes are judged, in which all quantities are drawn with the seed ``draw``, between their
     second value and their last but one. Grain sizes are not varied, since each needs a packing of its own.
     ``experiment`` is that of the campaign. The file ``kept`` has the scenes judged so far: after a stop the same study
-    goes on with it, and removes it at the end.
+    goes on with it, and removes it at the end; `OutputRefusedError` if it is of another one.
     """
     seed, contents = configuration.campaign.seed_numbers[0], configuration.campaign.contents
     plan = replace(configuration.campaign, seeds=(seed,), contents=(content,), until=None)
@@ -108,11 +107,14 @@ def stability(
         groups = {"all": draw_latin(ranges, _POWERS, scenes, draw)}
     else:
         groups = {key: [{key: value} for value in values] for key, (_, values) in QUANTITIES.items()}
-    identity = [configuration.hash, experiment.packing.content_hash, content, scenes, draw]
-    former: list[dict[str, Any]] = []
-    if kept is not None and kept.exists():
-        told = json.loads(read_text(kept, 100_000_000))  # bytes; a million scenes have more
-        former = told["rows"] if told["identity"] == identity else []
+    identity = {
+        "campaign_hash": configuration.hash,
+        "packing_hash": experiment.packing.content_hash,
+        "content": content,
+        "scenes": scenes,
+        "draw": draw,
+    }
+    former = read_former(kept, identity, "rows", list[dict[str, Any]]) if kept is not None and kept.exists() else []
     rows: list[dict[str, Any]] = []
     for name, group in groups.items():
         for number, drawn in enumerate(group):
@@ -123,15 +125,13 @@ def stability(
                 if changed["campaign.contents"] > max(contents):  # the campaign may lack a frequency there
                     changed.setdefault("wave.frequency", experiment.frequency(max(contents)))
             scene = partial(_changed_experiment, replace(configuration, campaign=plan), experiment.packing, changed)
-            judged = {"quantity": name, **changed}
             if len(rows) < len(former):
-                judged = former[len(rows)] | {"verdict": SceneVerdict(former[len(rows)]["verdict"])}
-            else:
-                judged |= asdict(judge_scene(scene, seed))
-            rows.append(judged)
-            if kept is not None and len(rows) > len(former):
+                rows.append(former[len(rows)])
+                continue
+            rows.append({"quantity": name, **changed, **asdict(judge_scene(scene, seed))})
+            if kept is not None:
                 kept.parent.mkdir(parents=True, exist_ok=True)
-                write_text_atomically(kept, json.dumps({"identity": identity, "rows": rows}))
+                write_text_atomically(kept, json.dumps({**identity, "rows": rows}))
     if kept is not None:
         kept.unlink(missing_ok=True)
     counts = markdown_table(

@@ -1,5 +1,6 @@
 """What studies share: cells measured with one experiment after another, deviations, and the result in all forms."""
 
+import json
 import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -7,11 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 from time import process_time
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from pydantic import TypeAdapter
 from scipy.interpolate import CubicSpline
 
 from calcidem.analysis.figures.style import save
@@ -25,9 +27,13 @@ from calcidem.dem.wave.check import check_content
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure_all
 from calcidem.dem.wave.section import Section
+from calcidem.input_file import read_text
+from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_text_atomically
 from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store
+
+_Kind = TypeVar("_Kind")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +70,22 @@ class StudyResult:
             yield table.with_suffix(".json")
         write_text_atomically(table, self.page or self.text)
         yield table
+
+
+def read_former(file: Path, identity: Mapping[str, object], name: str, kind: type[_Kind]) -> _Kind:
+    """Results ``name`` of an earlier start in a JSON file; `OutputRefusedError` if they are not of the same study."""
+    try:
+        told = json.loads(read_text(file, 100_000_000))  # bytes; 100 settings of 1,000 cells have fewer
+        results = TypeAdapter(kind).validate_python(told[name])
+        other = [key.replace("_", " ") for key, value in identity.items() if told[key] != value]
+    except (ValueError, LookupError, TypeError) as error:
+        raise OutputRefusedError(f"{file} is not a file of this command.", "Give another folder.") from error
+    if other:
+        raise OutputRefusedError(
+            f"{file} has the results of another study: {', '.join(other)} differ.",
+            "Give another folder, or the same configuration, database, seeds and settings to continue.",
+        )
+    return results
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

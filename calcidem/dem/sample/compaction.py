@@ -108,9 +108,7 @@ def make_packing(
         covered = (1.0 - rule.porosity) * _square(float(factor))
         manner = _HALTED if covered < 0.547 else _FLYING if cost.expansion_step < rule.expansion_steps else _CRUSHED
         state = relax(scene, preload, rule, cost, check, manner)
-        x, y = state.position().T
-        contacts = contact_forces(state)
-        preload = Preload(contacts.pairs, contacts.shear)
+        x, y, preload = _found(state)
     cost.expansion_step += 1
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
     return press(scene, preload, rule, cost, check)
@@ -129,15 +127,20 @@ def press(
     while True:
         walls = box_walls(*box, rule.stress, rule.lateral_stress_ratio)
         state = relax(replace(scene, walls=walls), preload, rule, cost, check, manner)
-        held = _size_of(state.scene)
-        box = _size_of(state.scene, state)
+        held, box = box, _size_of(state.scene, state)
         # The walls hold forces, those of the stresses on the box before it gave way.
         apart = max(abs(before / after - 1.0) for before, after in zip(held, box, strict=True))
         if rule.lateral_stress_ratio is None or apart < _STRESS_TOLERANCE:
             return _packing_at_rest(state, rule, cost)
-        x, y = state.position().T
-        contacts = contact_forces(state)
-        scene, preload = replace(scene, x=x.copy(), y=y.copy()), Preload(contacts.pairs, contacts.shear)
+        x, y, preload = _found(state)
+        scene = replace(scene, x=x, y=y)
+
+
+def _found(state: State) -> tuple[Floats, Floats, Preload]:
+    """Positions and shear forces with which another scene goes on."""
+    x, y = state.position().T
+    contacts = contact_forces(state)
+    return x, y, Preload(contacts.pairs, contacts.shear)
 
 
 def _draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
