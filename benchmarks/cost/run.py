@@ -42,7 +42,7 @@ from scenes import (
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
-from calcidem.dem.engine.scene import Precision, Law
+from calcidem.dem.engine.scene import Law, Precision
 from calcidem.dem.engine.state import choose_features
 from calcidem.dem.wave.measurement import measure
 
@@ -154,9 +154,7 @@ def draw(results: dict[str, Any], file: Path) -> None:
         grains.plot([row["grains"] for row in rows], [row["ns"] for row in rows], "o-", label=f"{law}, 8 lanes")
         for precision, style in (("float64", "o-"), ("float32", "s--")):
             rows = [row for row in results["lanes"] if (row["law"], row["precision"]) == (law, precision)]
-            lanes.plot(
-                [row["lanes"] for row in rows], [row["ns"] for row in rows], style, label=f"{law}, {precision}"
-            )
+            lanes.plot([row["lanes"] for row in rows], [row["ns"] for row in rows], style, label=f"{law}, {precision}")
     contents.plot(
         [row["content"] for row in results["contents"]], [row["seconds"] for row in results["contents"]], "o-"
     )

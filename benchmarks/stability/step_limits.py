@@ -137,9 +137,7 @@ class Endurance:
 def endurance() -> tuple[Endurance, ...]:
     """Long runs of a lattice with a third of its cement, in all laws."""
     return tuple(
-        Endurance(
-            law, _LONG, energy_drift(law, _LONG), _residual_motion(law, _LONG), _restart_keeps_bits(law)
-        )
+        Endurance(law, _LONG, energy_drift(law, _LONG), _residual_motion(law, _LONG), _restart_keeps_bits(law))
         for law in get_args(Law)
     )
 

@@ -9,7 +9,7 @@ from scenes import ACCOUNT, BONDED, GROUPED, HERTZ, LINEAR, SOFT_CEMENT, jumble,
 
 from calcidem.dem.engine import leapfrog
 from calcidem.dem.engine.leapfrog import State, plan_bundles
-from calcidem.dem.engine.scene import Bonds, Precision, Law, Scene
+from calcidem.dem.engine.scene import Bonds, Law, Precision, Scene
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import ABREAST, Features
 

@@ -43,9 +43,7 @@ def theory() -> tuple[float, float]:
     return deflection, FORCE * spacing * BONDS**2 / (2.0 * bending)
 
 
-@pytest.mark.parametrize(
-    ("features", "tolerance"), [(LINEAR, 1e-9), (BONDED, 1e-6)]
-)
+@pytest.mark.parametrize(("features", "tolerance"), [(LINEAR, 1e-9), (BONDED, 1e-6)])
 def test_a_bonded_cantilever_bends_as_theory_says(features: Features, tolerance: float) -> None:
     """Tip deflection n P / k_s + P a^2 n (4 n^2 - 1) / (12 k_theta) and rotation P a n^2 / (2 k_theta).
 

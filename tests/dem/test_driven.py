@@ -9,7 +9,7 @@ from scenes import BONDED, HERTZ, RADIUS, SOFT, SOFT_CEMENT, SPACING, contact_st
 
 from calcidem.dem.engine.leapfrog import State, run_in_place
 from calcidem.dem.engine.readout import energies, overlaps, wall_overlaps
-from calcidem.dem.engine.scene import Precision, Law, Scene, Wall
+from calcidem.dem.engine.scene import Law, Precision, Scene, Wall
 from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import Features

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import SOFT_CEMENT, jumble, throw
 
-from calcidem.dem.engine.scene import Cement, Installation, Preload, Law, Scene
+from calcidem.dem.engine.scene import Cement, Installation, Law, Preload, Scene
 from calcidem.dem.engine.state import advance, choose_features, start
 
 pytestmark = pytest.mark.slow
