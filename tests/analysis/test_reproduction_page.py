@@ -2,6 +2,7 @@
 
 import re
 import runpy
+import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from importlib import resources
@@ -16,6 +17,10 @@ from scipy import interpolate, optimize, sparse, spatial, special, stats
 import calcidem
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.records import PackingRecord
+
+sys.path.append(str(Path(__file__).parents[2] / "docs" / "reproduction"))
+
+from variance import variance_parts
 
 PAGE = Path(__file__).parents[2] / "docs" / "reproduction.md"
 README = PAGE.parents[1] / "README.md"
@@ -402,6 +407,57 @@ def test_table_of_the_laws_elsewhere(variants: xr.Dataset) -> None:
             assert len(printed) == len(ends)
             for (number, half), exact in zip(printed, ends, strict=True):
                 assert abs(number - exact) <= max(half * 1.001, 2e-3 * abs(exact)), (row[0], cell, exact)
+
+
+def test_sentences_on_choices_and_other_samples(
+    variants: xr.Dataset, cells: xr.Dataset, published: dict[float, dict[str, float]]
+) -> None:
+    """What the lists say of both tables, and of the static speed."""
+    vs = variants["vs"].sel(content=[0.66, 2.55, 5.0, 9.0], seed=slice(1, 24))
+    reference = vs.sel(variant="reference")
+    mean, ratio = {}, {}
+    for name in vs["variant"].to_numpy().tolist():
+        both = reference.notnull() & vs.sel(variant=name).notnull()
+        own, other = (one.where(both) for one in (vs.sel(variant=name), reference))
+        mean[name] = 100.0 * (own.mean("seed") / other.mean("seed") - 1.0).to_numpy()
+        ratio[name] = (own.std("seed") / other.std("seed")).to_numpy()
+
+    def of(found: dict[str, Array], start: str) -> Array:
+        return np.concatenate([values for name, values in found.items() if name.startswith(start)])
+
+    moved, packed = of(mean, "packing: seed"), of(ratio, "packing: seed")
+    shares = []
+    names = ["reference", *(f"packing: seed {seed}" for seed in range(2, 7))]
+    for content in vs["content"]:
+        table = vs.sel(content=content, variant=names)
+        parts = variance_parts(table.dropna("seed").to_numpy())
+        shares.append((max(0.0, parts.first) / parts.total, parts.second / parts.total))
+    packing, cement = np.transpose(shares)
+    firm, firmer = (1.0 + mean[f"stress on the lid: {stress} kPa"] / 100.0 for stress in (50, 500))
+    small, large = (f"size, bands and damped layers with it: {size}" for size in ("0.05 m x 0.15 m", "0.15 m x 0.45 m"))
+    single, wall = (f"as printed: {choice}" for choice in ("single P contacts", "a wall with friction sends"))
+    stiff = cells["static_speed"].sel(content=list(published))
+    target = printed_column(published, "standard_deviation") / printed_column(published, "mean")
+    static = (stiff.std("seed", ddof=1) / stiff.mean("seed")).to_numpy() / target
+    low = np.array(list(published)) <= 6.0
+    check_said(
+        f"change the means by {moved.min():.1f} to {moved.max():+.1f} % and the scatter by factors of "
+        f"{packed.min():.2f} to {packed.max():.2f}",
+        f"the packing causes {100 * packing.max():.0f} % of the variance at most",
+        f"the same in all packings, {100 * cement.min():.0f} to {100 * cement.max():.0f} %",
+        f"raises Vs by {firm[0]:.2f} and {firmer[0] / firm[0]:.2f} at 0.66 %",
+        f"only {100 * firm[-1] - 100:.0f} and {100 * firmer[-1] / firm[-1] - 100:.0f} % at 9 %",
+        f"within {of(mean, 'horizontal').max():.0f} % and its scatter",
+        f"change the means by at most {of(mean, 'grading').max():.0f} %",
+        f"is {mean[small].min():.0f} to {mean[small].max():.0f} % faster",
+        f"scatters {ratio[large].min():.2f} to {ratio[large].max():.2f} times as much and is up to "
+        f"{-mean[large].min():.0f} % slower",
+        f"single contacts have {ratio[single][:3].min():.2f} to {ratio[single][:3].max():.2f} of it up to 5 %",
+        f"by {-mean[wall][-1]:.0f} % at 5 and 9 %, and has {ratio[wall].min():.1f} to {ratio[wall].max():.1f} of",
+        f"scatters by {static[low].min():.1f} to {static[low].max():.1f} of the printed values up to 6 %, and by "
+        f"{static[-2:].mean():.1f} of them at 8 and 9 %",
+        page=SCATTER,
+    )
 
 
 def test_two_packings_that_took_no_part(variants: xr.Dataset, published: dict[float, dict[str, float]]) -> None:
