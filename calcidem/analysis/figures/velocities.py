@@ -468,8 +468,8 @@ STUDY_FIGURES = (
         "damping",
         "study_damping",
         "Local damping",
-        "Signals received in one sample with several local damping factors, the peaks read (triangles), and Vs. "
-        "Dashed: arrival by the published mean Vs; the paper compares with tests, whose Vs it does not print.",
+        "Signals received in one sample with several local damping factors, and the Vs read from their peaks "
+        "(triangles) where one could be trusted.",
         _draw_damping_study,
     ),
 )
