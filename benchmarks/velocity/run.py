@@ -3,7 +3,8 @@
     python benchmarks/velocity/run.py [--preset paper] [--packings 11 12] [--seeds 301 16] [--frequency 1]
 
 prints two tables over the contents of the packings (docs/velocity.md). Each sample is measured as configured, by a receiver
-as wide as the box, with the pulse reversed, and sent from the other side. S is the static speed. *r* is the correlation of
+as wide as the box, with the pulse reversed, and sent from the other side. S is the static speed. *side* is half the
+variance of the logarithm of the ratio to the wave from the other side. *r* is the correlation of
 logarithms over seeds, pooled within content and packing; *repeatability* the standard deviation of the logarithm of two
 receivers' ratio, over the root of 2; *within* the share of differences within 1.96 stated errors.
 """
@@ -119,7 +120,7 @@ class Samples:
 
 HEADER = (
     *("content %", "velocities", "r", "median over S", "sd over S %", "sd of S %", "stated error %"),
-    *("stated / sd, variances", "repeatability %", *(f"within: {side}" for side in SIDES[1:])),
+    *("stated / sd, variances", "repeatability %", "side / sd, variances", *(f"within: {side}" for side in SIDES[1:])),
 )
 
 
@@ -143,6 +144,8 @@ def row(parts: Sequence[Samples], name: str) -> Iterator[str]:
         [centred(np.log(v / one.values("wide receiver", name))) for v, one in zip(values, parts, strict=True)]
     )
     yield f"{100 * np.sqrt(np.nanmean(wide**2) / 2.0):.1f}"
+    other = [centred(np.log(v / one.values("other side", name))) for v, one in zip(values, parts, strict=True)]
+    yield f"{np.nanvar(np.concatenate(other)) / 2.0 / np.nanvar(left):.2f}"
     for side in SIDES[1:]:
         apart = [centred(np.log(v / one.values(side, name))) for v, one in zip(values, parts, strict=True)]
         both = [np.hypot(one.errors(SIDES[0], name), one.errors(side, name)) for one in parts]

@@ -175,13 +175,19 @@ class CampaignAnalysis:
 
     @cached_property
     def samples(self) -> tuple[MeasuredSample, ...]:
-        """Computed cells of these seeds with a stored cement pattern, by seed, then content."""
-        cells = self.outcomes_of(Selection(self.analysed_seeds), ("path", "cement"))
+        """Distinct computed samples of these seeds with a stored cement pattern, by seed, then content.
+
+        Without cement all seeds are one sample, so only the first of them is here.
+        """
+        found: dict[tuple[int | None, float], MeasuredSample] = {}
         with _translate_refusals():
-            found = tuple(self._sample(cell, cell.cement) for cell in cells if cell.cement is not None)
+            for cell in self.outcomes_of(Selection(self.analysed_seeds), ("path", "cement")):
+                key = cell.key.seed if cell.key.content else None, cell.key.content
+                if cell.cement is not None and key not in found:
+                    found[key] = self._sample(cell, cell.cement)
         if not found:
             raise UnavailableError("no cement pattern is stored, so the contacts of the samples are unknown")
-        return found
+        return tuple(found.values())
 
     @cached_property
     def table(self) -> xr.Dataset:

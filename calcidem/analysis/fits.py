@@ -242,18 +242,31 @@ class VelocityPredictor:
         if x.ndim != 2 or len(x) != len(y) or len(y) < FEWEST_ROWS + x.shape[1]:  # a table
             fewest = f"at least {FEWEST_ROWS} more than features"
             raise ValueError(f"features {x.shape} and vs {y.shape}: give one row for each velocity, and {fewest}")
-        centred = x - x.mean(axis=0)
-        scale = np.linalg.norm(centred, axis=0)
-        varied = scale > 1e-12 * np.linalg.norm(x, axis=0)  # the others are constant up to rounding
-        standard = centred[:, varied] / scale[varied]
-        # Pseudo-inverse, since features may be linearly dependent: some of a path are sums of others.
-        inverse = np.linalg.pinv(standard, rcond=1e-9)
-        weights = inverse @ (y - y.mean())
-        influence = np.einsum("ik,ki->i", standard, inverse) + 1.0 / y.size
-        errors = (y - y.mean() - standard @ weights) / (1.0 - influence)
-        slopes = np.zeros(x.shape[1])
-        slopes[varied] = weights / scale[varied]
-        return cls(float(y.mean() - x.mean(axis=0) @ slopes), slopes, errors, level)
+        centre, slopes, leverage = _least_squares(x, y)
+        alone = leverage > 1.0 - 1e-9  # a sample that alone decides a slope: its residual is zero, whatever its Vs
+        errors = (y - centre - x @ slopes) / np.where(alone, np.nan, 1.0 - leverage)
+        for row in np.flatnonzero(alone).tolist():
+            others = np.arange(len(y)) != row
+            without, slopes_without, _ = _least_squares(x[others], y[others])
+            errors[row] = y[row] - without - x[row] @ slopes_without
+        return cls(centre, slopes, errors, level)
+
+
+def _least_squares(x: Matrix, y: Matrix) -> tuple[float, Matrix, Matrix]:
+    """Fit y (n,) = centre + x (n, k) slopes; returns centre, slopes (k,) and the leverage of each row (n,).
+
+    Slopes of constant features are zero.
+    """
+    centred = x - x.mean(axis=0)
+    scale = np.linalg.norm(centred, axis=0)
+    varied = scale > 1e-12 * np.linalg.norm(x, axis=0)  # the others are constant up to rounding
+    standard = centred[:, varied] / scale[varied]
+    # Pseudo-inverse, since features may be linearly dependent: some of a path are sums of others.
+    inverse = np.linalg.pinv(standard, rcond=1e-9)
+    slopes = np.zeros(x.shape[1])
+    slopes[varied] = inverse @ (y - y.mean()) / scale[varied]
+    leverage = np.einsum("ik,ki->i", standard, inverse) + 1.0 / y.size
+    return float(y.mean() - x.mean(axis=0) @ slopes), slopes, leverage
 
 
 def check_samples(features: ArrayLike, vs: ArrayLike, level: float = 0.95) -> tuple[NDArray[np.bool_], Matrix]:

@@ -22,11 +22,15 @@ from calcidem.app.report.page import write_report
 from calcidem.app.studies.sensitivity import run_studies
 
 FOLDER = Path(__file__).parent
+sys.path.append(str(FOLDER.parent / "reproduction"))
+from figures import PAPER_FIGURES  # noqa: E402 - a program beside the pages on the paper
+
 PAPER = FOLDER.parents[1] / "calcidem" / "app" / "config" / "presets" / "paper.nc"
 QUICK = FOLDER / "quick.db"
 """Campaign of the preset `quick`, with sections: that of the paper is shipped without."""
 
-_OF_QUICK = ("measurement", "signals", "dispersion")  # need sections
+_OF_QUICK = ("measurement", "signals", "dispersion", *(entry.name for entry in PAPER_FIGURES))  # need sections
+FIGURES = (*CAMPAIGN_FIGURES, *PAPER_FIGURES)
 _LINE = 120  # longest line of a page
 
 SCREENS = {
@@ -57,7 +61,7 @@ def drawn_figures(names: tuple[str, ...] = ()) -> dict[str, bytes]:
         import_command(PAPER, paper)
         with open_campaign(paper) as whole, open_campaign(QUICK) as quick:
             analyses = whole.analyse(), quick.analyse()
-            for entry in (entry for entry in CAMPAIGN_FIGURES if entry.name in names or not names):
+            for entry in (entry for entry in FIGURES if entry.name in names or not names):
                 figure = entry.draw(analyses[entry.name in _OF_QUICK])
                 found[entry.name] = render(figure, "png", colours=256 if entry.pictorial else None)
     return found
@@ -103,7 +107,7 @@ def gallery_page(*, captions: bool = False) -> str:
         ),
         "",
     ]
-    for entry in (*CAMPAIGN_FIGURES, *STUDY_FIGURES):
+    for entry in (*FIGURES, *STUDY_FIGURES):
         lines += [f"## {entry.title}", "", f"![{entry.title}]({entry.name}.png)", ""]
         lines += [textwrap.fill(entry.caption, _LINE), ""] if captions else []
     lines += ["## The report", "", "At two widths: the first screen and one of the cells.", ""]

@@ -75,7 +75,9 @@ def print_laws(analysis: CampaignAnalysis) -> None:
     known = np.isfinite(analysis.sample_vs)
     vs, seeds = analysis.sample_vs[known], analysis.sample_seeds[known]
     contents = np.array([sample.content for sample in analysis.samples])[known]
-    errors = {"content alone": vs - without_seed(seeds, lambda rows: mean_of_content(contents, vs, rows))}
+    cemented = contents > 0  # without cement there is no other sample
+    alone = np.where(cemented, vs - without_seed(seeds, lambda rows: mean_of_content(contents, vs, rows)), np.nan)
+    errors = {"content alone": alone}
     show_header("weights by", "weights", "range of C_d,n", "law", "Pearson", "rms error on unseen seeds, m/s")
     for law in laws:
         errors[law.name] = law.check.errors
@@ -115,12 +117,12 @@ def mean_of_content(contents: np.ndarray, vs: np.ndarray, rows: np.ndarray) -> n
     """Mean over the rows at the content of each sample, m/s."""
     _, place = np.unique(contents, return_inverse=True)
     sums, counts = (np.bincount(place, weights=rows * weight) for weight in (vs, np.ones_like(vs)))
-    return (sums / counts)[place]
+    return np.asarray((sums / np.where(counts > 0, counts, np.nan))[place])
 
 
 def rms(errors: np.ndarray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(errors**2)))
+    """Root mean square of the known values."""
+    return float(np.sqrt(np.nanmean(errors**2)))
 
 
 def show_row(*cells: object) -> None:

@@ -1,3 +1,4 @@
+from collections import Counter
 from dataclasses import fields
 from itertools import pairwise
 
@@ -7,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.contact_graph import (
     ContactGraph,
     ContactWeights,
@@ -54,3 +56,11 @@ def test_features_of_any_path_fit_together(bonded: list[bool]) -> None:
     assert found.path_longest_bonded_run == max((len(run) for run in text.split()), default=0)
     assert found.path_contacts == found.path_hertz_contacts + found.path_bonded_contacts == len(bonded)
     assert 0 <= found.path_longest_bonded_run_fraction <= found.path_bonded_fraction <= 1
+
+
+def test_the_sample_without_cement_counts_once(analysis: CampaignAnalysis) -> None:
+    """Tables, laws and pictures have one sample at 0 %, those of a seed at every other content."""
+    counts = Counter(sample.content for sample in analysis.samples)
+    assert counts.pop(0.0) == 1
+    assert max(counts.values()) == analysis.vs.sizes["seed"]
+    assert int(analysis.table["path_contacts"].sel(content=0.0).notnull().sum()) == 1

@@ -83,6 +83,17 @@ def test_errors_are_those_of_fits_without_the_sample() -> None:
         assert fit.errors[out] == pytest.approx(np.log(vs[out]) - solution @ [1.0, *features[out]], rel=1e-9)
 
 
+def test_a_sample_that_alone_has_a_feature_is_predicted_from_the_others() -> None:
+    """Its leverage is one and its residual zero, so nothing but the fit without it tells its error."""
+    features, vs = drawn(5, 60)
+    mark = np.zeros((60, 1))
+    mark[8] = 1.0
+    errors = VelocityPredictor.fit(np.hstack([features, mark]), vs).errors
+    without = VelocityPredictor.fit(np.delete(features, 8, axis=0), np.delete(vs, 8))
+    assert np.isfinite(errors).all()
+    assert errors[8] == pytest.approx(np.log(vs[8]) - without.centre - features[8] @ without.slopes, rel=1e-9)
+
+
 def test_features_that_depend_on_one_another_are_no_error() -> None:
     """A feature twice, or the sum of two others, changes no prediction: slopes are shared out among them."""
     features, vs = drawn(7, 60)

@@ -382,8 +382,9 @@ def _draw_frequency_study(study: xr.Dataset) -> Figure:
 
 @apply_style
 def _draw_damping_study(study: xr.Dataset) -> Figure:
-    """Draw received signals for several damping factors (Fig. 7)."""
+    """Draw received signals for several damping factors (Fig. 7), and the arrival by the published mean velocity."""
     contents = study["content"].to_numpy()
+    published = dict(published_study().velocities) if study.attrs.get("published") else {}
     factors = study["damping"].to_numpy()
     figure = new_figure(height=0.7 + 2.9 * len(contents), width=FIGURE_WIDTH + 0.4)
     panels = figure.subplots(len(contents), 2, squeeze=False, width_ratios=[2.2, 1.0])
@@ -394,7 +395,15 @@ def _draw_damping_study(study: xr.Dataset) -> Figure:
         received = chosen["received"].transpose("damping", ...).to_numpy()
         received = received / np.abs(received).max()
         step = float(np.diff(received, axis=0).max(initial=0.0)) + 0.1  # so that no curve meets its neighbour
+        starts, path = 0.5 / float(chosen["frequency"]), study.attrs["distance"]  # at the peak of the pulse
+        arrivals = starts + path / chosen["vs_peak"].to_numpy()
+        if content in published:
+            arrival = starts + path / published[content].mean
+            signals.axvline(arrival * MS, color=VERMILION, linestyle="--", linewidth=1.0, label="by the published mean")
+            signals.legend(loc="upper right", fontsize=7)
         for place, (factor, signal, colour) in enumerate(zip(factors, received, colours, strict=True)):
+            level = np.interp(arrivals[place] * MS, time, signal) - step * place
+            signals.plot(arrivals[place] * MS, level, "v", color=colour, markersize=5)
             signals.plot(time, signal - step * place, color=colour, linewidth=1.2)
             signals.annotate(
                 f"{factor:g}",
@@ -459,8 +468,8 @@ STUDY_FIGURES = (
         "damping",
         "study_damping",
         "Local damping",
-        "Signals received in one sample with several local damping factors, and the Vs read from them where one "
-        "could be trusted.",
+        "Signals received in one sample with several local damping factors, and the Vs read from their peaks "
+        "(triangles) where one could be trusted.",
         _draw_damping_study,
     ),
 )

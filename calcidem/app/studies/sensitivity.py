@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calcidem.analysis.distribution import Change, paired_changes
 from calcidem.analysis.figures.velocities import STUDY_FIGURES
+from calcidem.analysis.published import published_study
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.patterns import stored_experiment
 from calcidem.app.campaign.run import run
@@ -250,15 +251,16 @@ def _damping_study(
     experiment: Experiment,
     *,
     contents: Sequence[float] = (0.11, 0.66),
-    factors: Sequence[float] = (0.1, 0.2, 0.3, 0.5, 0.7),
+    factors: Sequence[float] = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7),
     seed: int = 1,
     periods: float = 6.0,
 ) -> xr.Dataset:
     """Measure one sample of each content (%) with several local damping factors, 0 to 1 (Fig. 7 of the paper).
 
     The damping of boundary layers is kept; records are ``periods`` periods of the pulse long. Returns `received`
-    (velocity of the receiver, m/s) along (content, damping, sample), `time` (s) along (content, sample), and `vs_peak`
-    (m/s) along (content, damping), NaN without a reliable reading.
+    (velocity of the receiver, m/s) along (content, damping, sample), `time` (s) along (content, sample), `vs_peak`
+    (m/s) along (content, damping), NaN without a reliable reading, and `frequency` (Hz) along content. The attribute
+    `distance` (m) is that between transmitter and receiver.
     """
     time = np.stack([np.linspace(0.0, periods / experiment.frequency(content), 600) for content in contents])
     received = np.zeros((len(contents), len(factors), time.shape[1]))
@@ -275,8 +277,9 @@ def _damping_study(
     study = xr.Dataset(
         {"received": (("content", "damping", "sample"), received), "vs_peak": (("content", "damping"), velocity)},
         coords={"content": list(contents), "damping": list(factors), "time": (("content", "sample"), time)},
-        attrs={"seed": seed},
+        attrs={"seed": seed, "distance": experiment.distance},
     )
+    study["frequency"] = "content", [experiment.frequency(content) for content in contents]
     _set_units(study)
     return study
 
@@ -350,6 +353,7 @@ def run_studies(
     """Run the studies "frequency" and "damping" on the samples of a campaign; nothing is written to its database.
 
     Contents are in percent, by default those of the study. `calcidem.app.report.page.write_report` accepts the results.
+    The attribute `published` is 1 for the published sand, else 0.
     `ValueError` if a study is unknown, or the campaign cannot be recomputed from its stored data.
     """
     unknown = sorted(set(names) - set(_STUDIES))
@@ -357,8 +361,9 @@ def run_studies(
         raise ValueError(f"study {unknown[0]!r} does not exist; choose from {', '.join(_STUDIES)}")
     with read_campaign(database, campaign_name) as store:
         experiment = stored_experiment(store)
+        published = int(published_study().has_sand_of(store.record.parameters))
     chosen = {} if contents is None else {"contents": tuple(dict.fromkeys(contents))}
-    return {name: _STUDIES[name](experiment, **chosen) for name in names}
+    return {name: _STUDIES[name](experiment, **chosen).assign_attrs(published=published) for name in names}
 
 
 def vary_one(varied: str, database: str, contents: Sequence[float] | None, campaign_name: str | None) -> StudyResult:
