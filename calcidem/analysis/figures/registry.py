@@ -140,8 +140,8 @@ CAMPAIGN_FIGURES = (
         "dispersion",
         "Phase velocity against frequency",
         "Power of the space-time sections of a content, stacked with the delays of plane waves and averaged over the "
-        "samples: dark where all stations move in phase. Dots are its ridge with the standard error over samples, the "
-        "diamond is the limit of long waves.",
+        "samples: dark where all stations move in phase. Dots are its ridge with the standard error over samples, left "
+        "out above 25 %; the diamond is the limit of long waves. Without cement there is one sample.",
         lambda analysis: draw_dispersion(analysis.dispersions),
     ),
     CampaignFigure(
@@ -179,7 +179,8 @@ CAMPAIGN_FIGURES = (
         "laws",
         "Vs against connectivity",
         "Fits of Vs = a C^b + c for weights from the coordination number (left) and from the scan (right), "
-        "and at the mean connectivity of each content the interval in which 95 % of new samples fall.",
+        "and at the mean connectivity of each content with 10 samples or more the interval in which 95 % of new "
+        "samples fall.",
         draw_laws,
     ),
     CampaignFigure(
