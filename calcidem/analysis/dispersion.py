@@ -23,7 +23,7 @@ class Dispersion:
     """(F, V) mean stacked power of the samples, from 0 to 1: 1 if all places move in phase."""
     phase_velocity: NDArray[np.float64]
     standard_error: NDArray[np.float64]
-    """(F,) velocity of the largest power and its jackknife standard error over samples, m/s; NaN for fewer than three."""
+    """(F,) velocity of the largest power and its jackknife standard error, m/s; NaN for fewer than three samples."""
     long_wave: float
     long_wave_error: float
     """Limit at frequency zero and its standard error, m/s; NaN for fewer than three samples."""

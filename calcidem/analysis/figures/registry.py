@@ -140,8 +140,8 @@ CAMPAIGN_FIGURES = (
         "dispersion",
         "Phase velocity against frequency",
         "Power of the space-time sections of a content, stacked with the delays of plane waves and averaged over the "
-        "samples: dark where all stations move in phase. Dots are its ridge with the standard error over samples, left "
-        "out above 25 %; the diamond is the limit of long waves. Without cement there is one sample.",
+        "samples: dark where all stations move in phase. Dots are its ridge with the standard error, where that is "
+        "below 25 % and the power above 0.3; the diamond is the limit of long waves. At 0 % there is one sample.",
         lambda analysis: draw_dispersion(analysis.dispersions),
     ),
     CampaignFigure(

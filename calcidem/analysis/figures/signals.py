@@ -170,17 +170,17 @@ def draw_dispersion(contents: Sequence[ContentDispersion]) -> Figure:
 def _draw_content_dispersion(axes: Axes, shown: ContentDispersion) -> None:
     """Draw the spectrum of one content and its dispersion."""
     found = shown.found
-    # As of a cell, an error of a quarter is none; of one sample, plane waves have most of the power of the stations.
-    ridge = found.power.max(axis=1)
-    known = np.where(np.isfinite(found.standard_error), found.standard_error < 0.25 * found.phase_velocity, ridge > 0.5)
+    # A ridge of stations in random phases has less power. As of a cell, a velocity has an error of at most a quarter.
+    known = (found.power.max(axis=1) > 0.3) & ~(found.standard_error > 0.25 * found.phase_velocity)
+    ridge = np.where(known, found.phase_velocity, np.nan)
     axes.grid(visible=False)
     axes.pcolormesh(
         found.frequency * KHZ, found.velocity, found.power.T, cmap="Blues", vmin=0.0, vmax=1.0, rasterized=True
     )
     axes.errorbar(
-        found.frequency[known] * KHZ,
-        found.phase_velocity[known],
-        yerr=found.standard_error[known],
+        found.frequency * KHZ,
+        ridge,
+        yerr=found.standard_error,
         fmt="o-",
         color=BLACK,
         markersize=2.5,

@@ -117,6 +117,10 @@ def report_command(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF)."),
     ] = None,
+    figure: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this figure for --files, such as vs_range; may be repeated."),
+    ] = None,
     measured: Annotated[
         Path | None,
         typer.Option(
@@ -128,11 +132,15 @@ def report_command(
     campaign: CampaignName = None,
 ) -> None:
     """Write one self-contained page: configuration, tables, figures, failures, errors and run time."""
+    from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
     from calcidem.app.config.reader import read_targets
     from calcidem.app.report.page import unnamed_page, write_report
     from calcidem.storage.files import refuse_to_replace
     from calcidem.storage.sql.store import read_campaign
 
+    names = [entry.name for entry in CAMPAIGN_FIGURES]
+    if figure and (files is None or not set(figure) <= set(names)):
+        raise typer.BadParameter(f"give --files, and names of {', '.join(names)}", param_hint="--figure")
     if out is None:
         with read_campaign(database, campaign) as store:
             out = unnamed_page(store)
@@ -145,7 +153,14 @@ def report_command(
         studies = run_studies(database, campaign_name=campaign)
     with progress_bar("Report") as watch:
         page = write_report(
-            database, out, campaign_name=campaign, studies=studies, measured=targets, files=files, watch=watch
+            database,
+            out,
+            campaign_name=campaign,
+            studies=studies,
+            measured=targets,
+            files=files,
+            figures=figure or (),
+            watch=watch,
         )
     typer.echo(f"Wrote {page}")
     if files is not None:
