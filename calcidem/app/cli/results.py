@@ -15,7 +15,6 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.campaign.notices import printable, tell
@@ -29,7 +28,7 @@ from calcidem.app.cli.options import (
     parse_percentage,
     progress_bar,
 )
-from calcidem.app.cli.output import Format, FormatOption, RecordRows, tell_rows
+from calcidem.app.cli.output import Format, FormatOption, RecordRows, WholeTable, tell_rows
 from calcidem.ends import CellStatus, Verdict
 from calcidem.storage.errors import QueryError
 from calcidem.storage.store import Selection
@@ -261,7 +260,8 @@ def query_command(
     if layout is not Format.TABLE:
         tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
     elif out is None:
-        typer.echo(_as_table(headings, rows, remark), nl=False)
+        width = Console().width if sys.stdout.isatty() else 100_000
+        typer.echo(_as_table(headings, rows, remark, width), nl=False)
     else:
         from calcidem.storage.files import write_text_atomically
 
@@ -319,16 +319,16 @@ def _headings(names: Sequence[str]) -> dict[str, bool]:
     return headings
 
 
-def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str) -> str:
-    """Rows in aligned columns, no wider than needed."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
+def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str, width: int = 100_000) -> str:
+    """Rows in aligned columns, no wider than needed; folded if they are wider than a terminal."""
+    table = WholeTable(box=None, pad_edge=False, header_style="bold")
     for heading, numeric in headings.items():
         table.add_column(Text(heading), justify="right" if numeric else "left", no_wrap=True)
     for row in rows:
         table.add_row(*(Text(_format_value(value)) for value in row.values()))
     stream = io.StringIO()
     # Rich cuts columns to the width of the terminal; a table in a pipe must stay complete.
-    Console(file=stream, width=100_000, highlight=False).print(table)
+    Console(file=stream, width=width, highlight=False).print(table)
     lines = (line.rstrip() for line in stream.getvalue().splitlines())
     return "\n".join([*lines, remark, ""])
 
