@@ -176,5 +176,5 @@ def unit_in_name(name: str, dimension: str = "") -> tuple[str, str]:
 
 def meaning_of(name: str, known: Mapping[str, str]) -> str:
     """Quantity whose pattern the whole name matches, without its unit, marks and capitals; empty without one."""
-    plain = re.sub(r"[^a-z0-9]", "", unicodedata.normalize("NFKD", unit_in_name(name)[0]).lower())
+    plain = re.sub(r"[^a-z0-9]", "", unicodedata.normalize("NFKD", unit_in_name(name)[0]).casefold())  # ß: ss
     return next((quantity for quantity, pattern in known.items() if re.fullmatch(pattern, plain)), "")

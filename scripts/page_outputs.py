@@ -2,9 +2,9 @@
 
     python scripts/page_outputs.py docs/your-sand.md docs/tutorial/tutorial.ipynb
 
-A block ``sh`` or ``python`` is run, a block whose first line is ``# NAME.toml`` is written as that file; a block
-``text`` gets what the one before it printed. Figures that the page shows are taken over from the folder. A notebook is
-run on a copy of the database beside it.
+A block ``sh`` or ``python`` is run, a block whose first line is ``# NAME.toml`` or ``# NAME.csv`` is written as that
+file; a block ``text`` gets what the one before it printed. Figures that the page shows are taken over from the folder.
+A notebook is run on a copy of the database beside it.
 """
 
 import os
@@ -98,7 +98,7 @@ def text_with_outputs(text: str, folder: Path) -> str:
             ).stdout
             shown = shown.replace(f"{folder}/.cache", f"{_HOME}/.cache/calcidem").replace(str(folder), f"{_HOME}/sand")
             printed = "".join(f"{line.rstrip()}\n" for line in shown.splitlines())
-        elif name := re.match(r"# (\S+\.toml)\n", lines):
+        elif name := re.match(r"# (\S+\.(?:toml|csv))\n", lines):
             (folder / name[1]).write_text(lines, encoding="utf-8")
         return block[0]
 

@@ -18,11 +18,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
-
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -40,6 +37,15 @@ from scenes import (
     with_time_step,
 )
 
+from calcidem.analysis.figures.style import (
+    BLUE,
+    GREY,
+    VERMILION,
+    apply_style,
+    letter_panels,
+    new_figure,
+    render,
+)
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.scene import Law, Precision
@@ -146,37 +152,42 @@ def print_growth(results: dict[str, Any]) -> None:
         print(f"{title}: exponent {np.polyfit(np.log(size), np.log(time_spent), 1)[0]:.2f}")
 
 
-def draw(results: dict[str, Any], file: Path) -> None:
+@apply_style
+def draw(results: dict[str, Any]) -> Figure:
     """Four panels: disks, lanes, contents, ranks."""
-    figure, ((grains, lanes), (contents, ranks)) = plt.subplots(2, 2, figsize=(9.0, 6.5), layout="constrained")
-    for law in ("linear", "finite"):
+    figure = new_figure(height=5.6, width=7.4)
+    panels = grains, lanes, contents, ranks = figure.subplots(2, 2).ravel()
+    for law, colour in (("linear", BLUE), ("finite", VERMILION)):
         rows = [row for row in results["grains"] if row["law"] == law]
-        grains.plot([row["grains"] for row in rows], [row["ns"] for row in rows], "o-", label=f"{law}, 8 lanes")
-        for precision, style in (("float64", "o-"), ("float32", "s--")):
+        look: dict[str, Any] = {"color": colour, "markersize": 4}
+        grains.plot([row["grains"] for row in rows], [row["ns"] for row in rows], "o-", label=f"{law} law", **look)
+        for precision, bits, style in (("float64", 64, "o-"), ("float32", 32, "s--")):
             rows = [row for row in results["lanes"] if (row["law"], row["precision"]) == (law, precision)]
-            lanes.plot([row["lanes"] for row in rows], [row["ns"] for row in rows], style, label=f"{law}, {precision}")
-    contents.plot(
-        [row["content"] for row in results["contents"]], [row["seconds"] for row in results["contents"]], "o-"
-    )
-    workers = [row["workers"] for row in results["ranks"]]
-    ranks.plot(workers, [row["seconds"] for row in results["ranks"]], "o")
-    ranks.plot(workers, [results["ranks"][0]["seconds"] / count for count in workers], ":", label="ideal")
+            places, times = ([row[name] for row in rows] for name in ("lanes", "ns"))
+            lanes.plot(places, times, style, label=f"{law} law, {bits} bits", **look)
+    cost = np.array([(row["content"], row["seconds"]) for row in results["contents"]]).T
+    contents.plot(*cost, "o-", color=BLUE, markersize=4)
+    workers, seconds = np.array([(row["workers"], row["seconds"]) for row in results["ranks"]]).T
+    ranks.plot(workers, seconds, "o", color=BLUE, markersize=5, label="measured")
+    ranks.plot(workers, seconds[0] / workers, ":", color=GREY, label="one worker's time, divided")
     titles = (
-        (grains, "disks", "ns a contact-step", "log"),
-        (lanes, "samples side by side (lanes)", "ns a contact-step", "log"),
-        (contents, "calcite content (% of sand mass)", "CPU seconds a sample", "linear"),
-        (ranks, "workers", "seconds for 272 samples", "linear"),
+        ("disks", "ns a contact and step", "8 samples side by side"),
+        ("samples side by side (lanes)", "ns a contact and step", "4,670 disks"),
+        ("calcite content (% of sand mass)", "CPU seconds a sample", "a sample of the paper's campaign"),
+        ("workers", f"seconds for {16 * 17} samples", "calcidem run --ranks"),
     )
-    for axes, horizontal, vertical, scale in titles:
-        axes.set(xlabel=horizontal, ylabel=vertical, xscale=scale, yscale="log" if axes is lanes else "linear")
-        axes.grid(alpha=0.3)
-        if axes is not lanes:
-            axes.set_ylim(bottom=0.0)
+    for axes, (horizontal, vertical, title) in zip(panels, titles, strict=True):
+        axes.set(xlabel=horizontal, ylabel=vertical)
+        axes.set_title(title)
+        axes.set_ylim(bottom=0.0)
         if axes is not contents:
-            axes.legend(frameon=False, fontsize=8)
+            axes.legend(fontsize=7)
+    grains.set_xscale("log")
+    lanes.set_xscale("log", base=2)
     lanes.set_xticks(LANES, [str(count) for count in LANES])
-    ranks.set_xticks(sorted(set(workers)))
-    figure.savefig(file, dpi=130)
+    ranks.set_xticks(sorted(set(workers.tolist())))
+    letter_panels(panels)
+    return figure
 
 
 def main() -> None:
@@ -190,7 +201,7 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n")
     if options.figure:
-        draw(results, options.figure)
+        options.figure.write_bytes(render(draw(results), "png"))
 
 
 if __name__ == "__main__":

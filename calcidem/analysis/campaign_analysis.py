@@ -22,7 +22,7 @@ from calcidem.analysis.correlation import (
     scan_ratio,
     seed_permutation_test,
 )
-from calcidem.analysis.dispersion import FEWEST_SECTIONS, ContentDispersion, Dispersion, dispersion
+from calcidem.analysis.dispersion import ContentDispersion, Dispersion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, count_outcomes, describe_contents, name_outcomes
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.measured import Target
@@ -291,17 +291,17 @@ class CampaignAnalysis:
 
     @cached_property
     def dispersions(self) -> tuple[ContentDispersion, ...]:
-        """Dispersion of each content with a velocity and a stored section in at least three cells."""
+        """Dispersion of each content with a velocity and a stored section in a cell."""
         found = []
         for row in self.distributions:
             column = self.cells.sel(content=row.content)
-            with suppress(ValueError):  # too few sections
+            with suppress(ValueError):  # no section
                 done = Selection(contents=row.content, statuses=CellStatus.DONE)
                 spectrum = dispersion_of_cells(self.store.results(done, with_arrays=("section",)))
                 medians = (median_known(column[name]) for name in ("vs", "static_speed"))
                 found.append(ContentDispersion(row.content, spectrum, *medians))
         if not found:
-            raise UnavailableError("fewer than three cells of each content have a velocity and a stored section")
+            raise UnavailableError("no cell has a velocity and a stored section")
         return tuple(found)
 
     def measured_samples(self, content: float) -> list[MeasuredSample]:
@@ -390,14 +390,13 @@ def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr
 def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
     """Return the dispersion from the stored sections of cells of one content that have a velocity.
 
-    Phase velocities are searched from a third to three times the median Vs. `ValueError` if fewer than three cells have
-    a velocity and a section.
+    Phase velocities are searched from a third to three times the median Vs. Without cement all cells are one sample.
+    `ValueError` if no cell has a velocity and a section.
     """
-    read = [(cell.vs, cell.section) for cell in cells if cell.vs is not None and cell.section is not None]
-    if len(read) < FEWEST_SECTIONS:
-        raise ValueError(
-            f"{len(read)} cells have a velocity and a stored section; a dispersion needs at least {FEWEST_SECTIONS}"
-        )
+    found = [cell for cell in cells if cell.vs is not None and cell.section is not None]
+    read = [(cell.vs, cell.section) for cell in (found if any(cell.key.content for cell in found) else found[:1])]
+    if not read:
+        raise ValueError("no cell has a velocity and a stored section, which a dispersion needs")
     median = float(np.median([vs for vs, _ in read]))
     motions = [(found.time, found.places, found.across.astype(float)) for _, found in read]
     return dispersion(motions, read[0][1].pulse_frequency, (median / 3.0, 3.0 * median))

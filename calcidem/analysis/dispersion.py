@@ -10,9 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FEWEST_SECTIONS = 3
-"""Fewest samples for a jackknife."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dispersion:
@@ -26,10 +23,10 @@ class Dispersion:
     """(F, V) mean stacked power of the samples, from 0 to 1: 1 if all places move in phase."""
     phase_velocity: NDArray[np.float64]
     standard_error: NDArray[np.float64]
-    """(F,) velocity of the largest power and its jackknife standard error over samples, m/s."""
+    """(F,) velocity of the largest power and its jackknife standard error, m/s; NaN for fewer than three samples."""
     long_wave: float
     long_wave_error: float
-    """Limit at frequency zero and its standard error, m/s."""
+    """Limit at frequency zero and its standard error, m/s; NaN for fewer than three samples."""
     samples: int
 
 
@@ -54,13 +51,12 @@ def dispersion(
 ) -> Dispersion:
     """Return the phase velocity of shear waves from sections of samples of one content.
 
-    `ValueError` if there are fewer than three sections, or the velocities are not an increasing pair of positive
-    numbers.
+    `ValueError` without sections, or if the velocities are not an increasing pair of positive numbers.
 
     Parameters
     ----------
     sections
-        Motion across the path of at least three samples, from the transmitted pulse to the end of the received one:
+        Motion across the path of each sample, from the transmitted pulse to the end of the received one:
         times (T,), s, evenly spaced; places along the path (X,), m; and velocities (T, X) in any unit.
     frequency, velocities
         Frequency of the pulse, Hz, and the range of phase velocities to search, m/s.
@@ -74,8 +70,8 @@ def dispersion(
     averaged over the samples. The long-wave limit is the intercept of the phase velocity over the squared frequency,
     weighted by standard errors: a lattice of spacing d has ``c = c0 (1 - (pi f d / c0)^2 / 6)``.
     """
-    if len(sections) < FEWEST_SECTIONS:
-        raise ValueError(f"sections: {len(sections)} given; give those of at least three samples")
+    if not sections:
+        raise ValueError("sections: none given; give that of a sample, or of three for a standard error")
     if not 0.0 < velocities[0] < velocities[1]:
         raise ValueError(f"velocities = {velocities}: give a slowest and a fastest positive velocity, m/s")
     wanted = frequency * np.asarray(shares, dtype=float)
@@ -85,7 +81,7 @@ def dispersion(
     total, count = powers.sum(axis=0), len(sections)
     found, left_out = _ridge(total, velocity), np.array([_ridge(total - power, velocity) for power in powers])
     error = _jackknife(left_out)
-    known = np.maximum(error, 1e-3 * found)  # at least the resolution of the grid by a parabola
+    known = np.fmax(error, 1e-3 * found)  # at least the resolution of the grid by a parabola
     limits = np.array([_long_wave(wanted, ridge, known) for ridge in left_out])
     return Dispersion(
         frequency=wanted,
@@ -140,4 +136,6 @@ def _long_wave(
 def _jackknife(left_out: NDArray[np.float64]) -> NDArray[np.float64]:
     """Standard error from estimates (N, ...) that each leave out one sample."""
     count = len(left_out)
+    if count < 3:
+        return np.full_like(left_out[0], np.nan)
     return np.asarray(np.sqrt((count - 1) / count * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)))

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calcidem.analysis.distribution import ContentDistribution
+from calcidem.analysis.distribution import ContentDistribution, Distribution
+from calcidem.storage.records import NORMAL_95
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,7 @@ class _Misfit:
     """Measurement, the mean of a group."""
     mean: float
     standard_deviation: float
-    """Values of the campaign there, m/s, interpolated linearly between its contents."""
+    """Values of the campaign there, m/s, interpolated linearly between its contents; NaN if there is one sample."""
     interpolated: bool
     """True if the campaign lacks the content itself."""
     difference: float
@@ -85,18 +86,7 @@ def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Tar
     """
     rows = [row for row in distributions if row.vs.n]
     contents = np.array([row.content for row in rows])
-    columns = np.array(
-        [
-            (
-                row.vs.mean,
-                row.vs.standard_deviation,
-                row.vs.standard_deviation / math.sqrt(row.vs.n),
-                row.vs.prediction_interval.low,
-                row.vs.prediction_interval.high,
-            )
-            for row in rows
-        ]
-    )
+    columns = np.array([_compared_numbers(row.vs) for row in rows])
     inside = [row for row in measured if rows and is_covered(row, contents[0], contents[-1])]
     found = []
     for target, members in group_specimens(inside):
@@ -110,16 +100,28 @@ def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Tar
             _Misfit(
                 measured=target,
                 mean=mean,
-                standard_deviation=deviation,
+                standard_deviation=deviation or math.nan,
                 interpolated=bool(np.min(np.abs(contents - target.content)) > 1e-6),
                 difference=mean / target.vs - 1.0,
                 standard_errors=(mean - target.vs) / both if both else math.nan,
-                deviation_ratio=math.nan if target.sd is None else deviation / target.sd,
+                deviation_ratio=deviation / target.sd if deviation and target.sd else math.nan,
                 outside=sum(row.vs < low or row.vs > high for row, (low, high) in zip(members, of_new, strict=True)),
                 compared=sum(low <= high for low, high in of_new),
             )
         )
     return tuple(sorted(found, key=lambda one: one.measured.content))
+
+
+def _compared_numbers(vs: Distribution) -> tuple[float, ...]:
+    """Mean, standard deviation, standard error of the mean, and interval of 95 % of new samples.
+
+    The one sample without cement has only the error of its velocity.
+    """
+    if vs.n == 1:
+        interval, half = vs.mean_interval, 0.5 * (vs.mean_interval.high - vs.mean_interval.low)
+        return vs.mean, 0.0, half / NORMAL_95, interval.low, interval.high
+    interval, error = vs.prediction_interval, vs.standard_deviation / math.sqrt(vs.n)
+    return vs.mean, vs.standard_deviation, error, interval.low, interval.high
 
 
 def is_covered(row: Target, lowest: float, highest: float) -> bool:

@@ -221,6 +221,7 @@ def run_on_ranks(lead: Callable[[Executor | None, StopRequest], int], grace: flo
             with MPICommExecutor(comm):
                 return EXIT_COMPLETE  # that of rank 0 counts
         except BaseException:
+            # No sentence but a traceback: also of a program that listens to no logger, and before the abort.
             sys.stderr.write(f"rank {comm.Get_rank()}: {traceback.format_exc()}")
             comm.Abort(EXIT_ERROR)
             raise

@@ -51,9 +51,18 @@ def test_power_is_one_where_all_places_move_in_phase() -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "velocities", "word"), [(2, (200.0, 900.0), "three"), (3, (900.0, 200.0), "slowest")]
+    ("count", "velocities", "word"), [(0, (200.0, 900.0), "none given"), (3, (900.0, 200.0), "slowest")]
 )
 def test_what_has_no_dispersion_is_refused(count: int, velocities: tuple[float, float], word: str) -> None:
-    """Too few samples and a range without width are refused with what to give."""
+    """No sample and a range without width are refused with what to give."""
     with pytest.raises(ValueError, match=word):
         dispersion([section(700.0, 5.0e-3, seed) for seed in range(count)], FREQUENCY, velocities)
+
+
+def test_one_sample_has_a_dispersion_without_errors() -> None:
+    """All seeds without cement are one sample; a jackknife of one says nothing."""
+    found = dispersion([section(900.0, 1.0e-6, 1)], FREQUENCY, (200.0, 2000.0))
+    np.testing.assert_allclose(found.phase_velocity, 900.0, rtol=3e-3)
+    assert np.isnan(found.standard_error).all()
+    assert np.isnan(found.long_wave_error)
+    assert found.long_wave == pytest.approx(900.0, rel=3e-3)

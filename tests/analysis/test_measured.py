@@ -60,6 +60,17 @@ def test_specimens_are_compared_with_the_interval_of_new_samples() -> None:
     assert one.standard_errors == pytest.approx(-10.0 / np.hypot(10.0 / np.sqrt(3.0), 10.0))
 
 
+def test_the_sample_without_cement_is_compared_with_its_error() -> None:
+    """All seeds are one sample at 0 %: the error of its velocity is that of the difference, and no scatter is shown."""
+    vs = xr.DataArray([[200.0, 290.0], [200.0, 310.0]], {"seed": [1, 2], "content": [0.0, 2.0]}, ("seed", "content"))
+    rows = [Target(0.0, 230.0, samples=1), Target(0.5, 225.0, 20.0, 5)]
+    first, second = misfits(describe_contents(vs, error=0.05 * vs / vs), rows)
+    assert first.standard_errors == pytest.approx(-30.0 / 10.0, rel=0.02)
+    assert (first.outside, first.compared) == (1, 1)
+    assert np.isnan(first.standard_deviation)
+    assert second.deviation_ratio == pytest.approx(0.25 * 200**0.5 / 20.0)
+
+
 def test_every_measured_point_lies_within_the_axes(analysis: CampaignAnalysis) -> None:
     """Also one far above the samples, and every specimen of a group beside its mean."""
     measured = (Target(2.0, 480.0, samples=1), Target(2.0, 520.0, samples=1), Target(20.0, 2900.0, 100.0, 5))

@@ -64,6 +64,24 @@ def test_noise_scatters_the_velocity_as_the_error_says(shape: Shape) -> None:
         assert abs(velocities.mean() - DISTANCE / DELAY) < 0.5 * velocities.std()
 
 
+def test_the_delay_of_the_electronics_is_subtracted() -> None:
+    """Then all methods have the velocity of the rest, and the arrivals are drawn where the signal is shown."""
+    found = calcidem.read_signal(TIME, pulse(sine), pulse(sine, DELAY + 1e-5), DISTANCE, delay=1e-5)
+    assert list(found.velocities.values()) == pytest.approx([DISTANCE / DELAY] * 3, rel=3e-4)
+    assert TIME[found.arrival.received.argmax()] == pytest.approx(found.arrival.arrival_time("peak"), abs=2e-6)
+    with pytest.raises(FieldError, match="less than the travel time"):
+        calcidem.read_signal(TIME, pulse(sine), pulse(sine, DELAY), DISTANCE, delay=6e-4)
+
+
+def test_the_spread_is_the_difference_of_the_methods() -> None:
+    """It is small for a delayed pulse, and stated beside the error by noise for one that has changed its shape."""
+    assert calcidem.read_signal(TIME, pulse(sine), pulse(sine, DELAY), DISTANCE).spread < 1e-3
+    found = calcidem.read_signal(TIME, pulse(sine), pulse(raised_cosine, DELAY), DISTANCE)
+    speeds = [*found.velocities.values()]
+    assert found.spread == pytest.approx((max(speeds) - min(speeds)) / np.mean(speeds))
+    assert f"The methods differ by {100.0 * found.spread:.2g} %" in str(found)
+
+
 def test_twice_the_noise_is_twice_the_error() -> None:
     """The error is proportional to the noise, and to the square root of the sampling interval."""
     noise = np.random.default_rng(3).normal(scale=0.01, size=TIME.size)

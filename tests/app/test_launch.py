@@ -87,7 +87,7 @@ def test_ranks_that_die_in_each_start_end_the_run(workshop: "Workshop", fault: s
     assert ended.code == 1
     assert "The run did not begin (" in ended.errors
     assert said in " ".join((ended.output + ended.errors).split())  # mpirun breaks its lines
-    assert "nothing was computed." in ended.errors
+    assert "nothing was computed." in ended.output
     assert (workshop.folder / "starts").read_text().count("start") == 2
     assert workshop.leaves_no_process()
 
@@ -98,7 +98,7 @@ def test_a_rank_that_is_stopped_while_starting_is_not_waited_for(workshop: "Work
     prepare(workshop, "stop", 1)
     ended = workshop.run("run", "c.toml", "--ranks", "3", "--start-timeout", "15")
     assert ended.code == 1, ended.errors
-    assert "rank 0 did not begin within 15 s" in ended.errors
+    assert "rank 0 did not begin within 15 s" in ended.output
     assert workshop.leaves_no_process()
 
 
@@ -112,8 +112,8 @@ def test_a_launcher_that_fails_is_started_twice(workshop: "Workshop", how: str, 
     workshop.configure(seeds=1, contents=(9.0,))
     ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "5")
     assert ended.code == 1, ended.errors
-    assert "The run did not begin (launcher" in ended.errors
-    assert said in ended.errors
+    assert "The run did not begin (launcher" in ended.output
+    assert said in ended.output
     assert (workshop.folder / "starts").read_text().count("start") == 2
 
 
@@ -123,8 +123,8 @@ def test_a_run_whose_launcher_is_killed_while_ranks_start_is_started_again(works
     prepare(workshop, "launcher once", 1)
     ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "1")
     assert ended.code == 0, ended.errors
-    assert "was killed by SIGKILL" in ended.errors
-    assert "Start 2 of at most 2." in ended.errors
+    assert "was killed by SIGKILL" in ended.output
+    assert "Start 2 of at most 2." in ended.output
     assert workshop.leaves_no_process()
 
 
@@ -237,5 +237,5 @@ def test_a_second_signal_ends_a_run_whose_rank_0_is_frozen_at_once(workshop: "Wo
     ended = workshop.wait(command)
     assert time.monotonic() - begin < 5.0  # seconds, of which the tables of what is stored take most
     assert ended.code == 75
-    assert "was killed by SIGKILL" in ended.errors
+    assert "was killed by SIGKILL" in ended.output
     assert workshop.leaves_no_process()

@@ -43,6 +43,7 @@ SPECIMENS = (Target(2.0, 480.0, samples=1, stress=50e3), Target(4.4, 910.0, samp
         "\ufeffContent;Vs;confining pressure [kPa]\r\n2,0;480;50\r\n4,4;910;50\r\n".encode(),
         b"content (-)\tVs in km/s\tp\n0.02\t0.48\t50\n0.044\t0.91\t50\n",
         b"content,vs,p\n2%,480 m/s,50 kPa\n4.4%,0.91 km/s,0.05 MPa\n",
+        b"Probe;Calcitgehalt (%);Zelldruck (kPa);Wellengeschwindigkeit (m/s)\nA1;2;50;480\nA2;4,4;50;910\n",
         b"content;G0 (MPa);density (g/cm3);p\n2;460.8;2;50\n4.4;1656.2;2;50\n",
         "CaCO3-Content / %;Shear-wave velocity / (m/s);\u03c3 in \u00b0;p (kPa)\n2;480;1;50\n4,4;910;1;50\n".encode(),
     ],
@@ -64,3 +65,10 @@ def test_rows_with_scatter_are_means_unless_they_name_specimens(tmp_path: Path) 
     assert told[0].endswith("1 measurements; content in 'content', vs in 'Vs (km/s)', sd in 'Std'; not used: by")
     (tmp_path / "lab.csv").write_text("specimen,content,vs,sd\nA,2,480,20\nA,2,490,20\n", encoding="utf-8")
     assert read_targets(tmp_path / "lab.csv") == (Target(2.0, 480.0, 20.0, 1), Target(2.0, 490.0, 20.0, 1))
+
+
+def test_one_mistake_in_many_rows_is_one_line(tmp_path: Path) -> None:
+    """With the first row and the number of the others."""
+    (tmp_path / "lab.csv").write_text("content,vs\n1,-3\n2,-4\n3,-5\n4,400\n", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"1 problem.*\n.*row 2, vs = '-3' and 2 more rows: give a positive"):
+        read_targets(tmp_path / "lab.csv")

@@ -141,9 +141,18 @@ def test_a_grading_is_read_from_a_table(tmp_path: Path, invoke: Callable[..., st
     (tmp_path / "sizes.csv").write_text(GRADING, encoding="utf-8")
     grading = read_grading(tmp_path / "sizes.csv")
     assert grading == pytest.approx((0.1e-3, np.sqrt(0.05) * 1e-3, 0.5e-3))
-    invoke("init", tmp_path / "a.toml", "--grading", tmp_path / "sizes.csv", "--mineral", "glass")
+    german = "Korngröße (mm);Siebdurchgang (%)\n1,0;100\n0,5;90\n0,1;10\n"
+    (tmp_path / "german.csv").write_text(german, encoding="utf-8")
+    assert read_grading(tmp_path / "german.csv") == pytest.approx(grading)
+    told = invoke("init", tmp_path / "a.toml", "--grading", tmp_path / "sizes.csv", "--mineral", "glass")
+    assert "d10, d50, d90" in told
+    assert "disks in all" in told
+    assert "amplitude = " in told
     written = read_configuration(tomllib.loads((tmp_path / "a.toml").read_text(encoding="utf-8")))
     assert written.packing.diameter == pytest.approx(uniform_limits(*grading), rel=5e-3)
+    (tmp_path / "large.csv").write_text("size (m),finer\n2,0\n3,50\n4,100\n", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="--grading"):
+        invoke("init", tmp_path / "b.toml", "--grading", tmp_path / "large.csv")
     both = ("--grading", tmp_path / "sizes.csv", "--grain-size", "1mm")
     assert "leave it out: the grading has it" in invoke("init", tmp_path / "b.toml", *both, exit_code=2)
 
@@ -151,7 +160,7 @@ def test_a_grading_is_read_from_a_table(tmp_path: Path, invoke: Callable[..., st
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("size,finer\n0.1,10\n0.5,90\n", "row 2 = 0.1,10: give a size with its unit"),
+        ("size,finer\n0.1,10\n0.5,90\n", "row 2 = 0.1,10 and 1 more row: give a size with its unit"),
         ("size (mm),retained\n0.1,10\n0.5,90\n", "column finer: is missing; there are size (mm), retained"),
         ("size (mm),finer\n0.1,20\n0.5,90\n", "finer = 20 to 90: give percent finer that grows"),
         ("size (mm),finer\n0.1,0\n0.2,90\n0.5,60\n", "finer = 0 to 60"),

@@ -66,7 +66,7 @@ def test_a_stopped_campaign_goes_on(workshop: "Workshop", expected: "Cells", num
     process.send_signal(signal.Signals[number])
     stopped = workshop.wait(process)
     assert stopped.code == 75, stopped.errors
-    assert "Start 2" not in stopped.errors
+    assert "Start 2" not in stopped.output
     assert workshop.leaves_no_process()
     kept = workshop.cells()
     assert 0 < len(kept) < len(expected)
@@ -87,7 +87,7 @@ def test_a_killed_launcher_takes_its_ranks_along(workshop: "Workshop", expected:
     os.kill(int(children[0]) if victim == "mpirun" else process.pid, signal.SIGKILL)
     cut_off = workshop.wait(process)
     assert cut_off.code == (75 if victim == "mpirun" else -signal.SIGKILL)
-    assert ("the same command continues" in cut_off.errors) == (victim == "mpirun")
+    assert ("the same command continues" in cut_off.output) == (victim == "mpirun")
     assert workshop.leaves_no_process()
     assert workshop.run("run", "c.toml", "--ranks", "3").code == 0
     assert workshop.cells() == expected
@@ -102,8 +102,8 @@ def test_a_killed_rank_costs_a_start(workshop: "Workshop", expected: "Cells", vi
     os.kill(workshop.rank(victim), signal.SIGKILL)
     done = workshop.wait(process)
     assert done.code == 0, done.errors
-    assert "The run was cut off (" in done.errors
-    assert "Start 2 of at most 4." in done.errors
+    assert "The run was cut off (" in done.output
+    assert "Start 2 of at most 4." in done.output
     assert workshop.cells() == expected
     assert workshop.leaves_no_process()
 

@@ -140,8 +140,8 @@ CAMPAIGN_FIGURES = (
         "dispersion",
         "Phase velocity against frequency",
         "Power of the space-time sections of a content, stacked with the delays of plane waves and averaged over the "
-        "samples: dark where all stations move in phase. Dots are its ridge with the standard error over samples, the "
-        "diamond is the limit of long waves.",
+        "samples: dark where all stations move in phase. Dots are its ridge with the standard error, where that is "
+        "below 25 % and the power above 0.3; the diamond is the limit of long waves. At 0 % there is one sample.",
         lambda analysis: draw_dispersion(analysis.dispersions),
     ),
     CampaignFigure(
@@ -178,8 +178,8 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "laws",
         "Vs against connectivity",
-        "Fits of Vs = a C^b + c for each choice of weights, and at the mean connectivity of each content the interval "
-        "in which 95 % of new samples fall.",
+        "Fits of Vs = a C^b + c for each choice of weights, and at the mean connectivity of each content with 10 samples "
+        "or more the interval in which 95 % of new samples fall.",
         draw_laws,
     ),
     CampaignFigure(

@@ -151,17 +151,20 @@ def _draw_law(
     axes: Axes, law: LawFit, symbol: str, vs: NDArray[np.float64], contents: NDArray[np.float64]
 ) -> tuple[PathCollection, NDArray[np.float64]]:
     """Draw samples, law, and the interval of new samples at each content; returns the points and places of the law."""
+    size = 7 if len(vs) > 200 else 20  # points²
     points = axes.scatter(
-        law.connectivity, vs, c=contents, cmap=CONTENT_MAP, s=7, alpha=0.8, linewidths=0, rasterized=True
+        law.connectivity, vs, c=contents, cmap=CONTENT_MAP, s=size, alpha=0.8, linewidths=0, rasterized=True
     )
     known = law.connectivity[np.isfinite(vs)]
     grid = np.linspace(np.nanmin(known), np.nanmax(known), 200)
     outlined = [Stroke(linewidth=2.6, foreground="white"), Normal()]
     bars: dict[str, Any] = {"color": BLACK, "linewidth": 1.0, "path_effects": outlined, "zorder": 3}
-    label = "95 % of new samples at each content"
-    axes.vlines(*_intervals_by_content(law.connectivity, vs, contents).T, **bars, label=label)
+    if (intervals := _intervals_by_content(law.connectivity, vs, contents)).size:
+        axes.vlines(*intervals.T, **bars, label="95 % of new samples at each content")
     fit = law.fit
-    axes.plot(grid, fit.predict(grid), color=BLUE, zorder=4, label=_law_text(symbol, fit.a, fit.b, fit.c))
+    few = f"\n(few samples: $b$ = {fit.b_interval.low:.1f} to {fit.b_interval.high:.1f})".replace("-", "\N{MINUS SIGN}")
+    label = _law_text(symbol, fit.a, fit.b, fit.c) + few * (fit.n < 30)
+    axes.plot(grid, fit.predict(grid), color=BLUE, zorder=4, label=label)
     return points, grid
 
 
@@ -181,7 +184,7 @@ def _intervals_by_content(
     found = []
     for content in np.unique(contents):
         known = (contents == content) & np.isfinite(vs) & np.isfinite(connectivity)
-        if known.sum() < 4:  # fewer give no useful interval
+        if known.sum() < 10:  # intervals of fewer are wider than the picture
             continue
         mean = float(np.mean(connectivity[known]))
         interval = VelocityPredictor.fit(connectivity[known, None], vs[known]).predict([mean]).interval

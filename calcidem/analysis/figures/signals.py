@@ -170,13 +170,16 @@ def draw_dispersion(contents: Sequence[ContentDispersion]) -> Figure:
 def _draw_content_dispersion(axes: Axes, shown: ContentDispersion) -> None:
     """Draw the spectrum of one content and its dispersion."""
     found = shown.found
+    # A ridge of stations in random phases has less power. As of a cell, a velocity has an error of at most a quarter.
+    known = (found.power.max(axis=1) > 0.3) & ~(found.standard_error > 0.25 * found.phase_velocity)
+    ridge = np.where(known, found.phase_velocity, np.nan)
     axes.grid(visible=False)
     axes.pcolormesh(
         found.frequency * KHZ, found.velocity, found.power.T, cmap="Blues", vmin=0.0, vmax=1.0, rasterized=True
     )
     axes.errorbar(
         found.frequency * KHZ,
-        found.phase_velocity,
+        ridge,
         yerr=found.standard_error,
         fmt="o-",
         color=BLACK,
@@ -199,8 +202,8 @@ def _draw_content_dispersion(axes: Axes, shown: ContentDispersion) -> None:
     axes.axhline(shown.vs, color=VERMILION, linewidth=0.9, linestyle=":", label="median Vs")
     if np.isfinite(shown.static):
         axes.axhline(shown.static, color=GREEN, linewidth=0.9, linestyle="--", label="static speed (median)")
-    ends = found.phase_velocity + np.outer([-1.0, 1.0], found.standard_error)
+    ends = (found.phase_velocity + np.outer([-1.0, 1.0], found.standard_error))[:, known]
     reached = [*ends[np.isfinite(ends)], found.long_wave, shown.vs]
-    axes.set_ylim(max(0.0, min(0.45 * shown.vs, 0.9 * min(reached))), max(2.2 * shown.vs, 1.1 * max(reached)))
-    axes.set_xlim(0.0, found.frequency[-1] * KHZ)
-    axes.set_title(f"{shown.content:g} % ({found.samples} samples)")
+    axes.set_ylim(min(0.45 * shown.vs, 0.9 * min(reached)), max(2.2 * shown.vs, 1.1 * max(reached)))
+    axes.set_xlim(0.0, (found.frequency[-1] + 0.5 * (found.frequency[-1] - found.frequency[-2])) * KHZ)
+    axes.set_title(f"{shown.content:g} % ({found.samples} sample{'s' * (found.samples != 1)})")

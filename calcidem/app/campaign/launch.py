@@ -4,6 +4,7 @@ It forwards signals, shows the progress, and starts again after a death. All tha
 in the database, or in what the launcher wrote.
 """
 
+import logging
 import os
 import shutil
 import signal
@@ -114,14 +115,14 @@ class Launch:
                 raise SweepInterrupted
             else:
                 why = f"The run did not begin ({why}); nothing was computed."
-            sys.stderr.write(f"{why}\n")
+            tell(why, logging.ERROR)
             begun |= found is not None
             if stop.level or (found is None and fruitless):
                 break
             fruitless = found is None
             if restart < self.restarts:
                 time.sleep(1.0)  # s, in which the last processes of this start end
-                sys.stderr.write(f"Start {restart + 2} of at most {self.restarts + 1}.\n")
+                tell(f"Start {restart + 2} of at most {self.restarts + 1}.", logging.ERROR)
         return EXIT_RESUMABLE if begun else EXIT_ERROR
 
 

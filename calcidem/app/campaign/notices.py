@@ -16,9 +16,9 @@ class CampaignWarning(UserWarning):
     """Advice about a campaign, such as a wave that its grains scatter. It is also in `Campaign.notes`."""
 
 
-def tell(text: str) -> None:
-    """Log a sentence, level INFO."""
-    _LOGGER.info("%s", text)
+def tell(text: str, level: int = logging.INFO) -> None:
+    """Log a sentence; at level ERROR a quiet command writes it, too."""
+    _LOGGER.log(level, "%s", text)
 
 
 def advise(text: str) -> None:
@@ -36,20 +36,21 @@ class _Listener(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Pass it on; an error of the function is that of the sender, as of any output."""
-        if record.levelno < logging.WARNING:
+        if record.levelno != logging.WARNING:
             self._write(record.getMessage())
         elif self._with_advice:
             self._write(f"Warning: {record.getMessage()}")
 
 
 @contextmanager
-def listening(write: Callable[[str], object], *, with_advice: bool = True) -> Iterator[None]:
+def listening(write: Callable[[str], object], *, with_advice: bool = True, least: int = logging.INFO) -> Iterator[None]:
     """Let a function of the terminal receive the sentences, within this context instead of that of an outer one.
 
-    Without advice where Python writes its warnings.
+    Without advice where Python writes its warnings, and without what is below the ``least`` level.
     """
     outer, level = [one for one in _LOGGER.handlers if isinstance(one, _Listener)], _LOGGER.level
     inner = _Listener(write, with_advice=with_advice)
+    inner.setLevel(least)
     _LOGGER.handlers = [inner, *(one for one in _LOGGER.handlers if one not in outer)]
     _LOGGER.setLevel(min(_LOGGER.getEffectiveLevel(), logging.INFO))
     try:

@@ -383,7 +383,7 @@ class Campaign(Closable):
     def dispersion(self, *, content: float) -> Dispersion:
         """Compute phase velocity against frequency, and the speed of long waves, from the sections of a content.
 
-        `UnknownCellError` if fewer than three cells have a velocity and a stored section.
+        `UnknownCellError` if no cell has a velocity and a stored section.
         """
         try:
             return dispersion_of_cells(self.select(content=content, status="done", with_arrays=True))

@@ -3,12 +3,12 @@
 import functools
 import gc
 import inspect
+import logging
 import os
 import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from importlib import import_module
 from io import TextIOWrapper
 from typing import Annotated, Any
@@ -163,7 +163,7 @@ def _with_common_options(name: str, function: Callable[..., None]) -> Callable[.
         warnings.simplefilter("ignore", CampaignWarning)  # which are written as sentences
         begin = time.perf_counter()
         try:
-            with nullcontext() if quiet else listening(write_notice):
+            with listening(write_notice, least=logging.ERROR if quiet else logging.INFO):
                 function(**given)
         finally:
             if verbose:

@@ -15,7 +15,6 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from calcidem.app.campaign.notices import printable, tell
@@ -29,7 +28,7 @@ from calcidem.app.cli.options import (
     parse_percentage,
     progress_bar,
 )
-from calcidem.app.cli.output import Format, FormatOption, RecordRows, tell_rows
+from calcidem.app.cli.output import Format, FormatOption, RecordRows, WholeTable, tell_rows
 from calcidem.ends import CellStatus, Verdict
 from calcidem.storage.errors import QueryError
 from calcidem.storage.store import Selection
@@ -117,6 +116,10 @@ def report_command(
         Path | None,
         typer.Option(metavar="DIR", help="Folder for all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF)."),
     ] = None,
+    figure: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Only this figure for --files, such as vs_range; may be repeated."),
+    ] = None,
     measured: Annotated[
         Path | None,
         typer.Option(
@@ -128,11 +131,15 @@ def report_command(
     campaign: CampaignName = None,
 ) -> None:
     """Write one self-contained page: configuration, tables, figures, failures, errors and run time."""
+    from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
     from calcidem.app.config.reader import read_targets
     from calcidem.app.report.page import unnamed_page, write_report
     from calcidem.storage.files import refuse_to_replace
     from calcidem.storage.sql.store import read_campaign
 
+    names = [entry.name for entry in CAMPAIGN_FIGURES]
+    if figure and (files is None or not set(figure) <= set(names)):
+        raise typer.BadParameter(f"give --files, and names of {', '.join(names)}", param_hint="--figure")
     if out is None:
         with read_campaign(database, campaign) as store:
             out = unnamed_page(store)
@@ -145,7 +152,14 @@ def report_command(
         studies = run_studies(database, campaign_name=campaign)
     with progress_bar("Report") as watch:
         page = write_report(
-            database, out, campaign_name=campaign, studies=studies, measured=targets, files=files, watch=watch
+            database,
+            out,
+            campaign_name=campaign,
+            studies=studies,
+            measured=targets,
+            files=files,
+            figures=figure or (),
+            watch=watch,
         )
     typer.echo(f"Wrote {page}")
     if files is not None:
@@ -246,7 +260,8 @@ def query_command(
     if layout is not Format.TABLE:
         tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
     elif out is None:
-        typer.echo(_as_table(headings, rows, remark), nl=False)
+        width = Console().width if sys.stdout.isatty() else 100_000
+        typer.echo(_as_table(headings, rows, remark, width), nl=False)
     else:
         from calcidem.storage.files import write_text_atomically
 
@@ -304,16 +319,16 @@ def _headings(names: Sequence[str]) -> dict[str, bool]:
     return headings
 
 
-def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str) -> str:
-    """Rows in aligned columns, no wider than needed."""
-    table = Table(box=None, pad_edge=False, header_style="bold")
+def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str, width: int = 100_000) -> str:
+    """Rows in aligned columns, no wider than needed; folded if they are wider than a terminal."""
+    table = WholeTable(box=None, pad_edge=False, header_style="bold")
     for heading, numeric in headings.items():
         table.add_column(Text(heading), justify="right" if numeric else "left", no_wrap=True)
     for row in rows:
         table.add_row(*(Text(_format_value(value)) for value in row.values()))
     stream = io.StringIO()
     # Rich cuts columns to the width of the terminal; a table in a pipe must stay complete.
-    Console(file=stream, width=100_000, highlight=False).print(table)
+    Console(file=stream, width=width, highlight=False).print(table)
     lines = (line.rstrip() for line in stream.getvalue().splitlines())
     return "\n".join([*lines, remark, ""])
 

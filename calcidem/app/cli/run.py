@@ -1,5 +1,6 @@
 """``calcidem init`` and ``calcidem run``: a configuration, and its campaign in this process or on MPI ranks."""
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from enum import StrEnum
@@ -100,7 +101,8 @@ def init_command(
         from calcidem.app.config.examples import OwnSand, read_grading  # as above
 
         size = disks or grain_size or ",".join(f"{d!r}m" for d in read_grading(grading or Path()))
-        own = OwnSand.of_words(size, stress or "100kPa", mineral or "quartz", contents or "0,1,2,4", file.parent)
+        words = stress or "100kPa", mineral or "quartz", contents or "0,1,2,4"
+        own = OwnSand.of_words(size, *words, file.parent, given[0])
         text = own.text()
         if 0.0 < max(own.contents) < 0.1:
             typer.echo(
@@ -116,6 +118,14 @@ def init_command(
     another = "give another name" if given else f"write another with 'calcidem init {other} --preset {chosen}'"
     _write_new(file, text, f"run it with 'calcidem run {file}', or {another}")
     typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
+    _tell_decisions(text if given else "")
+
+
+def _tell_decisions(text: str) -> None:
+    """Tell what a configuration of a sand decides, with its reasons."""
+    for key, value, reason in re.findall(r"(?m)^(\w+) = (.*?) +# (.*)", text):
+        if key in {"file", "height", "diameter", "stress", "bond_modulus", "frequency", "amplitude", "slowest"}:
+            tell(f"  {key} = {value}: {reason}")
 
 
 def _write_new(file: Path, text: str, remedy: str) -> None:

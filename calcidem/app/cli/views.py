@@ -135,7 +135,7 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     """Table of Vs against content for selected cells of the store's campaign."""
     columns = store.table((*STATUS_QUANTITIES, "effective_vs", "wavelengths_on_path", "broken_bonds"), selection)
     found = CampaignStatus.of(store, columns, ())
-    velocities = ("mean m/s", "sd m/s", "reading m/s", "effective m/s", "its sd m/s")
+    velocities = ("mean m/s", "sd m/s", "reading m/s", "effective mean m/s", "effective sd m/s")
     table = make_table("Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda"))
     table.add_column("other cells")
     marks, is_near, counted = [], False, are_samples(columns["vs"], columns["content"])
@@ -159,8 +159,8 @@ def _vs_table(store: Store, selection: Selection) -> Table:
         )
     remarks = [
         (
-            f"standard error of Vs: {found.budget}; reading m/s: sd of Vs by reading errors alone; "
-            f"G0: for a soil of {SOIL_DENSITY:g} kg/m3"
+            f"standard error of Vs: {found.budget}; reading: sd of Vs by reading errors alone; effective: Vs of the "
+            f"wave that fits all stations; G0: from its mean, for a soil of {SOIL_DENSITY:g} kg/m3"
         )
     ]
     if is_near:

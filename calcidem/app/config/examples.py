@@ -22,7 +22,7 @@ from typing import Annotated, Any, Self, get_args, get_origin
 import numpy as np
 
 from calcidem.app.config.presets import PRESETS, preset_text
-from calcidem.app.config.reader import read_configuration
+from calcidem.app.config.reader import problems_of_rows, read_configuration
 from calcidem.app.config.schema import SECTIONS, TAKEN_FROM_ELSEWHERE, Configuration, ConfigurationError, Problem
 from calcidem.dem.engine.fields import accepted_values, field_hints, quote, unit_of, written
 from calcidem.dem.engine.scene import Sand
@@ -209,12 +209,14 @@ class OwnSand:
     """d10, d50 and d90 by mass, m, if given."""
 
     @classmethod
-    def of_words(cls, size: str | Path, stress: str, mineral: str, contents: str, folder: Path) -> Self:
+    def of_words(
+        cls, size: str | Path, stress: str, mineral: str, contents: str, folder: Path, option: str = "--grain-size"
+    ) -> Self:
         """Understand the options of `calcidem init`: the size in words, or the file of the disks; the others in words.
 
-        The size is the mean diameter, or d10, d50 and d90 with commas between them. Disks are named relative to the
-        configuration's folder. `ConfigurationError` with everything that is wrong; `PackingFileError`, naming the line,
-        if the file has no disks.
+        The size is the mean diameter, or d10, d50 and d90 with commas between them, and ``option`` gave it. Disks are
+        named relative to the configuration's folder. `ConfigurationError` with everything that is wrong;
+        `PackingFileError`, naming the line, if the file has no disks.
         """
         problems: list[Problem] = []
 
@@ -227,13 +229,13 @@ class OwnSand:
 
         disks = OwnDisks.read(size, folder) if isinstance(size, Path) else None
         graded: tuple[tuple[float, float], tuple[float, float, float]] | tuple[()] = ()
-        sizes = [] if disks else [quantity("--grain-size", "grain size", part) for part in str(size).split(",")]
+        sizes = [] if disks else [quantity(option, "grain size", part) for part in str(size).split(",")]
         if len(sizes) == 3 and sizes == sorted(set(sizes)):
             smallest, largest = uniform_limits(*sizes)
             mean = 0.5 * (smallest + largest)
             graded, sizes = ((smallest / mean, largest / mean), (sizes[0], sizes[1], sizes[2])), [mean]
         elif len(sizes) > 1:
-            problems.append(Problem(f"--grain-size {size}: give the mean diameter, or increasing d10, d50 and d90"))
+            problems.append(Problem(f"{option} {size}: give the mean diameter, or increasing d10, d50 and d90"))
         diameter = float(f"{disks.diameters[1] if disks else sizes[0]:.3g}")
         pressure = quantity("--stress", "stress", stress)
         try:
@@ -337,6 +339,7 @@ class OwnSand:
             bond_modulus=_Multiple(self.bond_modulus),
             stiffness_ratio=_Multiple(1.0 / self.sand.shear_ratio),
             wavelengths=WAVELENGTHS,
+            kilohertz=waves / 1e3,
             amplitude=_short(0.01 * 0.5 * self.overlap * d * waves, 1),
             slowest=_short(0.5 * self.velocity, 2),
             velocity=self.velocity,
@@ -391,23 +394,28 @@ def read_grading(file: Path) -> tuple[float, float, float]:
     `ConfigurationError` if it lacks a column, a unit or the range of 10 to 90 %; `InputFileError` if it is not text.
     """
     known = {
-        "size": "(grain|particle|sieve|mesh)?(size|diameter|opening|aperture)|d|sieve",
-        "finer": "(cumulative)?(percent)?(cumulative)?(finer|passing|undersize)(bymass|byweight)?|p",
+        "size": "(grain|particle|sieve|mesh)?(size|diameter|opening|aperture)|d|sieve"
+        "|korn(grosse|durchmesser)|(sieb|maschen)(weite|offnung)",
+        "finer": "(cumulative)?(percent)?(cumulative)?(finer|passing|undersize)(bymass|byweight)?|p|(sieb)?durchgang",
     }
     table = Table.read(read_input(file, 1_000_000), file, known, tuple(known))  # bytes; far more than a grading has
-    columns, rows, problems = table.places(known), [], list[Problem]()
+    columns, rows, problems, wrongs = table.places(known), [], list[Problem](), list[tuple[str, str, str]]()
     unit = unit_in_name(table.names[columns["size"]], "length")[1] if "size" in columns else ""
     if missing := [name for name in known if name not in columns]:
         given = ", ".join(table.names) or "no names"
         problems.append(
-            Problem(f"column {missing[0]}: is missing; there are {given}. Write 'size (mm)' and 'finer (%)'")
+            Problem(
+                f"column {missing[0]}: is missing; there are {given}. Accepted are 'size (mm)', 'diameter', 'sieve' or "
+                "'Korngröße', and 'finer (%)', 'passing' or 'Siebdurchgang'"
+            )
         )
     for number, row in table.rows if not problems else ():
         texts = (*row, "", "")[columns["size"]], (*row, "", "")[columns["finer"]]
         rows.append((value_of(texts[0], "length", unit), value_of(texts[1], "percent", "%")))
         if not (0.0 < rows[-1][0] < math.inf and 0.0 <= rows[-1][1] <= 100.0):
             cure = "give a size with its unit, as in a column 'size (mm)', and percent from 0 to 100"
-            problems.append(Problem(f"row {number} = {','.join(row)}: {cure}"))
+            wrongs.append((f"row {number} = {','.join(row)}", "", cure))
+    problems += problems_of_rows(wrongs)
     sizes, finer = np.array(sorted(rows)).reshape(-1, 2).T
     if not problems and (not rows or (np.diff(finer) < 0.0).any() or finer[0] > 10.0 or finer[-1] < 90.0):
         cure = "give percent finer that grows with the size, from 10 or less to 90 or more"

@@ -24,6 +24,7 @@ from calcidem.app.config.schema import (
 from calcidem.dem.engine.fields import FieldError, Settings, field_hints, quote, similar
 from calcidem.dem.sample.packing_file import checked_disks
 from calcidem.input_file import read_input, read_text
+from calcidem.sweep.schedule import pluralize
 from calcidem.table import Table, meaning_of, parse_number, unit_in_name, value_of
 
 if TYPE_CHECKING:
@@ -223,16 +224,17 @@ def _take_own_disks(
 
 
 KNOWN_COLUMNS = {
-    "content": "((caco3|calcite|carbonate|cement)(content)?|content)(bymass|bydrymass)?",
-    "vs": "(mean|average)?(vs|shearwavevelocity|velocity)(mean|average)?",
-    "sd": "(vs)?(sd|std|stdev|stddev|standarddeviation)(vs)?",
-    "samples": "n|samples|specimens|count|numberof(samples|specimens)",
-    "stress": "((effective)?(confining|isotropic|vertical)?(stress|pressure)|confining|confinement|p0?|sigma3?)",
-    "g0": "g0|gmax|shearmodulus|smallstrainshearmodulus",
-    "density": "(bulk|dry|total|wet)?density|rho",
-    "specimen": "specimen|sample|test|id|name|no|nr|label|specimen(id|name|no)|sample(id|name|no)",
+    "content": "((caco3|calcite|carbonate|cement)(content)?|content)(bymass|bydrymass)?|(calcit|kalk|karbonat)gehalt",
+    "vs": "(mean|average)?(vs|shearwavevelocity|velocity)(mean|average)?|(scher|s)?wellengeschwindigkeit",
+    "sd": "(vs)?(sd|std|stdev|stddev|standarddeviation|standardabweichung)(vs)?",
+    "samples": "n|samples|specimens|count|numberof(samples|specimens)|(proben)?anzahl",
+    "stress": "((effective)?(confining|isotropic|vertical)?(stress|pressure)|confining|confinement|p0?|sigma3?)"
+    "|(zell|seiten)?druck|spannung",
+    "g0": "g0|gmax|shearmodulus|smallstrainshearmodulus|schubmodul",
+    "density": "(bulk|dry|total|wet)?density|rho|dichte",
+    "specimen": "specimen|sample|test|id|name|no|nr|label|specimen(id|name|no)|sample(id|name|no)|probe",
 }
-"""Names of the columns by their meaning, see `calcidem.table.meaning_of`."""
+"""English and German names of the columns by their meaning, see `calcidem.table.meaning_of`."""
 
 _UNITS = {  # dimension, unit without one in the file, and what is accepted
     "content": ("percent", "%", "percent, from 0 to 100"),
@@ -257,8 +259,11 @@ def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> "t
     columns, meanings = table.places(KNOWN_COLUMNS), [meaning_of(name, KNOWN_COLUMNS) for name in table.names]
     needed = ("content", "vs") if "vs" in columns else ("content", "g0", "density")
     given = f"there are {', '.join(table.names)}" if table.names else "no line names the columns"
+    accepted = (
+        "'content (%)' or 'Calcitgehalt (%)', and 'Vs (m/s)', 'velocity' or 'Wellengeschwindigkeit', or G0 and density"
+    )
     problems = [
-        Problem(f"column {'vs' if name == 'g0' else name}: is missing; {given}. Write 'content (%)' and 'Vs (m/s)'")
+        Problem(f"column {'vs' if name == 'g0' else name}: is missing; {given}. Accepted are {accepted}")
         for name in needed
         if name not in columns and (name != "density" or "g0" in columns)
     ]
@@ -270,11 +275,11 @@ def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> "t
         raise ConfigurationError(str(file), problems)
     units = {name: unit_in_name(table.names[columns[name]], _UNITS[name][0])[1] for name in _UNITS if name in columns}
     units["sd"] = units.get("sd", "") or units.get("vs", "")
-    targets, bare = [], set[str]()
+    targets, bare, wrongs = [], set[str](), list[tuple[str, str, str]]()
     for number, row in table.rows:
         if len(row) != len(meanings):
             wrong = f"has {len(row)} entries and not {len(meanings)}; give one for each column, with a point in numbers"
-            problems.append(Problem(f"row {number} = {','.join(row)}: {wrong}"))
+            wrongs.append((f"row {number} = {','.join(row)}", "", wrong))
             continue
         entries = {name: text for name, text in zip(meanings, row, strict=True) if text or name in needed}
         bare |= {name for name in needed if not units[name] and not (parse_number(entries[name]) or ("", "?"))[1]}
@@ -284,13 +289,13 @@ def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> "t
             if name in entries
         }
         count = entries.get("samples", "1" if "specimen" in entries or "sd" not in entries else "")
-        found = list(_problems_of_row(number, entries, values, count))
-        problems += found
+        found = list(_wrong_entries(entries, values, count))
+        wrongs += [(f"row {number}, {name} = {text!r}", name, cure) for name, text, cure in found]
         if not found:
             vs = values["vs"] if "vs" in columns else math.sqrt(values["g0"] / values["density"])
             samples = int(count) if count else None
             targets.append(Target(values["content"], vs, values.get("sd"), samples, values.get("stress")))
-    problems += [] if problems else _questions(targets, bare)
+    problems += problems_of_rows(wrongs) if wrongs else _questions(targets, bare)
     if problems:
         raise ConfigurationError(str(file), problems)
     used = ", ".join(f"{name} in '{table.names[columns[name]]}'" for name in KNOWN_COLUMNS if name in columns)
@@ -299,15 +304,26 @@ def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> "t
     return tuple(targets)
 
 
-def _problems_of_row(
-    number: int, entries: Mapping[str, str], values: Mapping[str, float], count: str
-) -> Iterator[Problem]:
-    """Entries of a row that are refused."""
+def _wrong_entries(
+    entries: Mapping[str, str], values: Mapping[str, float], count: str
+) -> Iterator[tuple[str, str, str]]:
+    """Name, text and remedy of each entry of a row that is refused."""
     for name, value in values.items():
         if not (0.0 <= value <= 100.0 if name == "content" else 0.0 < value < math.inf):
-            yield Problem(f"row {number}, {name} = {entries[name]!r}: give {_UNITS[name][2]}")
+            yield name, entries[name], f"give {_UNITS[name][2]}"
     if count and not (count.isdecimal() and int(count) > 0):
-        yield Problem(f"row {number}, samples = {count!r}: give a whole number of 1 or more")
+        yield "samples", count, "give a whole number of 1 or more"
+
+
+def problems_of_rows(wrongs: Sequence[tuple[str, str, str]]) -> list[Problem]:
+    """One problem for each name and remedy in some (place of an entry, its name, remedy), with the number of rows."""
+    places: dict[tuple[str, str], list[str]] = {}
+    for place, name, cure in wrongs:
+        places.setdefault((name, cure), []).append(place)
+    return [
+        Problem(f"{' and '.join((first, *[pluralize(len(others), 'more row')] * bool(others)))}: {cure}")
+        for (_, cure), (first, *others) in places.items()
+    ]
 
 
 def _questions(targets: "Sequence[Target]", bare: Collection[str]) -> Iterator[Problem]:

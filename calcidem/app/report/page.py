@@ -4,7 +4,7 @@ import csv
 import os
 import re
 from base64 import b64encode
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,7 +32,7 @@ from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
 from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.sweep.schedule import duration
+from calcidem.sweep.schedule import duration, pluralize
 
 _MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",
@@ -105,20 +105,22 @@ class _PageSection:
     """Tables that open on a click."""
 
 
-def write_report(
+def write_report(  # noqa: PLR0913 - all but two have names in every call
     database: str | os.PathLike[str],
     out: str | os.PathLike[str],
     *,
     campaign_name: str | None = None,
     studies: Mapping[str, xr.Dataset] | None = None,
     files: str | os.PathLike[str] | None = None,
+    figures: Sequence[str] = (),
     measured: tuple[Target, ...] = (),
     watch: Callable[[int, int], None] = lambda _, __: None,
 ) -> Path:
     """Write the report of a campaign as one HTML file, replaced only when the new one is complete; return its path.
 
     A run may write the database meanwhile. Results of `calcidem.app.studies.sensitivity`, named "frequency"
-    and "damping", are included. ``files`` is a folder for all figures, tables and numbers. Laboratory velocities are
+    and "damping", are included. ``files`` is a folder for figures, tables and numbers; ``figures`` names those of
+    `CAMPAIGN_FIGURES` to write there, by default all. Laboratory velocities are
     drawn in figures of Vs, with a table of the misfit. After each section ``watch`` receives the numbers of finished
     and of all parts; the last part is the cells. `StoreError` if the database cannot be read, `OSError` if the file
     cannot be written.
@@ -129,8 +131,9 @@ def write_report(
         analysis = CampaignAnalysis(store, 5000, with_patterns, installed_features(), measured)
         write_text_atomically(target, _render_page(analysis, studies or {}, watch))
         if files is not None:
-            tell("Drawing all figures in three formats takes a minute or more.")
-            _write_files(analysis, files)
+            count = pluralize(len(figures or CAMPAIGN_FIGURES), "figure")
+            tell(f"Drawing {count} in three formats takes 2 to 5 s each; 'calcidem report --figure NAME' chooses.")
+            _write_files(analysis, files, figures)
     return target
 
 
@@ -297,8 +300,10 @@ def _as_numbers(table: Table) -> list[list[str]]:
     return [list(row) for row in zip(*columns, strict=True)]
 
 
-def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dict[str, str]:
-    """Write figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
+def _write_files(
+    analysis: CampaignAnalysis, out: str | os.PathLike[str], figures: Collection[str] = ()
+) -> dict[str, str]:
+    """Write the named figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
     Tables have rounded numbers as in the report; the NetCDF files have the exact ones.
     The folder is made if missing; files of the same names are replaced. Return reasons for omitted outputs by name.
@@ -307,7 +312,7 @@ def _write_files(analysis: CampaignAnalysis, out: str | os.PathLike[str]) -> dic
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     reasons: dict[str, str] = {}
-    for entry in CAMPAIGN_FIGURES:
+    for entry in (entry for entry in CAMPAIGN_FIGURES if not figures or entry.name in figures):
         figure, reasons[entry.name] = make_or_explain(entry.draw, analysis)
         if figure is not None:
             save(figure, folder, entry.name)

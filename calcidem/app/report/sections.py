@@ -119,7 +119,7 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
     stresses = sorted({row.stress for row in analysis.measured if row.stress is not None})
     here = analysis.config.get("packing", {}).get("stress")
     named = ", ".join(f"{row.content:g} % ({decimal(row.vs)} m/s)" for row in beyond)
-    said = [f"Measured beyond the campaign's contents, and not compared: {named}."] * bool(beyond)
+    said = [f"Measured beyond the campaign's contents, and not compared: {named}. Add contents for it."] * bool(beyond)
     if here is not None and any(abs(stress / here - 1.0) > 0.1 for stress in stresses):
         kilopascals = ", ".join(f"{stress / 1e3:g}" for stress in stresses)
         said.append(f"Measured under {kilopascals} kPa, computed under {here / 1e3:g} kPa.")
@@ -127,8 +127,9 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
     return Table.of(
         f"This campaign and measured velocities: root mean square of the differences of the means "
         f"{decimal(100 * root_mean_square_misfit(found), 1)} %. {outside} of {compared} measured values are outside "
-        "the interval of 95 % of new samples. Specimens of nearly one content are joined: a tenth of it or 0.1 %. "
-        "Between the campaign's contents by straight lines. A standard error is that of the difference of both means. "
+        "the interval of 95 % of new samples. Specimens of nearly one content are joined: a tenth of it and 0.1 %. "
+        "Between the campaign's contents, means and intervals lie on straight lines. Without cement there is one "
+        "sample, with the interval of its velocity. A standard error is that of the difference of both means. "
         f"Marked: more than two of them. {' '.join(said)}".strip(),
         rows,
         (i for i, one in enumerate(found) if abs(one.standard_errors) > 2.0),

@@ -26,22 +26,26 @@ class SignalReading:
     velocities
         m/s, by method.
     errors
-        Standard errors from the noise of both signals, m/s, by method. Near field, dispersion and delays of the
-        electronics are not in them; they make the three methods differ.
+        Standard errors from the noise of both signals alone, m/s, by method. Near field, dispersion and an unknown
+        delay of the electronics are not in them.
+    spread
+        Largest difference between the methods over their mean: what near field and dispersion do to a reading.
     is_reversed
         Whether the received signal has the opposite sign of the transmitted one, as with an element that is turned.
     arrival
-        Signals without offset, the received one with the sign of the transmitted one.
+        Signals without offset, the received one with the sign of the transmitted one and less the delay.
     """
 
     velocities: Mapping[str, float]
     errors: Mapping[str, float]
+    spread: float
     is_reversed: bool
     arrival: Arrival
 
     def __str__(self) -> str:
         """Give the velocities in lines."""
         lines = [f"{METHOD_STYLES[name][0]}: {self.label(name)}" for name in self.velocities]
+        lines.append(f"The methods differ by {100.0 * self.spread:.2g} %; \u00b1 is the error by noise alone.")
         return "\n".join([*lines, *["The received signal is reversed."] * self.is_reversed])
 
     def label(self, method: str) -> str:
@@ -62,13 +66,18 @@ def _draw(reading: SignalReading) -> Figure:
     for line, name in enumerate(reading.velocities):
         text = f"{METHOD_STYLES[name][0]}:\n{reading.label(name)}"
         axes.text(1.01, 1 - 0.3 * line, text, va="top", fontsize=8, transform=axes.transAxes)
+    axes.text(
+        1.01, 0.1, f"they differ by\n{100.0 * reading.spread:.2g} %", va="top", fontsize=8, transform=axes.transAxes
+    )
     axes.set_title("received signal reversed" if reading.is_reversed else "")
     axes.set_xlabel("time (ms)")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return figure
 
 
-def read_signal(time: ArrayLike, transmitted: ArrayLike, received: ArrayLike, distance: float) -> SignalReading:
+def read_signal(
+    time: ArrayLike, transmitted: ArrayLike, received: ArrayLike, distance: float, *, delay: float = 0.0
+) -> SignalReading:
     """Read the velocity of a wave from one pulse and its arrival, with errors.
 
     The lag of the largest cross-correlation, of either sign, selects the arrival. Both signals are smoothed over 0.6
@@ -83,6 +92,9 @@ def read_signal(time: ArrayLike, transmitted: ArrayLike, received: ArrayLike, di
         (T,) signals in any unit; their medians are taken as rest.
     distance
         Path of the wave, m; between the tips of bender elements.
+    delay
+        Delay of the electronics, s, which is subtracted from the travel time: the time between both signals when the
+        elements touch each other.
 
     Raises `calcidem.dem.engine.fields.FieldError`, which is a `ValueError`, for invalid values and for a record
     without an arrival.
@@ -138,14 +150,16 @@ def read_signal(time: ArrayLike, transmitted: ArrayLike, received: ArrayLike, di
     lags = [(0.0, _vertex(correlation, lag, got, noise_sent)[1]), _vertex(correlation, lag, sent, noise_got)]
     velocities, errors = {}, {}
     for name, (began, ended) in zip(METHOD_STYLES, (tops, rises, lags), strict=True):
-        travel = ended[0] - began[0]
+        travel = ended[0] - began[0] - delay / step
+        require(travel > 0.0, "delay", delay, "give less than the travel time, s")
         velocities[name] = float(distance / (travel * step))
         errors[name] = float(velocities[name] * math.hypot(began[1], ended[1]) / travel)
-    speed = velocities["cross_correlation"]
+    speed, speeds = velocities["cross_correlation"], [*velocities.values()]
     plausible = 5.0 < speed < 10_000.0  # m/s, from mud to rock
     require(plausible, "distance", f"{distance:g} gives {speed:.3g} m/s", "give distance in m and time in s", "time")
-    arrival = Arrival(0, math.nan, when, sent, got, float(distance), velocities)
-    return SignalReading(velocities, errors, turn < 0.0, arrival)
+    arrival = Arrival(0, math.nan, when, sent, np.interp(when + delay, when, got), float(distance), velocities)
+    spread = float(np.ptp(speeds) / np.mean(speeds))
+    return SignalReading(velocities, errors, spread, turn < 0.0, arrival)
 
 
 def _checked(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES
 from calcidem.app.campaign.opened import Campaign
-from calcidem.app.cli.results import as_rows
+from calcidem.app.cli.results import _as_table, as_rows
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import QUANTITY_BY_NAME
@@ -147,3 +147,15 @@ def test_features_come_with_corrected_p_values(database: Path, invoke: Invoke, c
     assert "neither" in invoke("query", database, "--features", "--limit", 3, exit_code=2)
     with pytest.raises(QueryError, match="no selected cell has a velocity"):
         invoke("query", database, "--features", "--where", "vs > 1e6")
+
+
+def test_a_table_wider_than_a_terminal_folds() -> None:
+    """Every number is whole, and each part has the first column; a pipe has one line for each row."""
+    rows = [{"seed": 1, **{f"column_{number}": 1234.5 + number for number in range(8)}}]
+    headings = dict.fromkeys(rows[0], True)
+    lines = _as_table(headings, rows, "1 cell", 60).splitlines()
+    assert max(map(len, lines)) <= 60
+    assert {f"{value:g}" for value in rows[0].values()} == {
+        word for line in lines[:-1] for word in line.split() if word[0].isdigit()
+    }
+    assert len(_as_table(headings, rows, "1 cell").splitlines()) == 3
