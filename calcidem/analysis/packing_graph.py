@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
-from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
@@ -83,7 +83,7 @@ class ContactNetwork:
             network_anisotropy=_mean(self.cosine, self.energy * bonded),
             network_components=len(larger),
             network_largest_component=int(larger.max(initial=0)),
-            network_gap_contacts=_fewest_uncemented_contacts(self.graph, bonded, component),
+            network_gap_contacts=_fewest_uncemented_contacts(self.graph, bonded),
         )
 
     @cached_property
@@ -154,27 +154,11 @@ def _mean(values: ArrayLike, weight: ArrayLike) -> float | None:
     return float(np.average(np.asarray(values, dtype=np.float64), weights=factors)) if factors.any() else None
 
 
-def _fewest_uncemented_contacts(
-    graph: ContactGraph, bonded: NDArray[np.bool_], piece: NDArray[np.integer]
-) -> int | None:
-    """Return the fewest uncemented contacts on a path from transmitter to receiver; None without any path.
-
-    ``piece`` (N,) numbers the groups of grains joined by cement. Steps within a group cost nothing, so the path leads
-    from group to group. It begins at an additional piece, connected only to those of the transmitter.
-    """
-    begin = int(piece.max()) + 1
-    first, second = piece[graph.pairs[~bonded]].T
-    sent = piece[graph.transmitter]
-    rows, columns = np.concatenate([first, second, np.full(len(sent), begin)]), np.concatenate([second, first, sent])
-    ways = sparse.csr_array((np.ones(len(rows)), (rows, columns)), shape=(begin + 1, begin + 1))
-    order, before = breadth_first_order(ways, begin)
-    heard = order[np.isin(order, piece[graph.receiver])]
-    if not len(heard):
-        return None
-    place, contacts = int(before[heard[0]]), 0
-    while place != begin:
-        place, contacts = int(before[place]), contacts + 1
-    return contacts
+def _fewest_uncemented_contacts(graph: ContactGraph, bonded: NDArray[np.bool_]) -> int | None:
+    """Return the fewest uncemented contacts on a path from transmitter to receiver; None without any path."""
+    steps = graph.with_entries(np.where(bonded, 0.0, 1.0)[graph.entry_contacts])
+    fewest = dijkstra(steps, indices=graph.transmitter, min_only=True)[graph.receiver].min()
+    return int(fewest) if np.isfinite(fewest) else None
 
 
 FEATURES = {
