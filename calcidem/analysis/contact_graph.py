@@ -152,8 +152,11 @@ class ContactGraph:
 
     def matrix(self, bonded: ArrayLike, weights: ContactWeights) -> csr_array:
         """Return the symmetric sparse matrix of contact weights, shape (N, N); see `contact_weights`."""
-        data = self.contact_weights(bonded, weights)[self.entry_contacts]
-        return csr_array((data, self._neighbours, self._row_starts), shape=(self.grain_count, self.grain_count))
+        return self.with_entries(self.contact_weights(bonded, weights)[self.entry_contacts])
+
+    def with_entries(self, values: NDArray[np.float64]) -> csr_array:
+        """Return a sparse matrix (N, N) with a value (2 m,) for each entry; `entry_contacts` are their contacts."""
+        return csr_array((values, self._neighbours, self._row_starts), shape=(self.grain_count, self.grain_count))
 
     def to_networkx(self, bonded: ArrayLike, weights: ContactWeights) -> "nx.Graph[int]":
         """Return the graph as a networkx graph; arguments as in `contact_weights`.

@@ -156,10 +156,9 @@ def _mean(values: ArrayLike, weight: ArrayLike) -> float | None:
 
 def _fewest_uncemented_contacts(graph: ContactGraph, bonded: NDArray[np.bool_]) -> int | None:
     """Return the fewest uncemented contacts on a path from transmitter to receiver; None without any path."""
-    # A millionth for a cemented contact, since a sparse matrix has no edge of length 0; rounding removes their sum.
-    lengths = graph.matrix(bonded, ContactWeights(hertz=1.0, bond=1e-6))
-    fewest = dijkstra(lengths, indices=graph.transmitter, min_only=True)[graph.receiver].min()
-    return round(fewest) if np.isfinite(fewest) else None
+    steps = graph.with_entries(np.where(bonded, 0.0, 1.0)[graph.entry_contacts])
+    fewest = dijkstra(steps, indices=graph.transmitter, min_only=True)[graph.receiver].min()
+    return int(fewest) if np.isfinite(fewest) else None
 
 
 FEATURES = {

@@ -84,20 +84,20 @@ def critical_time_step(
     iterations of the power method on the matrix of these norms give good weights. A wall is fixed and has no A_ij.
     """
     first, second, at_walls = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
-    squared = _squares_of_stiffest((first, second, at_walls), assembly, features)[1].max(axis=0, initial=0.0)
-    inverse = _inverse_masses(assembly)
+    inverse, disks, at_wall = _inverse_masses(assembly), np.arange(scene.count), np.unique(at_walls.disk)
+    own = inverse * _largest_eigenvalue(_contact_matrices((first, second, at_walls), disks, features))
+    squared = 2.0 * own.max(axis=0, initial=0.0)  # the bound of `critical_time_step_of_disks`
     whole_walls = at_walls._replace(normal=2.0 * at_walls.normal, shear=2.0 * at_walls.shear)
-    own = inverse * _largest_eigenvalue(
-        _contact_matrices((first, second, whole_walls), np.arange(scene.count), features)
+    own[at_wall] = inverse[at_wall] * _largest_eigenvalue(
+        _contact_matrices((first, second, whole_walls), at_wall, features)
     )
     root = np.sqrt(inverse)
     between = root[first.disk] * root[second.disk] * _coupling(first, second, features)
     to_first, to_second = (_sums(side.disk, scene.count) for side in (first, second))
     weights = np.ones_like(own)
     for _ in range(12):  # power method
-        grown = (
-            own * weights + to_first @ (between * weights[second.disk]) + to_second @ (between * weights[first.disk])
-        )
+        at_first, at_second = (between * weights.take(side.disk, axis=0) for side in (first, second))
+        grown = own * weights + to_first @ at_second + to_second @ at_first
         squared = np.minimum(squared, _ROUNDED_UP * (grown / weights).max(axis=0, initial=0.0))
         largest = grown.max(axis=0, initial=0.0)
         weights = grown / np.where(largest > 0.0, largest, 1.0) + 1e-6  # no weight may be 0

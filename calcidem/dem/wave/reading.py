@@ -278,7 +278,7 @@ def _read_first_arrival(section: Section, found: Reading) -> float | None:
 
 def _read_cross_correlation(section: Section, found: Reading) -> float | None:
     """Lag of the best fit of the pulse to the received signal, within half a period of the peak's, s."""
-    pulse = section.transmitted[: int(section.period)]
+    pulse = section.until(int(section.period)).transmitted
     lag = round(found.travel_time / section.sampling_interval)
     begin = max(0, lag - int(section.period / 2.0))
     products = sliding_products(found.signal[begin : lag + int(1.5 * section.period)], pulse)

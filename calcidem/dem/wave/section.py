@@ -161,6 +161,7 @@ def far_stations(places: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(place for place in places if place >= 0.5 * places[-1])
 
 
+@lru_cache(maxsize=64)  # the look that ends a record, and its reading
 def fit_wave(section: Section, clamp: float) -> StripWave | None:
     """Fit a damped wave to the stations beyond half of the path; None if one of them has not moved.
 
@@ -171,10 +172,11 @@ def fit_wave(section: Section, clamp: float) -> StripWave | None:
     clamp
         K of the strip, 1/m; 0 for a plane wave.
     """
-    fit, stiffer = _fit(section, clamp), fit_velocity(section, 1.15 * clamp)
-    if fit is None or stiffer is None:
+    motion = _transform(section)
+    if motion is None:
         return None
-    velocity, velocities, misfit = fit
+    velocity, velocities, misfit = _fit(section, motion, clamp)
+    stiffer, *_ = _fit(section, motion, 1.15 * clamp)
     total, count = misfit.sum(axis=1), misfit.shape[1]
     coherence = 1.0 - float(total.min()) / count
     if count < 3 or not 0 < total.argmin() < len(total) - 1:
@@ -188,16 +190,13 @@ def fit_wave(section: Section, clamp: float) -> StripWave | None:
 
 def fit_velocity(section: Section, clamp: float) -> float | None:
     """Velocity of `fit_wave`, m/s, without its error, in a third of the time."""
-    found = _fit(section, clamp)
-    return None if found is None else found[0]
+    motion = _transform(section)
+    return None if motion is None else _fit(section, motion, clamp)[0]
 
 
-def _fit(section: Section, clamp: float) -> tuple[float, Floats, Floats] | None:
-    """Best velocity, velocities (V,), all m/s, and their misfits (V, X) at the far stations; None as for `fit_wave`."""
+def _fit(section: Section, motion: Floats, clamp: float) -> tuple[float, Floats, Floats]:
+    """Best velocity, velocities (V,), all m/s, and their misfits (V, X) to the transforms of the section's motion."""
     far = far_stations(section.places)
-    motion = _transform(section, len(far))
-    if motion is None:
-        return None
     velocities, wave = _waves_of_velocities(section.frequency, section.places[-1], far, clamp)
     misfit = 1.0 - _squared_correlation(motion, wave)
     return _least(velocities, misfit.sum(axis=1)), velocities, misfit
@@ -205,11 +204,11 @@ def _fit(section: Section, clamp: float) -> tuple[float, Floats, Floats] | None:
 
 def fitness(section: Section, clamp: float, velocities: Floats) -> Floats:
     """Coherence of section and waves of these velocities (V,), m/s; NaN if a station has not moved."""
-    far = far_stations(section.places)
-    motion = _transform(section, len(far))
+    motion = _transform(section)
     if motion is None:
         return np.full(len(velocities), np.nan)
-    found = _squared_correlation(motion, _normalised_waves(section.frequency, velocities, far, clamp))
+    waves = _normalised_waves(section.frequency, velocities, far_stations(section.places), clamp)
+    found = _squared_correlation(motion, waves)
     return np.asarray(found.mean(axis=1))
 
 
@@ -223,12 +222,12 @@ def waveform(wave: StripWave, frequency: float, places: tuple[float, ...], times
     return np.asarray(2.0 * frequency / _SPACING * growth * motion)
 
 
-def _transform(section: Section, count: int) -> Floats | None:
-    """(2, S, X) real and imaginary parts of the Laplace transforms of the motion of the last stations over v0, s.
+def _transform(section: Section) -> Floats | None:
+    """(2, S, X) real and imaginary parts of the Laplace transforms of the motion of the far stations over v0, s.
 
     None if one of them has not moved.
     """
-    motion = np.ascontiguousarray((section.across[:, -count:] * RESOLUTION).T)
+    motion = np.ascontiguousarray((section.across[:, -len(far_stations(section.places)) :] * RESOLUTION).T)
     if not motion.any(axis=1).all():
         return None
     samples = motion.shape[1]
