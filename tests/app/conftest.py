@@ -44,11 +44,15 @@ receiver_half_width = 0.01
 listening_depth = 0.006
 boundary_thickness = 0.01
 step_fraction = 0.05
+law = "linear"
 {wave}
 [run]
 lanes = 2
 """
-"""About 280 disks; with so small a step a batch takes up to a second, so that a run can be interrupted half-way."""
+"""About 280 disks; with so small a step a batch takes up to a second, so that a run can be interrupted half-way.
+
+One law needs two kernels, where each process would compile or load three.
+"""
 
 SEEDS = 4
 CONTENTS = (0.0, 0.66, 5.0)
@@ -162,7 +166,7 @@ class Workshop(MarkedProcesses):
         while self._settled() < count:
             if time.monotonic() > end:
                 pytest.fail(f"there are still not {count} cells")
-            time.sleep(0.02)
+            time.sleep(0.05)
 
     def _settled(self) -> int:
         """Count the settled cells; cheap, since the ranks that compute them need the cores."""

@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -161,7 +161,13 @@ def test_a_crate_describes_its_files_and_gives_the_campaign_back(
     out = tmp_path / "quick.zip"
     files = (tmp_path / "notes.txt", "--author", "Ada", "--author", "Émilie", "--licence", "CC0-1.0")
     module = example("ro_crate")
-    monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))  # it starts the command
+
+    def run_here(command: list[str], check: bool) -> None:
+        assert command[1:3] == ["-m", "calcidem"]
+        assert check
+        invoke(*command[3:])
+
+    monkeypatch.setattr(module, "subprocess", SimpleNamespace(run=run_here))  # in this process, which is there at once
     monkeypatch.setattr("sys.argv", ["ro_crate.py", *map(str, (database, configuration, out, *files))])
     module.main()
     with zipfile.ZipFile(out) as archive:

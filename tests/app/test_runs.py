@@ -52,7 +52,8 @@ def test_order_and_company_do_not_change_a_bit(workshop: "Workshop", expected: "
 @pytest.mark.parametrize(
     ("number", "ranks"),
     [
-        ("SIGTERM", 3),
+        ("SIGTERM", 2),
+        pytest.param("SIGTERM", 3, marks=pytest.mark.full),
         pytest.param("SIGUSR1", 3, marks=pytest.mark.full),
         pytest.param("SIGINT", 1, marks=pytest.mark.full),
     ],
@@ -93,7 +94,8 @@ def test_a_killed_launcher_takes_its_ranks_along(workshop: "Workshop", expected:
     assert workshop.cells() == expected
 
 
-@pytest.mark.parametrize("victim", [2, pytest.param(0, marks=pytest.mark.full)])
+@pytest.mark.full  # each commit kills the one worker of a run three times (test_launch.py), and a master (fault matrix)
+@pytest.mark.parametrize("victim", [2, 0])
 def test_a_killed_rank_costs_a_start(workshop: "Workshop", expected: "Cells", victim: int) -> None:
     """After SIGKILL of one rank the same command starts all again and completes the campaign with the same bits."""
     workshop.configure()
