@@ -59,11 +59,22 @@ def test_order_and_company_do_not_change_a_bit(workshop: "Workshop", expected: "
     ],
 )
 def test_a_stopped_campaign_goes_on(workshop: "Workshop", expected: "Cells", number: str, ranks: int) -> None:
-    """After a signal the exit code is 75, restarts or not, and the same command completes it with the same bits."""
+    """After a signal the exit code is 75, restarts or not, and the same command completes it with the same bits.
+
+    One that is ignored at the start, as under nohup, ends neither the command nor its ranks.
+    """
     workshop.configure()
     command = ("run", "c.toml", "--ranks", str(ranks), *(("--restarts", "3") if ranks > 1 else ()))
-    process = workshop.start(*command)
-    workshop.wait_for_cells(2)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        process = workshop.start(*command)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    workshop.wait_for_cells(1)
+    settled = workshop._settled()
+    for one in (process.pid, *(workshop.rank(rank) for rank in range(ranks) if ranks > 1)):
+        os.kill(one, signal.SIGHUP)
+    workshop.wait_for_cells(settled + 1)
     process.send_signal(signal.Signals[number])
     stopped = workshop.wait(process)
     assert stopped.code == 75, stopped.errors
