@@ -71,10 +71,10 @@ def test_a_stopped_campaign_goes_on(workshop: "Workshop", expected: "Cells", num
     finally:
         signal.signal(signal.SIGHUP, before)
     workshop.wait_for_cells(1)
-    settled = workshop._settled()
+    computed = workshop.cells_with_outcome()
     for one in (process.pid, *(workshop.rank(rank) for rank in range(ranks) if ranks > 1)):
         os.kill(one, signal.SIGHUP)
-    workshop.wait_for_cells(settled + 1)
+    workshop.wait_for_cells(computed + 1)
     process.send_signal(signal.Signals[number])
     stopped = workshop.wait(process)
     assert stopped.code == 75, stopped.errors

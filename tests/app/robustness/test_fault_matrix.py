@@ -21,7 +21,7 @@ pytestmark = [
 ]
 
 SENTINEL = Case("SIGKILL", "master", "while")
-"""For every commit. The others belong to the full run."""
+"""For every commit, with one worker, and continued by one process. The others belong to the full run."""
 
 
 class ForkedTrial(Trial):
@@ -51,7 +51,7 @@ def test_a_fault_costs_nothing_but_time(case: Case, tmp_path: Path, cache: Path,
     """The exit code tells it, no process is left, nothing stored is lost, and continuing twice gives the same bits."""
     trial = ForkedTrial(tmp_path, cache)
     try:
-        verdict = judge(case, trial, undisturbed, ranks=2 if case == SENTINEL else 3)
+        verdict = judge(case, trial, undisturbed, *((2, 1) if case == SENTINEL else ()))
     finally:
         trial.kill_all()
     assert not verdict.complaints, "\n".join(verdict.complaints)

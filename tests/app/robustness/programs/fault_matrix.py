@@ -276,8 +276,8 @@ class Verdict:
     complaints: tuple[str, ...]
 
 
-def judge(case: Case, trial: Trial, expected: Cells, ranks: int = 3) -> Verdict:
-    """Let a fault happen to one of some ranks, continue twice, and check everything on the way."""
+def judge(case: Case, trial: Trial, expected: Cells, ranks: int = 3, again: int = 3) -> Verdict:
+    """Let a fault happen among so many ranks, continue twice, first on ``again`` ranks, and check all on the way."""
     complaints: list[str] = []
 
     def demand(fact: bool, complaint: str) -> None:
@@ -305,7 +305,7 @@ def judge(case: Case, trial: Trial, expected: Cells, ranks: int = 3) -> Verdict:
     # On a busy machine a batch may exceed a tight limit without any fault.
     as_expected = bool(retried) == case.marks_a_cell or case.needs_a_limit
     demand(as_expected, f"{len(retried)} cells failed or timed out")
-    demand_order("of the first continuation", trial.run(ranks=ranks), 0)
+    demand_order("of the first continuation", trial.run(ranks=again), 0)
     demand(trial.cells() == expected, "not all cells are there after the first continuation")
     attempts = trial.attempts()
     demand_order("of the second continuation", trial.run(ranks=1), 0)
