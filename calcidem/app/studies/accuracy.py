@@ -547,6 +547,7 @@ def _settings_table(study: Study) -> str:
             row.lost,
         )
         for row in study.summaries
+        if row.cells or row.lost  # not for a setting that was refused at all contents
     ]
     return markdown_table(("setting", *errors, "s a cell", "cells lost"), rows)
 
