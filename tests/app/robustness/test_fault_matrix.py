@@ -27,6 +27,8 @@ SENTINEL = Case("SIGKILL", "master", "while")
 class ForkedTrial(Trial):
     """Its runs in one process, in which no fault happens, are forked: that saves the start of Python."""
 
+    STEP = 0.1  # faults are ordered and wait for no moment within a batch
+
     def run(self, *options: str, case: Case | None = None, ranks: int = 3, restarts: int = 0) -> RunEnd:
         """Run the campaign, or go on with it."""
         if ranks > 1:

@@ -42,13 +42,13 @@ wave_stiffness_factor = 13.0
 receiver_half_width = 0.01
 listening_depth = 0.006
 boundary_thickness = 0.01
-step_fraction = 0.02
+step_fraction = {step}
 amplitude = 4e-4
 [run]
 lanes = 2
 time_limit = {time_limit}
 """
-"""About 280 disks in batches of two cells, half a second each, all with a velocity."""
+"""About 280 disks in batches of two cells, all with a velocity."""
 
 SEEDS = 4
 
@@ -148,6 +148,8 @@ class Trial(MarkedProcesses):
     """
 
     MARK = "FAULT_FOLDER"
+    STEP = 0.02
+    """Fraction of the critical step, so small that a batch takes half a second and is met by a signal."""
 
     def __init__(self, folder: Path, cache: Path, seeds: int = SEEDS) -> None:
         self.folder = folder
@@ -160,7 +162,9 @@ class Trial(MarkedProcesses):
 
     def configure(self, time_limit: float = NO_LIMIT) -> None:
         """Write the configuration, with a time limit for a batch in s; it changes no result."""
-        (self.folder / "c.toml").write_text(CONFIGURATION.format(time_limit=time_limit, seeds=self._seeds))
+        (self.folder / "c.toml").write_text(
+            CONFIGURATION.format(step=self.STEP, time_limit=time_limit, seeds=self._seeds)
+        )
 
     @property
     def database(self) -> Path:
