@@ -19,7 +19,7 @@ from fault_matrix import Trial, all_cases, judge, reference
 def run_matrix(top: Path, cache: Path, word: str) -> bool:
     """Print a line for each case; tell whether all are as they should be."""
     (top / "reference").mkdir()
-    expected = reference(top / "reference", cache)
+    expected = reference(Trial(top / "reference", cache))
     cases = [case for case in all_cases() if word.lower() in str(case).lower()]
     print(f"{'case':48} exit  seconds  stored  attempts at {len(expected)} cells in the end")
     bad = 0

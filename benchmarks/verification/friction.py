@@ -109,7 +109,7 @@ def _damped(alpha: float) -> tuple[Floats, Floats, float]:
     # Oscillator with local damping: each half cycle shrinks by sqrt((1 - alpha) / (1 + alpha)); alpha 0.05 to 0.9.
     "Oscillator with local damping: decay of half cycles, alpha 0.05 to 0.9",
     source="energy of the half cycles", tolerance=4e-4,
-    reason="the sign of the velocity is half a step late at each turn: (omega dt)^2 = 4e-5 times a few", quick=True,
+    reason="the sign of the velocity is half a step late at each turn: (omega dt)^2 = 4e-5 times a few",
 )  # fmt: skip
 def _decay() -> float:
     worst = 0.0

@@ -84,7 +84,7 @@ def _wall() -> float:
 @check(
     # Restitution 1 at the default step, disks 0.1 mm apart, 1 mm/s to 100 m/s.
     "Restitution 1 at the default step, 1 mm/s to 100 m/s", source=_JOHNSON, tolerance=1e-3,
-    reason="promised by the default step of scenes with impacts", quick=True,
+    reason="promised by the default step of scenes with impacts",
 )  # fmt: skip
 def _default_step() -> float:
     worst, radius = 0.0, np.full(2, 1.0e-3)

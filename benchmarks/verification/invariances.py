@@ -31,7 +31,8 @@ def _scene(share_bonded: float = 0.3) -> Scene:
 def _flown(scene: Scene, velocity: Floats, spin: Floats, steps: int = 1000) -> State:
     """Scene some steps later: grains slide, part, meet again, and bonds carry them."""
     step = 0.1 * stability_limit(_scene())
-    return advance(start(scene, features=features_of(scene), velocity=velocity, spin=spin, time_step=step), steps)
+    features = replace(features_of(scene), bundles=False)  # the same bits with a kernel that other rows have, too
+    return advance(start(scene, features=features, velocity=velocity, spin=spin, time_step=step), steps)
 
 
 @cache
@@ -112,7 +113,7 @@ def _shuffled() -> float:
 
 @check(
     "Run cut into single steps: not a bit changes",
-    source="a state determines all later ones", tolerance=0.0, reason="states are values", quick=True,
+    source="a state determines all later ones", tolerance=0.0, reason="states are values",
 )  # fmt: skip
 def _cut() -> float:
     generator = np.random.default_rng(21)

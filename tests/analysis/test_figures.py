@@ -225,7 +225,7 @@ import sys
 from calcidem.app.campaign.opened import open_campaign
 
 with open_campaign(sys.argv[1]) as campaign:
-    for name in ("vs_range", "laws", "signals"):
+    for name in ("vs_range", "signals"):
         figure = getattr(campaign.plot, name)()
         figure.savefig(f"{name}.png")
         figure.savefig(f"{name}.svg", metadata={"Date": None})
@@ -246,5 +246,5 @@ def test_a_users_settings_of_matplotlib_change_no_figure(
     monkeypatch.setattr("sys.argv", ["-c", str(small_database)])
     exec(DRAWN_BY_A_USER, {})  # noqa: S102 - the same program here, in an empty folder and without settings
     written = {path.name: path.read_bytes() for path in own.iterdir()}
-    assert len(written) == 7
+    assert len(written) == 5
     assert written == {path.name: path.read_bytes() for path in Path.cwd().iterdir()}

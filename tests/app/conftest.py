@@ -44,11 +44,15 @@ receiver_half_width = 0.01
 listening_depth = 0.006
 boundary_thickness = 0.01
 step_fraction = 0.05
+law = "linear"
 {wave}
 [run]
 lanes = 2
 """
-"""About 280 disks; with so small a step a batch takes up to a second, so that a run can be interrupted half-way."""
+"""About 280 disks; with so small a step a batch takes up to a second, so that a run can be interrupted half-way.
+
+One law needs two kernels, where each process would compile or load three.
+"""
 
 SEEDS = 4
 CONTENTS = (0.0, 0.66, 5.0)
@@ -157,15 +161,15 @@ class Workshop(MarkedProcesses):
             return sum(1 for _ in campaign.store.history())
 
     def wait_for_cells(self, count: int) -> None:
-        """Wait until so many cells are settled."""
+        """Wait until so many cells have an outcome."""
         end = time.monotonic() + PATIENCE
-        while self._settled() < count:
+        while self.cells_with_outcome() < count:
             if time.monotonic() > end:
                 pytest.fail(f"there are still not {count} cells")
-            time.sleep(0.02)
+            time.sleep(0.05)
 
-    def _settled(self) -> int:
-        """Count the settled cells; cheap, since the ranks that compute them need the cores."""
+    def cells_with_outcome(self) -> int:
+        """Count the cells that have an outcome; cheap, since the ranks that compute them need the cores."""
         if not self.database.exists():
             return 0
         with closing(sqlite3.connect(f"file:{self.database}?mode=ro", uri=True)) as connection:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forked import ForkedProgram
 from places import CHECKOUT, TUTORIAL
 
 from calcidem.app.campaign.opened import open_campaign
@@ -41,8 +42,8 @@ def test_an_installed_package_extends_calcidem(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"]
     package = CHECKOUT / "examples" / "extension"
     subprocess.run([*command, "--target", str(tmp_path), str(package)], check=True)
-    program = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n{INSTALLED}"
-    subprocess.run([sys.executable, "-c", program, str(TUTORIAL)], check=True, cwd=CHECKOUT)
+    (program := tmp_path / "program.py").write_text(f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n{INSTALLED}")
+    assert ForkedProgram(program, str(TUTORIAL)).wait(60.0) == 0
 
 
 def test_a_pattern_of_the_program_orders_the_contacts(small_packing: Packing, monkeypatch: pytest.MonkeyPatch) -> None:

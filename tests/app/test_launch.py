@@ -152,6 +152,8 @@ def test_a_cell_that_kills_each_worker_is_quarantined_and_the_others_go_on(
     workshop.configure()
     ended = workshop.run("run", "c.toml", "--ranks", "2")
     assert ended.code == 0, ended.errors
+    assert "The run was cut off (" in ended.errors
+    assert "Start 4 of at most 4." in ended.errors
     assert "quarantined: seed 2, 5 %: 3 runs died while it was computed" in ended.output
     cells = workshop.cells()
     assert cells.pop((2, 5.0))[0] == "quarantined"
@@ -159,7 +161,8 @@ def test_a_cell_that_kills_each_worker_is_quarantined_and_the_others_go_on(
     assert workshop.leaves_no_process()
 
 
-@pytest.mark.parametrize("number", [signal.SIGHUP, pytest.param(signal.SIGINT, marks=FULL)])
+@FULL  # test_runs.py stops a command under nohup in each run
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGINT])
 def test_a_command_under_nohup_goes_on(workshop: "Workshop", number: signal.Signals) -> None:
     """A signal that is ignored when the command starts does not end it, nor its ranks."""
     workshop.configure(seeds=2, contents=(0.66, 5.0))

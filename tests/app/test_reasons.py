@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -28,6 +29,9 @@ from calcidem.ends import Verdict
 from calcidem.storage.encoding import canonical_json
 from calcidem.storage.records import CampaignRecord
 from calcidem.storage.sql.store import Store
+
+if TYPE_CHECKING:
+    from conftest import Workshop
 
 SEEDS, CONTENT = (1, 2, 3, 4), 0.66
 
@@ -173,18 +177,19 @@ def test_calibrated_values_kept_for_another_material_are_told(tmp_path: Path, in
 
 
 def test_a_database_beside_the_configuration_is_named_from_another_folder(
-    tmp_path: Path, invoke: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+    workshop: "Workshop", tmp_path: Path, invoke: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same file in another folder would compute all anew; the note says what continues it, and only then."""
     (tmp_path / "sand" / "results").mkdir(parents=True)
-    (tmp_path / "sand" / "own.toml").write_text(preset_text("quick"), encoding="utf-8")
-    database = tmp_path / "sand" / "results" / "quick.db"
+    workshop.configure(seeds=1, contents=(0.66,), name="sand/own.toml")
+    monkeypatch.setenv("CALCIDEM_CACHE", str(workshop.cache))
+    database = tmp_path / "sand" / "results" / "small.db"
     Store(database).close()
     monkeypatch.chdir(tmp_path)
     configuration = Path("sand", "own.toml")
     said = " ".join(invoke("run", configuration, "--check").split())
-    assert "results/quick.db does not exist here, but sand/results/quick.db is beside the configuration" in said
-    assert "give --db sand/results/quick.db" in said
+    assert "results/small.db does not exist here, but sand/results/small.db is beside the configuration" in said
+    assert "give --db sand/results/small.db" in said
     assert "beside the configuration" not in invoke("run", configuration, "--check", "--db", database)
     monkeypatch.chdir(tmp_path / "sand")
     assert "beside the configuration" not in invoke("run", "own.toml", "--check")

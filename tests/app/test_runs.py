@@ -52,17 +52,29 @@ def test_order_and_company_do_not_change_a_bit(workshop: "Workshop", expected: "
 @pytest.mark.parametrize(
     ("number", "ranks"),
     [
-        ("SIGTERM", 3),
+        ("SIGTERM", 2),
+        pytest.param("SIGTERM", 3, marks=pytest.mark.full),
         pytest.param("SIGUSR1", 3, marks=pytest.mark.full),
         pytest.param("SIGINT", 1, marks=pytest.mark.full),
     ],
 )
 def test_a_stopped_campaign_goes_on(workshop: "Workshop", expected: "Cells", number: str, ranks: int) -> None:
-    """After a signal the exit code is 75, restarts or not, and the same command completes it with the same bits."""
+    """After a signal the exit code is 75, restarts or not, and the same command completes it with the same bits.
+
+    One that is ignored at the start, as under nohup, ends neither the command nor its ranks.
+    """
     workshop.configure()
     command = ("run", "c.toml", "--ranks", str(ranks), *(("--restarts", "3") if ranks > 1 else ()))
-    process = workshop.start(*command)
-    workshop.wait_for_cells(2)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        process = workshop.start(*command)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    workshop.wait_for_cells(1)
+    computed = workshop.cells_with_outcome()
+    for one in (process.pid, *(workshop.rank(rank) for rank in range(ranks) if ranks > 1)):
+        os.kill(one, signal.SIGHUP)
+    workshop.wait_for_cells(computed + 1)
     process.send_signal(signal.Signals[number])
     stopped = workshop.wait(process)
     assert stopped.code == 75, stopped.errors
@@ -93,7 +105,8 @@ def test_a_killed_launcher_takes_its_ranks_along(workshop: "Workshop", expected:
     assert workshop.cells() == expected
 
 
-@pytest.mark.parametrize("victim", [2, pytest.param(0, marks=pytest.mark.full)])
+@pytest.mark.full  # each commit kills the one worker of a run three times (test_launch.py), and a master (fault matrix)
+@pytest.mark.parametrize("victim", [2, 0])
 def test_a_killed_rank_costs_a_start(workshop: "Workshop", expected: "Cells", victim: int) -> None:
     """After SIGKILL of one rank the same command starts all again and completes the campaign with the same bits."""
     workshop.configure()

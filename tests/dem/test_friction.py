@@ -30,7 +30,9 @@ def along(state: State, slope: float = 0.0) -> float:
     return float(state.velocity()[0] @ [-np.cos(slope), -np.sin(slope)])
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.7, 2.5])
+@pytest.mark.parametrize(
+    "slope", [pytest.param(0.0, marks=pytest.mark.full), 0.7, pytest.param(2.5, marks=pytest.mark.full)]
+)
 def test_a_disk_pulled_hard_slides_with_the_friction_of_its_weight(slope: float) -> None:
     """Beyond a pull of 3 mu N it slips: a = (P - mu N) / m, while friction spins it at mu N R / I."""
     pull = 5.0 * FRICTION * WEIGHT
@@ -59,7 +61,7 @@ def test_a_disk_pulled_gently_rolls() -> None:
     assert along(state) == pytest.approx(state.spin()[0] * RADIUS, rel=5e-3)
 
 
-@pytest.mark.parametrize("pull", [0.5, 1.1, 3.0, 8.0])
+@pytest.mark.parametrize("pull", [0.5, *(pytest.param(pull, marks=pytest.mark.full) for pull in (1.1, 8.0)), 3.0])
 def test_friction_never_exceeds_its_coefficient_times_the_normal_force(pull: float) -> None:
     """|F_s| <= mu F_n at every step, sticking or slipping, also while the disk bounces."""
     state = disk_on_floor(pull)

@@ -60,7 +60,9 @@ def test_a_linear_oscillator_has_the_frequency_of_the_leapfrog_grid(fraction: fl
     np.testing.assert_allclose(place, expected, atol=amplitude * 1e-11)
 
 
-@pytest.mark.parametrize("alpha", [0.1, 0.3, 0.7])
+@pytest.mark.parametrize(
+    "alpha", [pytest.param(0.1, marks=pytest.mark.full), 0.3, pytest.param(0.7, marks=pytest.mark.full)]
+)
 def test_local_damping_shrinks_each_half_cycle_by_a_known_factor(alpha: float) -> None:
     """Successive extremes of an oscillator have the ratio sqrt((1 - alpha) / (1 + alpha)).
 

@@ -86,7 +86,7 @@ def test_a_servo_lid_comes_to_rest_on_disks_that_just_touch() -> None:
 
 def test_the_step_shrinks_before_a_falling_disk_arrives() -> None:
     """A disk is dropped on another: the step gets smaller in flight, and the fall is that of Galilei."""
-    gap = 5.0 * RADIUS
+    gap = 2.0 * RADIUS
     scene = Scene(
         np.zeros(2),
         np.array([RADIUS, 3.0 * RADIUS + gap]),

@@ -31,8 +31,9 @@ bundled = replace(BONDED, bundles=True)
 recording = replace(GROUPED, recording=True, driven=True, account=True)
 # Each with its share of bonds. The last are those of cells; they record the mean of three disks.
 cases = [(ACCOUNT, 0.0), (GROUPED, 0.6), (LINEAR, 0.6), (bundled, 0.6), (recording, 0.6)]
-cases += [(replace(features, lanes=2), bonded) for features, bonded in cases if {is_wide}]
-cases += [(SERVO, 0.0), (replace(GROUPED, midpoint=False), 0.6)] if {is_wide} else []
+if {is_wide}:  # two lanes are never taken for a number; a bundle is of one
+    cases = [(replace(features, lanes=1 if features.bundled else 2), bonded) for features, bonded in cases]
+    cases += [(SERVO, 0.0), (replace(GROUPED, midpoint=False), 0.6)]
 
 
 def run(case, precision):

@@ -23,8 +23,8 @@ LIMITED = ("--time-limit", "0.6", "--seconds", "0.02")
 def resume_twice(campaign: "Campaign", expected: "Values", *options: str) -> None:
     """Run the same command again until it is complete, and once more; compare with an undisturbed run."""
     assert campaign.leaves_no_process()
-    for _ in range(2):
-        launch = campaign.run(*options)
+    for ranks in (3, 1):  # the last has nothing to compute
+        launch = campaign.run(*options, ranks=ranks)
         assert launch.exit_code == 0, launch.errors
         assert campaign.values() == expected
         assert campaign.leaves_no_process()
@@ -72,8 +72,8 @@ def test_a_silent_worker_is_given_up_without_a_time_limit(
     campaign: "Campaign", expected: "Values", tmp_path: Path
 ) -> None:
     """What the batches so far took tells when a stopped worker has been waited for long enough."""
-    options = ("--fault", "stop", "--once", str(tmp_path / "once"), "--seconds", "0.02", "--silence-floor", "2")
-    launch = campaign.run(*options)
+    options = ("--fault", "stop", "--once", str(tmp_path / "once"), "--seconds", "0.02")
+    launch = campaign.run(*options, "--silence-floor", "0.5")  # it is waited for ten times as long in its first batch
     assert launch.exit_code == 75, launch.errors
     assert "a worker has not answered within " in launch.errors
     resume_twice(campaign, expected, *options)

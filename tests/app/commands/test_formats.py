@@ -62,6 +62,7 @@ def test_a_prediction_is_in_the_rows(database: Path, invoke: Invoke) -> None:
     assert row["vs"] > 0.0
 
 
+@pytest.mark.full  # of the same figures test_report.py draws one of each kind in every run
 def test_show_draws_in_every_format(database: Path, tmp_path: Path, invoke: Invoke) -> None:
     """Figures do not depend on the format of the rows."""
     words = ("show", database, "--seed", 1, "--content", 5, "--out", tmp_path / "figures", "--format", "json")

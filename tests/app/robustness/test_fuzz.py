@@ -315,12 +315,12 @@ class Subject:
 
 
 SUBJECTS = {
-    "configurations": Subject(configurations(), use_configuration, 50, 1500),
-    "bytes of a configuration": Subject(spoiled(preset_text("quick").encode()), use_configuration, 8, 600),
-    "tables of disks": Subject(spoiled(DISKS.encode(), CELLS), use_disks, 30, 700),
+    "configurations": Subject(configurations(), use_configuration, 20, 1500),
+    "bytes of a configuration": Subject(spoiled(preset_text("quick").encode()), use_configuration, 4, 600),
+    "tables of disks": Subject(spoiled(DISKS.encode(), CELLS), use_disks, 15, 700),
     "tables of targets": Subject(spoiled(TARGETS, CELLS), use_targets, 8, 500),
     "plans of variants": Subject(spoiled(PLAN), use_plan, 10, 500),
-    "filters": Subject(filters, use_filter, 40, 1000),
+    "filters": Subject(filters, use_filter, 20, 1000),
     "command lines": Subject(command_lines, use_words, 12, 2000),
 }
 

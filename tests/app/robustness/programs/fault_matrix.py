@@ -42,13 +42,13 @@ wave_stiffness_factor = 13.0
 receiver_half_width = 0.01
 listening_depth = 0.006
 boundary_thickness = 0.01
-step_fraction = 0.02
+step_fraction = {step}
 amplitude = 4e-4
 [run]
 lanes = 2
 time_limit = {time_limit}
 """
-"""About 280 disks in batches of two cells, half a second each, all with a velocity."""
+"""About 280 disks in batches of two cells, all with a velocity."""
 
 SEEDS = 4
 
@@ -148,10 +148,12 @@ class Trial(MarkedProcesses):
     """
 
     MARK = "FAULT_FOLDER"
+    STEP = 0.02
+    """Fraction of the critical step, so small that a batch takes half a second and is met by a signal."""
 
     def __init__(self, folder: Path, cache: Path, seeds: int = SEEDS) -> None:
         self.folder = folder
-        self._cache = cache
+        self.cache = cache
         self._seeds = seeds
         self.configure()
         launcher = folder / "launcher"
@@ -160,30 +162,36 @@ class Trial(MarkedProcesses):
 
     def configure(self, time_limit: float = NO_LIMIT) -> None:
         """Write the configuration, with a time limit for a batch in s; it changes no result."""
-        (self.folder / "c.toml").write_text(CONFIGURATION.format(time_limit=time_limit, seeds=self._seeds))
+        (self.folder / "c.toml").write_text(
+            CONFIGURATION.format(step=self.STEP, time_limit=time_limit, seeds=self._seeds)
+        )
 
     @property
     def database(self) -> Path:
         """Database of the campaign."""
         return self.folder / "results" / "small.db"
 
-    def start(
-        self, *options: str, case: Case | None = None, ranks: int = 3, restarts: int = 0
-    ) -> subprocess.Popen[str]:
-        """Start the campaign, or go on with it, with these options of the command, and return at once."""
-        variables = {"FAULT": case.fault, "VICTIM": case.victim, "MOMENT": case.moment} if case else {}
+    def variables(self, case: Case | None = None) -> dict[str, str]:
+        """Surroundings of a run in which this fault happens."""
+        ordered = {"FAULT": case.fault, "VICTIM": case.victim, "MOMENT": case.moment} if case else {}
         own = {
             "PYTHONPATH": str(CHECKOUT),
-            "CALCIDEM_CACHE": str(self._cache),
+            "CALCIDEM_CACHE": str(self.cache),
             "OMPI_MCA_btl": "^ofi",  # without the search for fabrics mpirun starts in 0.2 s instead of 1.2 s
             "MPIRUN": str(self.folder / "launcher"),
             **self.environment(),
         }
+        return os.environ | own | ordered
+
+    def start(
+        self, *options: str, case: Case | None = None, ranks: int = 3, restarts: int = 0
+    ) -> subprocess.Popen[str]:
+        """Start the campaign, or go on with it, with these options of the command, and return at once."""
         command = [sys.executable, "-m", "calcidem", "run", "c.toml", "--ranks", str(ranks), *options]
         command += ["--restarts", str(restarts)] if ranks > 1 else []
         with (self.folder / "output").open("w") as output:
             return subprocess.Popen(
-                command, cwd=self.folder, env=os.environ | own | variables, stdout=output, stderr=output, text=True
+                command, cwd=self.folder, env=self.variables(case), stdout=output, stderr=output, text=True
             )
 
     def wait(self, process: subprocess.Popen[str], patience: float = PATIENCE) -> RunEnd:
@@ -238,12 +246,11 @@ class Trial(MarkedProcesses):
             connection.close()
 
 
-def reference(folder: Path, cache: Path, seeds: int = SEEDS) -> Cells:
+def reference(trial: Trial) -> Cells:
     """What an undisturbed run gives; the packing is put into the cache for all trials."""
-    trial = Trial(folder, cache, seeds)
-    packing_hash = load_configuration(folder / "c.toml").packing_hash
-    shutil.copy(SMALL_PACKING, cache / _cached_name(packing_hash))
-    ended = trial.wait(trial.start(ranks=1), 2.0 * PATIENCE)  # it compiles
+    packing_hash = load_configuration(trial.folder / "c.toml").packing_hash
+    shutil.copy(SMALL_PACKING, trial.cache / _cached_name(packing_hash))
+    ended = trial.run(ranks=1)
     if ended.code != 0:
         raise RuntimeError(f"the undisturbed run ended with {ended.code}:\n{ended.output}")
     return trial.cells()
@@ -273,8 +280,8 @@ class Verdict:
     complaints: tuple[str, ...]
 
 
-def judge(case: Case, trial: Trial, expected: Cells) -> Verdict:
-    """Let a fault happen, continue twice, and check everything on the way."""
+def judge(case: Case, trial: Trial, expected: Cells, ranks: int = 3, again: int = 3) -> Verdict:
+    """Let a fault happen among so many ranks, continue twice, first on ``again`` ranks, and check all on the way."""
     complaints: list[str] = []
 
     def demand(fact: bool, complaint: str) -> None:
@@ -291,7 +298,7 @@ def judge(case: Case, trial: Trial, expected: Cells) -> Verdict:
         demand(not different, f"other values {moment}: {different}")
 
     trial.configure(TIGHT if case.needs_a_limit else NO_LIMIT)
-    disturbed = trial.run(case=case, restarts=case.restarts)
+    disturbed = trial.run(case=case, ranks=ranks, restarts=case.restarts)
     trial.configure()
     demand((trial.folder / "happened").exists(), "the fault did not happen")
     demand_order("after the fault", disturbed, case.exit_code)
@@ -302,7 +309,7 @@ def judge(case: Case, trial: Trial, expected: Cells) -> Verdict:
     # On a busy machine a batch may exceed a tight limit without any fault.
     as_expected = bool(retried) == case.marks_a_cell or case.needs_a_limit
     demand(as_expected, f"{len(retried)} cells failed or timed out")
-    demand_order("of the first continuation", trial.run(), 0)
+    demand_order("of the first continuation", trial.run(ranks=again), 0)
     demand(trial.cells() == expected, "not all cells are there after the first continuation")
     attempts = trial.attempts()
     demand_order("of the second continuation", trial.run(ranks=1), 0)
