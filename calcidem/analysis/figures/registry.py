@@ -178,8 +178,8 @@ CAMPAIGN_FIGURES = (
     CampaignFigure(
         "laws",
         "Vs against connectivity",
-        "Fits of Vs = a C^b + c for each choice of weights, and at the mean connectivity of each content with 10 samples "
-        "or more the interval in which 95 % of new samples fall.",
+        "Fits of Vs = a C^b + c for each choice of weights, and at the mean connectivity of each content with 10 "
+        "samples or more the interval in which 95 % of new samples fall.",
         draw_laws,
     ),
     CampaignFigure(
