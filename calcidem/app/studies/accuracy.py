@@ -27,11 +27,12 @@ from calcidem.app.studies.study import (
     relative_deviation,
     signal_distance,
 )
+from calcidem.dem.engine.scene import Law
 from calcidem.dem.wave.check import cheapest_law
 from calcidem.dem.wave.experiment import Experiment, domain_of
 from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.reading import smooth
-from calcidem.dem.wave.rule import WHOLE_DOMAIN, Law, Pulse
+from calcidem.dem.wave.rule import WHOLE_DOMAIN, Pulse
 from calcidem.storage.records import NORMAL_95
 
 DEFAULT = "default"
@@ -421,7 +422,7 @@ def find_reference(
 def _convergence_rows(cells: Cells, content: float) -> Iterator[dict[str, float | str]]:
     """Order of convergence at a content, with and without local damping."""
     known: tuple[tuple[bool, Law], ...] = (
-        (True, unchecked(cells.experiment).wave.law),
+        (True, unchecked(cells.experiment).wave.contact_law),
         (False, "linear"),
         (False, "finite"),
     )

@@ -48,27 +48,21 @@ def push_apart(
     features: Features,
     pair: int,
     level: int,
-    force: tuple[Vector, Vector],
-    moments: tuple[Vector, Vector],
+    force: tuple[Vector, Vector, Vector, Vector],
     system: System,
 ) -> None:
-    """Add a force (x, y) to the second disk and its opposite to the first, and moments to the first and the second."""
+    """Add the force of a pair, as `pair.pair_force` returns it, to its two disks."""
+    x, y, first_moment, second_moment = force
     pairs, front = system.pairs, system.front
     if features.bundled:
-        _store_records(front, 0, (-force[X], -force[Y], moments[0]))
-        _store_records(front, ABREAST, (force[X], force[Y], moments[1]))
+        _store_records(front, 0, (-x, -y, first_moment))
+        _store_records(front, ABREAST, (x, y, second_moment))
         for lane in range(ABREAST):
             _add_record(front, level, scalar(pairs.first, (pair, lane)), lane)
             _add_record(front, level, scalar(pairs.second, (pair, lane)), ABREAST + lane)
     else:
-        first, second = scalar(pairs.first, (pair,)), scalar(pairs.second, (pair,))
-        add_force(features, first, X, level, -force[X], front)
-        add_force(features, first, Y, level, -force[Y], front)
-        add_force(features, second, X, level, force[X], front)
-        add_force(features, second, Y, level, force[Y], front)
-        if features.rotation:
-            add_force(features, first, ROTATION, level, moments[0], front)
-            add_force(features, second, ROTATION, level, moments[1], front)
+        add_force(features, scalar(pairs.first, (pair,)), level, (-x, -y, first_moment), front)
+        add_force(features, scalar(pairs.second, (pair,)), level, (x, y, second_moment), front)
 
 
 @inline

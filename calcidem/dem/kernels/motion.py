@@ -148,9 +148,18 @@ def _take_force(features: Features, grain: int, component: int, level: int, fron
 
 
 @inline
-def add_force(features: Features, grain: int, component: int, level: int, part: Vector, front: Front) -> None:
-    """Add to the sum of the contact forces on a disk."""
+def add_force(features: Features, grain: int, level: int, force: tuple[Vector, Vector, Vector], front: Front) -> None:
+    """Add x, y and moment to the sums of the forces on a disk."""
     slot = _slot(grain, level, front)
+    _add_component(features, slot, X, force[X], front)
+    _add_component(features, slot, Y, force[Y], front)
+    if features.rotation:
+        _add_component(features, slot, ROTATION, force[ROTATION], front)
+
+
+@inline
+def _add_component(features: Features, slot: int, component: int, part: Vector, front: Front) -> None:
+    """Add to one component of the sum in a slot."""
     total = of_disk(features, front.force, slot, component) + part
     store(front.force, (_disk_row(features, slot, component),), total)
 

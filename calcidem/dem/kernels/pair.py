@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from calcidem.dem.kernels.compiling import inline
-from calcidem.dem.kernels.ends import components, constant, push_apart, radii
+from calcidem.dem.kernels.ends import components, constant, radii
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import (
     Vector,
@@ -57,14 +57,14 @@ from calcidem.dem.kernels.layout import (
 from calcidem.dem.kernels.motion import add_energy
 
 
-class _Geometry(NamedTuple):
+class Geometry(NamedTuple):
     """A contact at the present positions."""
 
     normal_x: Vector
     normal_y: Vector
     """Unit vector from the first to the second disk."""
     overlap: Vector
-    """m; in the linear regime the distance by which the disks have moved apart."""
+    """m; with the linear law the distance by which the disks have moved apart."""
     first_arm: Vector
     second_arm: Vector
     """From the centres to the contact, m."""
@@ -86,51 +86,26 @@ class _Increment(NamedTuple):
 
 
 @inline
-def add_pair_forces(features: Features, begin: int, end: int, level: int, dt: Vector, system: System) -> None:
-    """Add the forces of the pairs ``begin`` to ``end - 1`` to their disks."""
+def pair_force(
+    features: Features, pair: int, geometry: Geometry, dt: Vector, system: System
+) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return x and y of the force on the second disk, opposite to that on the first, and the moments on both."""
     if features.linear:
-        for pair in range(begin, end):
-            _add_linear_forces(features, pair, level, system)
-    elif begin < end:
-        # Roots and quotients have a long latency. Those of the next pair begin before the forces of this one.
-        geometry = _pair_geometry(features, begin, system)
-        for pair in range(begin, end):
-            following = _pair_geometry(features, min(pair + 1, end - 1), system)
-            _add_general_forces(features, pair, geometry, level, dt, system)
-            geometry = following
-
-
-@inline
-def _add_linear_forces(features: Features, pair: int, level: int, system: System) -> None:
-    """Add the force of one pair of constant stiffness to its two disks."""
-    geometry = _pair_geometry(features, pair, system)
-    pull, drag, moment = _linear_law(features, pair, geometry, system.motion, system.pairs)
-    along_x = pull * geometry.normal_x - drag * geometry.normal_y
-    along_y = pull * geometry.normal_y + drag * geometry.normal_x
-    first_moment, second_moment = drag * geometry.first_arm, drag * geometry.second_arm
+        normal, shear, moment = _linear_law(features, pair, geometry, system.motion, system.pairs)
+    else:
+        normal, shear, moment = _general_law(features, pair, dt, geometry, system)
+    x = normal * geometry.normal_x - shear * geometry.normal_y
+    y = normal * geometry.normal_y + shear * geometry.normal_x
+    first_moment, second_moment = shear * geometry.first_arm, shear * geometry.second_arm
     if features.bonds:
         first_moment, second_moment = moment + first_moment, second_moment - moment
-    push_apart(features, pair, level, (-along_x, -along_y), (first_moment, second_moment), system)
+    if features.linear:  # where they act on the first disk
+        return -x, -y, first_moment, second_moment
+    return x, y, -first_moment, -second_moment
 
 
 @inline
-def _add_general_forces(
-    features: Features, pair: int, geometry: _Geometry, level: int, dt: Vector, system: System
-) -> None:
-    """Add the force of one pair to its two disks."""
-    normal, shear, moment = _general_law(features, pair, dt, geometry, system)
-    along_x = normal * geometry.normal_x - shear * geometry.normal_y
-    along_y = normal * geometry.normal_y + shear * geometry.normal_x
-    first_moment, second_moment = shear * geometry.first_arm, shear * geometry.second_arm
-    if features.bonds:  # noqa: SIM108 - known to the compiler
-        moments = -(moment + first_moment), moment - second_moment
-    else:
-        moments = -first_moment, -second_moment
-    push_apart(features, pair, level, (along_x, along_y), moments, system)
-
-
-@inline
-def _pair_geometry(features: Features, pair: int, system: System) -> _Geometry:
+def pair_geometry(features: Features, pair: int, system: System) -> Geometry:
     """Return the contact of two disks at their present positions.
 
     The overlap is the reference overlap minus the *change* of the distance. This keeps single precision accurate:
@@ -140,7 +115,7 @@ def _pair_geometry(features: Features, pair: int, system: System) -> _Geometry:
     table = system.pairs.geometry
     overlap = constant(features, table, (pair, OVERLAP))
     apart_x, apart_y = _relative_translation(features, pair, system.pairs, system.motion.displacement)
-    if features.finite:
+    if not features.linear:
         distance_before = constant(features, table, (pair, DISTANCE))
         before_x, before_y = constant(features, table, (pair, APART_X)), constant(features, table, (pair, APART_Y))
         x, y = apart_x + before_x, apart_y + before_y
@@ -156,17 +131,14 @@ def _pair_geometry(features: Features, pair: int, system: System) -> _Geometry:
         depth = overlap - grown * (share * distance_root)
         first_radius, second_radius = radii(features, pair, system.grains, system.pairs)
         first_arm, second_arm = first_radius - 0.5 * depth, second_radius - 0.5 * depth
-        return _Geometry(x * inverse, y * inverse, depth, first_arm, second_arm, inverse, share * (both * distance))
+        return Geometry(x * inverse, y * inverse, depth, first_arm, second_arm, inverse, share * (both * distance))
     normal_x = fill_lanes(constant(features, table, (pair, NORMAL_X)), features.width)
     normal_y = fill_lanes(constant(features, table, (pair, NORMAL_Y)), features.width)
     along = normal_x * apart_x + normal_y * apart_y
     first_arm = fill_lanes(constant(features, table, (pair, FIRST_ARM)), features.width)
     second_arm = fill_lanes(constant(features, table, (pair, SECOND_ARM)), features.width)
     flat = zero_like(along)
-    if features.linear:
-        return _Geometry(normal_x, normal_y, along, first_arm, second_arm, flat, flat)
-    inverse_root = 1.0 / load(system.pairs.root, (pair,), features.width) if features.rescaling else flat
-    return _Geometry(normal_x, normal_y, overlap - along, first_arm, second_arm, flat, inverse_root)
+    return Geometry(normal_x, normal_y, along, first_arm, second_arm, flat, flat)
 
 
 @inline
@@ -179,7 +151,7 @@ def _relative_translation(features: Features, pair: int, pairs: Pairs, field: Ve
 
 @inline
 def _slide_and_twist(
-    features: Features, pair: int, pairs: Pairs, geometry: _Geometry, field: Vector
+    features: Features, pair: int, pairs: Pairs, geometry: Geometry, field: Vector
 ) -> tuple[Vector, Vector]:
     """Tangential displacement (or velocity) at the contact and relative rotation, second minus first."""
     first = components(features, pair, pairs.first, field)
@@ -193,7 +165,7 @@ def _slide_and_twist(
 
 @inline
 def _linear_law(
-    features: Features, pair: int, geometry: _Geometry, motion: Motion, pairs: Pairs
+    features: Features, pair: int, geometry: Geometry, motion: Motion, pairs: Pairs
 ) -> tuple[Vector, Vector, Vector]:
     """Return tension, shear force and moment that constant stiffnesses add to the reference state.
 
@@ -220,7 +192,7 @@ def _linear_law(
 
 @inline
 def _general_law(
-    features: Features, pair: int, dt: Vector, geometry: _Geometry, system: System
+    features: Features, pair: int, dt: Vector, geometry: Geometry, system: System
 ) -> tuple[Vector, Vector, Vector]:
     """Return normal force, shear force and moment from the overlap, the histories and the increments of a step."""
     pairs, motion, watch = system.pairs, system.motion, system.watch
@@ -241,7 +213,7 @@ def _general_law(
 
 @inline
 def _frictional_law(
-    features: Features, pair: int, geometry: _Geometry, slide: Vector, pairs: Pairs, watch: Watch
+    features: Features, pair: int, geometry: Geometry, slide: Vector, pairs: Pairs, watch: Watch
 ) -> tuple[Vector, Vector]:
     """Return normal and shear force of the part with friction: the sand's contact, or the cement's linear group.
 
@@ -318,7 +290,7 @@ def add_shear_loss(
 
 
 @inline
-def _relative_approach(features: Features, pair: int, geometry: _Geometry, dt: Vector, system: System) -> Vector:
+def _relative_approach(features: Features, pair: int, geometry: Geometry, dt: Vector, system: System) -> Vector:
     """Return the decrease of the distance of two disks during the last step, m.
 
     The normal is that at the end of the step. ``across^2 / (2 distance)`` corrects for its rotation. Otherwise a bonded
@@ -326,10 +298,8 @@ def _relative_approach(features: Features, pair: int, geometry: _Geometry, dt: V
     """
     apart_x, apart_y = _relative_translation(features, pair, system.pairs, system.motion.velocity)
     along = (geometry.normal_x * apart_x + geometry.normal_y * apart_y) * dt
-    if features.finite:
-        across = (geometry.normal_x * apart_y - geometry.normal_y * apart_x) * dt
-        return 0.5 * across * across * geometry.curvature - along
-    return -along
+    across = (geometry.normal_x * apart_y - geometry.normal_y * apart_x) * dt
+    return 0.5 * across * across * geometry.curvature - along
 
 
 @inline
@@ -338,7 +308,7 @@ def _bond_forces(
 ) -> tuple[Vector, Vector, Vector]:
     """Return the forces of the parallel bond after one more increment; break it where its strength is exceeded.
 
-    Forces and moment grow with the relative motion of the two disks, see `material.Cement.bond_stiffness`.
+    Forces and moment grow with the relative motion of the two disks, see `engine.scene.Cement`.
     """
     lanes = features.width
     intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)

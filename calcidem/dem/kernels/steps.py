@@ -21,6 +21,7 @@ by the displacement between the two last positions, ``dt v(n - 1/2)``, so they b
 
 import calcidem.dem.kernels.switches  # noqa: F401 - makes Features a type of the compiler
 from calcidem.dem.kernels.compiling import compile_function, inline
+from calcidem.dem.kernels.ends import push_apart
 from calcidem.dem.kernels.features import ABREAST, Features
 from calcidem.dem.kernels.lanes import (
     Vector,
@@ -31,9 +32,9 @@ from calcidem.dem.kernels.lanes import (
     store,
 )
 from calcidem.dem.kernels.layout import LISTENED, RECEIVED, SHEAR, Floats, Front, Recording, System
-from calcidem.dem.kernels.motion import drive_disks, integrate, integrate_records, of_disk
-from calcidem.dem.kernels.pair import add_pair_forces
-from calcidem.dem.kernels.wall import finish_walls, start_walls, wall_forces, wall_is_far
+from calcidem.dem.kernels.motion import add_force, drive_disks, integrate, integrate_records, of_disk
+from calcidem.dem.kernels.pair import pair_force, pair_geometry
+from calcidem.dem.kernels.wall import add_reaction, finish_walls, start_walls, wall_force, wall_is_far
 
 
 @compile_function(cache=True, error_model="numpy")
@@ -112,9 +113,11 @@ def _step_together(
             begin = (leading - level) * block
             end = min(count, begin + block)
             first, last = scalar(pair_start, (begin,)), scalar(pair_start, (end,))
-            add_pair_forces(features, first, last, level, pair_dt, system)
-            for pair in range(scalar(wall_start, (begin,)), scalar(wall_start, (end,))):
-                wall_forces(features, pair, level, dt, system)
+            _add_pair_forces(features, first, last, level, pair_dt, system)
+            for contact in range(scalar(wall_start, (begin,)), scalar(wall_start, (end,))):
+                on_disk, on_wall = wall_force(features, contact, level, dt, system)
+                add_force(features, scalar(system.wall_pairs.disk, (contact,)), level, on_disk, system.front)
+                add_reaction(features, scalar(system.wall_pairs.wall, (contact,)), level, on_wall, system.front)
             if features.driven:
                 drive_disks(features, range(begin, end), level, step + level, dt, system)
             if features.bundled:
@@ -124,6 +127,22 @@ def _step_together(
                 for grain in range(begin, end):
                     far = far | integrate(features, grain, level, dt, system)
     return bits_of_mask(far)
+
+
+@inline
+def _add_pair_forces(features: Features, begin: int, end: int, level: int, dt: Vector, system: System) -> None:
+    """Add the forces of the pairs ``begin`` to ``end - 1`` to their disks."""
+    if features.linear:
+        for pair in range(begin, end):
+            geometry = pair_geometry(features, pair, system)
+            push_apart(features, pair, level, pair_force(features, pair, geometry, dt, system), system)
+    elif begin < end:
+        # Roots and quotients have a long latency. Those of the next pair begin before the forces of this one.
+        geometry = pair_geometry(features, begin, system)
+        for pair in range(begin, end):
+            following = pair_geometry(features, min(pair + 1, end - 1), system)
+            push_apart(features, pair, level, pair_force(features, pair, geometry, dt, system), system)
+            geometry = following
 
 
 @inline

@@ -39,42 +39,40 @@ from calcidem.dem.kernels.layout import (
     X,
     Y,
 )
-from calcidem.dem.kernels.motion import add_energy, add_force, of_disk
+from calcidem.dem.kernels.motion import add_energy, of_disk
 from calcidem.dem.kernels.pair import add_shear_loss, middle_root
 
 
 @inline
-def wall_forces(features: Features, pair: int, level: int, dt: Vector, system: System) -> None:
-    """Add the force of a wall to that on a disk, and its opposite to the wall's reaction."""
+def wall_force(
+    features: Features, contact: int, level: int, dt: Vector, system: System
+) -> tuple[tuple[Vector, Vector, Vector], tuple[Vector, Vector, Vector]]:
+    """Return x, y and moment of the force on the disk of a contact, and what it adds to `layout.Walls.reaction`."""
     lanes = features.lanes
     grains, motion, front = system.grains, system.motion, system.front
     walls, wall_pairs = system.walls, system.wall_pairs
-    grain, wall = scalar(wall_pairs.disk, (pair,)), scalar(wall_pairs.wall, (pair,))
-    overlap = scalar(wall_pairs.overlap, (pair,))
+    grain, wall = scalar(wall_pairs.disk, (contact,)), scalar(wall_pairs.wall, (contact,))
+    overlap = scalar(wall_pairs.overlap, (contact,))
     normal_x, normal_y = scalar(walls.normal, (wall, X)), scalar(walls.normal, (wall, Y))
     field = motion.displacement
     away = normal_x * of_disk(features, field, grain, X) + normal_y * of_disk(features, field, grain, Y)
     closer = load(front.wall_motion, (level, wall, NORMAL_PATH), lanes) - away
     depth = overlap + closer
-    arm = zero_like(away) + (scalar(grains.radius, (grain,)) - 0.5 * overlap)
-    if features.finite:
-        arm = scalar(grains.radius, (grain,)) - 0.5 * depth
     if features.linear:
+        arm = zero_like(away) + (scalar(grains.radius, (grain,)) - 0.5 * overlap)
         rim = load(front.wall_motion, (level, wall, TANGENT_PATH), lanes)
         slide = _wall_slide(features, grain, wall, arm, rim, motion.displacement, walls)
-        normal = closer * scalar(wall_pairs.tangent, (pair, NORMAL))
-        stiffness = fill_lanes(scalar(wall_pairs.tangent, (pair, NORMAL)), lanes)
-        shear = slide * -scalar(wall_pairs.tangent, (pair, SHEAR))
+        normal = closer * scalar(wall_pairs.tangent, (contact, NORMAL))
+        stiffness = fill_lanes(scalar(wall_pairs.tangent, (contact, NORMAL)), lanes)
+        shear = slide * -scalar(wall_pairs.tangent, (contact, SHEAR))
     else:
+        arm = scalar(grains.radius, (grain,)) - 0.5 * depth
         rim = load(front.wall_motion, (level, wall, TANGENT_SPEED), lanes)
         slide = _wall_slide(features, grain, wall, arm, rim, motion.velocity, walls) * dt
         friction = min(scalar(walls.friction, (wall,)), scalar(grains.friction, (grain,)))
-        normal, stiffness, shear = _wall_law(features, pair, friction, depth, slide, system)
-    _add_reaction(features, wall, level, normal, -shear, stiffness, front)
-    add_force(features, grain, X, level, normal * normal_x - shear * normal_y, front)
-    add_force(features, grain, Y, level, normal * normal_y + shear * normal_x, front)
-    if features.rotation:
-        add_force(features, grain, ROTATION, level, -(shear * arm), front)
+        normal, stiffness, shear = _wall_law(features, contact, friction, depth, slide, system)
+    on_disk = normal * normal_x - shear * normal_y, normal * normal_y + shear * normal_x, -(shear * arm)
+    return on_disk, (normal, -shear, stiffness)
 
 
 @inline
@@ -123,14 +121,12 @@ def _wall_law(
 
 
 @inline
-def _add_reaction(
-    features: Features, wall: int, level: int, normal: Vector, shear: Vector, stiffness: Vector, front: Front
-) -> None:
+def add_reaction(features: Features, wall: int, level: int, part: tuple[Vector, Vector, Vector], front: Front) -> None:
     """Add one contact to the sums of a wall."""
-    lanes = features.lanes
-    store(front.reaction, (level, wall, NORMAL), load(front.reaction, (level, wall, NORMAL), lanes) + normal)
-    store(front.reaction, (level, wall, SHEAR), load(front.reaction, (level, wall, SHEAR), lanes) + shear)
-    store(front.reaction, (level, wall, STIFFNESS), load(front.reaction, (level, wall, STIFFNESS), lanes) + stiffness)
+    lanes, sums = features.lanes, front.reaction
+    store(sums, (level, wall, NORMAL), load(sums, (level, wall, NORMAL), lanes) + part[NORMAL])
+    store(sums, (level, wall, SHEAR), load(sums, (level, wall, SHEAR), lanes) + part[SHEAR])
+    store(sums, (level, wall, STIFFNESS), load(sums, (level, wall, STIFFNESS), lanes) + part[STIFFNESS])
 
 
 @inline

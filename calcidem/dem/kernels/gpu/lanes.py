@@ -4,7 +4,6 @@ Types, operators and intrinsics of lane vectors are numba's, which numba-cuda sh
 the types of constants and for rewrites. NVVM lacks some LLVM functions of vectors, and must not contract products.
 """
 
-# ruff: noqa: SLF001 - `switches` has the types, and numba-cuda no public form
 # ruff: noqa: ANN401 - values of the compiler (contexts, builders, LLVM values) have no static types
 # mypy: disable-error-code="no-untyped-call, untyped-decorator, misc"
 
@@ -22,10 +21,10 @@ from calcidem.dem.kernels.features import Features
 
 config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # a batch has a block for each of its samples, at most 32
 
-typeof_impl.register(Features)(switches._type_of_features)
+typeof_impl.register(Features)(switches.type_of_features)
 
 
-@lower_constant(switches._FeaturesType)
+@lower_constant(switches.FeaturesType)
 def _constant_features(context: Any, builder: Any, kind: Any, features: Any) -> Any:
     """Pass no data: the type has all values."""
     del builder, kind, features
@@ -33,33 +32,10 @@ def _constant_features(context: Any, builder: Any, kind: Any, features: Any) -> 
 
 
 @register_rewrite("before-inference")
-class _KnownFeatures(Rewrite):
-    """`switches._KnownFeatures` in the intermediate representation of numba-cuda."""
+class _KnownFeatures(switches.KnownFeatures, Rewrite):
+    """The same rewrite of numba-cuda's intermediate representation."""
 
-    def __init__(self, state: Any) -> None:
-        self._kinds = state.args
-
-    def match(self, func_ir: Any, block: Any, typemap: Any, calltypes: Any) -> bool:
-        """Whether a block reads a switch of one of the function's arguments."""
-        del typemap, calltypes
-        self._definitions, self._block, self._values = func_ir._definitions, block, {}
-        for read in block.find_exprs("getattr"):
-            (owner, *others) = self._definitions[read.value.name]
-            if (
-                not others
-                and isinstance(owner, ir.Arg)
-                and isinstance(self._kinds[owner.index], switches._FeaturesType)
-            ):
-                self._values[read] = ir.Const(dict(self._kinds[owner.index].values)[read.attr], read.loc)
-        return bool(self._values)
-
-    def apply(self) -> Any:
-        """The block with the values."""
-        for statement in self._block.find_insts(ir.Assign):
-            if constant := self._values.get(statement.value):
-                statement.value = constant
-                self._definitions[statement.target.name] = [constant]
-        return self._block
+    representation = ir
 
 
 _BODIES = {

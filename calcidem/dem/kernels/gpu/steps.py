@@ -20,7 +20,6 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import Vector, bits_of_mask, load, row, scalar, store
 from calcidem.dem.kernels.layout import (
     LISTENED,
-    ROTATION,
     Floats,
     Front,
     Integers,
@@ -31,12 +30,11 @@ from calcidem.dem.kernels.layout import (
     WallPairs,
     Walls,
     Watch,
-    X,
     Y,
 )
 from calcidem.dem.kernels.motion import add_force, integrate, of_disk
-from calcidem.dem.kernels.pair import _general_law, _linear_law, _pair_geometry
-from calcidem.dem.kernels.wall import finish_walls, start_walls, wall_forces, wall_is_far
+from calcidem.dem.kernels.pair import pair_force, pair_geometry
+from calcidem.dem.kernels.wall import finish_walls, start_walls, wall_force, wall_is_far
 
 _IS_SIMULATED = bool(config.ENABLE_CUDASIM)  # type: ignore[attr-defined]  # made from the environment
 
@@ -160,35 +158,15 @@ def _sample_of(system: System, sample: int, force: Floats, reaction: Floats) -> 
 
 
 @inline
-def _share_pairs(features: Features, dt: Vector, system: System, force: Floats) -> None:
+def _share_pairs(features: Features, dt: Vector, system: System, forces: Floats) -> None:
     """Store the forces of the pairs of this thread."""
     for pair in range(cuda.threadIdx.x, system.pairs.first.shape[0], cuda.blockDim.x):
-        x, y, first, second = _pair_force(features, pair, dt, system)
-        store(force, (pair, 0), x)
-        store(force, (pair, 1), y)
-        store(force, (pair, 2), first)
-        store(force, (pair, 3), second)
-
-
-@inline
-def _pair_force(features: Features, pair: int, dt: Vector, system: System) -> tuple[Vector, Vector, Vector, Vector]:
-    """Force of a pair as `pair.add_pair_forces` adds it to its disks: x and y on the second, moments on both."""
-    geometry = _pair_geometry(features, pair, system)
-    if features.linear:
-        pull, drag, moment = _linear_law(features, pair, geometry, system.motion, system.pairs)
-        along_x = pull * geometry.normal_x - drag * geometry.normal_y
-        along_y = pull * geometry.normal_y + drag * geometry.normal_x
-        first, second = drag * geometry.first_arm, drag * geometry.second_arm
-        if features.bonds:
-            return -along_x, -along_y, moment + first, second - moment
-        return -along_x, -along_y, first, second
-    normal, shear, moment = _general_law(features, pair, dt, geometry, system)
-    along_x = normal * geometry.normal_x - shear * geometry.normal_y
-    along_y = normal * geometry.normal_y + shear * geometry.normal_x
-    first, second = shear * geometry.first_arm, shear * geometry.second_arm
-    if features.bonds:
-        return along_x, along_y, -(moment + first), moment - second
-    return along_x, along_y, -first, -second
+        geometry = pair_geometry(features, pair, system)
+        x, y, first_moment, second_moment = pair_force(features, pair, geometry, dt, system)
+        store(forces, (pair, 0), x)
+        store(forces, (pair, 1), y)
+        store(forces, (pair, 2), first_moment)
+        store(forces, (pair, 3), second_moment)
 
 
 @inline
@@ -200,7 +178,8 @@ def _share_disks(features: Features, step: int, dt: Vector, system: System, plan
         for place in range(plan.start[disk], plan.start[disk + 1]):
             _add_pair(features, disk, plan.code[place], force, system.front)
         for contact in range(scalar(wall_pairs.start, (disk,)), scalar(wall_pairs.start, (disk + 1,))):
-            wall_forces(features, contact, 0, dt, system)
+            on_disk, _ = wall_force(features, contact, 0, dt, system)
+            add_force(features, disk, 0, on_disk, system.front)
         if features.driven:  # noqa: SIM102 - known to the compiler, unlike the condition within
             if plan.driven[disk]:
                 store(system.motion.velocity, (row(disk, Y),), load(system.recording.drive, (step,), features.lanes))
@@ -216,10 +195,8 @@ def _add_pair(features: Features, disk: int, code: int, force: Floats, front: Fr
     """Add the force of a pair to one of its disks, as `ends.push_apart` does."""
     pair, is_second = code >> 1, code & 1
     x, y = load(force, (pair, 0), features.lanes), load(force, (pair, 1), features.lanes)
-    add_force(features, disk, X, 0, x if is_second else -x, front)
-    add_force(features, disk, Y, 0, y if is_second else -y, front)
-    if features.rotation:
-        add_force(features, disk, ROTATION, 0, load(force, (pair, 2 + is_second), features.lanes), front)
+    moment = load(force, (pair, 2 + is_second), features.lanes)
+    add_force(features, disk, 0, (x if is_second else -x, y if is_second else -y, moment), front)
 
 
 @inline
