@@ -2,11 +2,11 @@
 
     python benchmarks/velocity/run.py [--preset paper] [--packings 11 12] [--seeds 301 16] [--frequency 1]
 
-prints two tables over the contents of the packings (docs/velocity.md). Each sample is measured as configured, by a receiver
-as wide as the box, with the pulse reversed, and sent from the other side. S is the static speed. *side* is half the
-variance of the logarithm of the ratio to the wave from the other side. *r* is the correlation of
-logarithms over seeds, pooled within content and packing; *repeatability* the standard deviation of the logarithm of two
-receivers' ratio, over the root of 2; *within* the share of differences within 1.96 stated errors.
+prints two tables over the contents of the packings (docs/velocity.md). Each sample is measured as configured, by a
+receiver as wide as the box, with the pulse reversed, and sent from the other side. S is the static speed. *side* is
+half the variance of the logarithm of the ratio to the wave from the other side. *r* is the correlation of logarithms
+over seeds, pooled within content and packing; *repeatability* the standard deviation of the logarithm of two receivers'
+ratio, over the root of 2; *within* the share of differences within 1.96 stated errors.
 """
 
 import argparse

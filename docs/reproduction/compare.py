@@ -1,6 +1,6 @@
 """Means, scatter and growth of a campaign beside the paper's: `python docs/reproduction/compare.py CAMPAIGN.db`.
 
-`shapes.py` prints the shape of the distributions, `laws.py` what connectivity says, `predictors.py` the predictor.
+`shapes.py` prints the shape of the distributions, `laws.py` what connectivity says, `features.py` what predicts Vs.
 """
 
 import argparse
