@@ -393,8 +393,9 @@ def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
     Phase velocities are searched from a third to three times the median Vs. Without cement all cells are one sample.
     `ValueError` if no cell has a velocity and a section.
     """
-    found = [cell for cell in cells if cell.vs is not None and cell.section is not None]
-    read = [(cell.vs, cell.section) for cell in (found if any(cell.key.content for cell in found) else found[:1])]
+    found = [(cell.key.content, cell.vs, cell.section) for cell in cells]
+    read = [(vs, section) for _, vs, section in found if vs is not None and section is not None]
+    read = read if any(content for content, *_ in found) else read[:1]
     if not read:
         raise ValueError("no cell has a velocity and a stored section, which a dispersion needs")
     median = float(np.median([vs for vs, _ in read]))
