@@ -51,7 +51,7 @@ def modulus(campaign: calcidem.Campaign, seed: int, content: float, window: floa
     scene = replace(sample.scene, walls=(), held=held, damping=0.7)
     velocity = np.column_stack([np.zeros(scene.count), RATE * centres[:, 0]])
     spin = np.full(scene.count, 0.5 * RATE)
-    begin = dem.start(scene, regime="small", velocity=velocity, spin=spin, preload=packing.preload)
+    begin = dem.start(scene, velocity=velocity, spin=spin, preload=packing.preload)
     end = dem.advance(begin, STEPS)
     pixel, inner = window / PIXELS, size - 0.2 * size.min()
     counts = np.floor(inner / pixel + 1e-9).astype(int)

@@ -5,7 +5,7 @@
     python benchmarks/bits/run.py --on "AVX2, Zen" -- ./run-tests.sh --fast
 
 The scene is the paper's packing of 4,663 disks, made anew on every processor, then cemented and crossed by waves in the
-linear and the finite regime, in one lane and in eight. ``--verify`` lets `calcidem verify` compute cells of databases
+linear and the finite law, in one lane and in eight. ``--verify`` lets `calcidem verify` compute cells of databases
 again, and of files that `calcidem import` makes databases of, on every processor. ``--on`` runs a command.
 `on_aarch64.sh` beside this file runs a program on an emulated aarch64.
 """

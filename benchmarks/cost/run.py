@@ -42,7 +42,7 @@ from scenes import (
 
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
-from calcidem.dem.engine.scene import Precision, Regime
+from calcidem.dem.engine.scene import Law, Precision
 from calcidem.dem.engine.state import choose_features
 from calcidem.dem.wave.measurement import measure
 
@@ -65,12 +65,12 @@ def tiled(count: int) -> tuple[Floats, Floats, Floats]:
     return x[kept], y[kept], np.tile(stored["radius"], tiles * tiles)[kept]
 
 
-def cost_of_a_step(count: int, regime: Regime, lanes: int, precision: Precision = "float64") -> dict[str, float]:
+def cost_of_a_step(count: int, law: Law, lanes: int, precision: Precision = "float64") -> dict[str, float]:
     """CPU seconds of one step of all lanes, and the contacts it covers."""
     x, y, radius = tiled(count)
     rim = np.minimum.reduce([x, x.max() - x, y, y.max() - y]) - 2.0 * radius
     problem = with_time_step(moving(at_rest(x, y, radius, rim < 0.0, damping=0.3, skin=0.01), 1e-4), 0.3)
-    state = started(problem, replace(choose_features(as_scene(problem), regime, lanes), midpoint=False), precision)
+    state = started(problem, replace(choose_features(as_scene(problem), law, lanes), midpoint=False), precision)
     seconds = seconds_of_a_step(state, max(20, 400_000 // count), ROUNDS)
     return {"grains": len(x), "contacts": len(touching_pairs(x, y, radius)), "seconds": seconds}
 
@@ -83,20 +83,20 @@ def nanoseconds(row: dict[str, float], lanes: int) -> float:
 def over_grains() -> list[dict[str, Any]]:
     """Kernel time against the number of disks."""
     rows = []
-    for regime, count in product(("linear", "finite"), GRAINS):
-        row = cost_of_a_step(count, regime, 8)  # type: ignore[arg-type]
-        rows.append({"regime": regime, **row, "ns": nanoseconds(row, 8)})
-        print(f"{regime:7} {row['grains']:7} disks {rows[-1]['ns']:6.2f} ns a contact-step", flush=True)
+    for law, count in product(("linear", "finite"), GRAINS):
+        row = cost_of_a_step(count, law, 8)  # type: ignore[arg-type]
+        rows.append({"law": law, **row, "ns": nanoseconds(row, 8)})
+        print(f"{law:7} {row['grains']:7} disks {rows[-1]['ns']:6.2f} ns a contact-step", flush=True)
     return rows
 
 
 def over_lanes() -> list[dict[str, Any]]:
     """Kernel time against the number of samples side by side."""
     rows = []
-    for regime, precision, lanes in product(("linear", "finite"), ("float64", "float32"), LANES):
-        row = cost_of_a_step(4670, regime, lanes, precision)  # type: ignore[arg-type]
-        rows.append({"regime": regime, "precision": precision, "lanes": lanes, "ns": nanoseconds(row, lanes)})
-        print(f"{regime:7} {precision} {lanes:2} lanes {rows[-1]['ns']:6.2f} ns a contact-step", flush=True)
+    for law, precision, lanes in product(("linear", "finite"), ("float64", "float32"), LANES):
+        row = cost_of_a_step(4670, law, lanes, precision)  # type: ignore[arg-type]
+        rows.append({"law": law, "precision": precision, "lanes": lanes, "ns": nanoseconds(row, lanes)})
+        print(f"{law:7} {precision} {lanes:2} lanes {rows[-1]['ns']:6.2f} ns a contact-step", flush=True)
     return rows
 
 
@@ -133,15 +133,15 @@ def over_ranks() -> list[dict[str, Any]]:
 
 def print_growth(results: dict[str, Any]) -> None:
     """Print exponents of growth: slopes of least squares between the logarithms of size and time."""
-    kinds = [(f"a step over disks, {regime}", regime, "grains", "seconds") for regime in ("linear", "finite")]
-    kinds += [(f"a sample over lanes, {regime}", regime, "lanes", "ns") for regime in ("linear", "finite")]
+    kinds = [(f"a step over disks, {law}", law, "grains", "seconds") for law in ("linear", "finite")]
+    kinds += [(f"a sample over lanes, {law}", law, "lanes", "ns") for law in ("linear", "finite")]
     kinds += [
         ("a sample over contents", None, "contents", "seconds"),
         ("a campaign over workers", None, "ranks", "seconds"),
     ]
     sizes = {"contents": "content", "ranks": "workers"}
-    for title, regime, table, spent in kinds:
-        rows = [row for row in results[table] if row.get("regime") == regime and row.get("precision") != "float32"]
+    for title, law, table, spent in kinds:
+        rows = [row for row in results[table] if row.get("law") == law and row.get("precision") != "float32"]
         size, time_spent = ([row[name] for row in rows] for name in (sizes.get(table, table), spent))
         print(f"{title}: exponent {np.polyfit(np.log(size), np.log(time_spent), 1)[0]:.2f}")
 
@@ -149,14 +149,12 @@ def print_growth(results: dict[str, Any]) -> None:
 def draw(results: dict[str, Any], file: Path) -> None:
     """Four panels: disks, lanes, contents, ranks."""
     figure, ((grains, lanes), (contents, ranks)) = plt.subplots(2, 2, figsize=(9.0, 6.5), layout="constrained")
-    for regime in ("linear", "finite"):
-        rows = [row for row in results["grains"] if row["regime"] == regime]
-        grains.plot([row["grains"] for row in rows], [row["ns"] for row in rows], "o-", label=f"{regime}, 8 lanes")
+    for law in ("linear", "finite"):
+        rows = [row for row in results["grains"] if row["law"] == law]
+        grains.plot([row["grains"] for row in rows], [row["ns"] for row in rows], "o-", label=f"{law}, 8 lanes")
         for precision, style in (("float64", "o-"), ("float32", "s--")):
-            rows = [row for row in results["lanes"] if (row["regime"], row["precision"]) == (regime, precision)]
-            lanes.plot(
-                [row["lanes"] for row in rows], [row["ns"] for row in rows], style, label=f"{regime}, {precision}"
-            )
+            rows = [row for row in results["lanes"] if (row["law"], row["precision"]) == (law, precision)]
+            lanes.plot([row["lanes"] for row in rows], [row["ns"] for row in rows], style, label=f"{law}, {precision}")
     contents.plot(
         [row["content"] for row in results["contents"]], [row["seconds"] for row in results["contents"]], "o-"
     )

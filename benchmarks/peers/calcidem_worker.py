@@ -1,4 +1,4 @@
-"""calcidem on a scene; arguments: scene file, regime, lanes, precision, shear rescaling mode, start of the leapfrog."""
+"""calcidem on a scene; arguments: scene file, law, lanes, precision, shear rescaling mode, start of the leapfrog."""
 
 import sys
 from dataclasses import replace
@@ -17,12 +17,12 @@ class Calcidem(Engine):
     With ``centred`` velocities belong to time zero, as in LAMMPS; without, to half a step before, as in YADE.
     """
 
-    def __init__(self, path: str, regime: str, lanes: str, precision: str, mode: str, velocities: str) -> None:
+    def __init__(self, path: str, law: str, lanes: str, precision: str, mode: str, velocities: str) -> None:
         self.problem = load_problem(path)
         self.rescaling, self.precision = mode == "1", precision
         scene = as_scene(self.problem, rescaling=self.rescaling)
         # Stiffnesses at the end of a step, as campaigns and the other programs have them.
-        self.features = replace(choose_features(scene, regime, int(lanes)), midpoint=False)  # type: ignore[arg-type]
+        self.features = replace(choose_features(scene, law, int(lanes)), midpoint=False)  # type: ignore[arg-type]
         self.centred = velocities == "centred"
         self.velocity = "unset"
         self.reset()

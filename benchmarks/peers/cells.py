@@ -166,7 +166,7 @@ def export_cell(cell: Cell, duration: float, path: Path) -> tuple[float, int, in
     felt = 0.0 if linear else 1.0
     sand_stiffness = np.column_stack([pairs.tangent, np.zeros(len(pairs.hertz))])
     values: dict[str, Any] = {
-        "regime": "linear" if linear else "finite",
+        "law": "linear" if linear else "finite",
         "x": np.asarray(state.scene.x)[order],
         "y": np.asarray(state.scene.y)[order],
         "radius": np.asarray(state.scene.radius)[order],
@@ -186,7 +186,7 @@ def export_cell(cell: Cell, duration: float, path: Path) -> tuple[float, int, in
         "pairs": np.column_stack([pairs.first, pairs.second])[touching],
         "cemented": cemented[touching],
         "stiffness": np.where(cemented[:, None], pairs.bond, sand_stiffness)[touching],
-        # The linear regime knows only forces that are added to those of the reference state.
+        # The linear law knows only forces that are added to those of the reference state.
         "normal_force": felt * pairs.bond_force[touching, NORMAL, 0],
         "shear_force": felt * np.where(cemented, pairs.bond_force[:, SHEAR, 0], pairs.shear[:, 0])[touching],
         "wall_disk": wall_pairs.disk[at_wall],

@@ -44,9 +44,9 @@ class Case:
         return median(self.nanoseconds)
 
 
-def calcidem_case(name: str, scene: str, regime: str, lanes: int, precision: str = "float64") -> Case:
+def calcidem_case(name: str, scene: str, law: str, lanes: int, precision: str = "float64") -> Case:
     """Case of calcidem with the shear rescaling of its campaigns."""
-    return Case(name, "calcidem", scene, (regime, str(lanes), precision, "1", "centred"), lanes)
+    return Case(name, "calcidem", scene, (law, str(lanes), precision, "1", "centred"), lanes)
 
 
 def all_cases(programs: Programs) -> list[Case]:
@@ -55,7 +55,6 @@ def all_cases(programs: Programs) -> list[Case]:
     for scene in ("hertz", "bonded"):
         cases += [
             calcidem_case(f"{scene} finite", scene, "finite", 8),
-            calcidem_case(f"{scene} small", scene, "small", 8),
             calcidem_case(f"{scene} linear", scene, "linear", 8),
             calcidem_case(f"{scene} finite, 1 lane", scene, "finite", 1),
             calcidem_case(f"{scene} finite, 16 lanes float32", scene, "finite", 16, "float32"),

@@ -134,7 +134,7 @@ def cement_of(problem: Problem) -> Cement:
 def with_time_step(problem: Problem, part: float) -> Problem:
     """Same problem with a step that is a part of calcidem's stability limit."""
     scene = as_scene(problem)
-    limit = start(scene, features=choose_features(scene, "small")).critical_time_step
+    limit = start(scene, features=choose_features(scene, "finite")).critical_time_step
     return replace(problem, time_step=part * float(limit[0]))
 
 

@@ -1,7 +1,7 @@
 """YADE on a whole cell: the script that the program `yade` runs; arguments: the cell's file, the file of its signals.
 
-Cemented contacts, and in the linear regime all contacts, are `CohFrictPhys` with stiffnesses of their own; sand contacts
-of the finite regime are `MindlinPhys`. A wall is one large held sphere behind each disk that touches it. Two integrators have
+Cemented contacts, and in the linear law all contacts, are `CohFrictPhys` with stiffnesses of their own; sand contacts
+of the finite law are `MindlinPhys`. A wall is one large held sphere behind each disk that touches it. Two integrators have
 the two damping factors.
 """
 
@@ -30,7 +30,7 @@ from yade import (
 with np.load(sys.argv[1]) as stored:
     CELL = {name: stored[name] for name in stored.files}
 COUNT = len(CELL["x"])
-LINEAR = str(CELL["regime"]) == "linear"
+LINEAR = str(CELL["law"]) == "linear"
 ENDLESS = 1.0e30
 SKIN = 0.05 * float(CELL["radius"].mean())
 FLAT, FLATTER = 3.0, 30.0

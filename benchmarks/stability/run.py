@@ -64,8 +64,8 @@ def maps(folder: Path) -> Judged:
     print(markdown_table(("stiffness contrast", *fillings), ratios) + "\n")
     print(
         markdown_table(
-            ("regime", "steps", "energy change over kinetic", "motion at rest over overlap", "continued: same bits"),
-            [(row.regime, row.steps, row.drift, row.residual_motion, row.restarted) for row in endurance()],
+            ("law", "steps", "energy change over kinetic", "motion at rest over overlap", "continued: same bits"),
+            [(row.law, row.steps, row.drift, row.residual_motion, row.restarted) for row in endurance()],
         )
         + "\n"
     )

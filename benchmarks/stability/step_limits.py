@@ -13,7 +13,7 @@ from extreme_scenes import Extreme
 
 from calcidem.dem.engine.leapfrog import State, duplicate, no_recording, run_kernel
 from calcidem.dem.engine.readout import energies
-from calcidem.dem.engine.scene import Regime
+from calcidem.dem.engine.scene import Law
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.propagation import prepare_recorder
@@ -36,7 +36,7 @@ class Limits:
 
     @classmethod
     def of_scene(cls, scene: Extreme) -> Self:
-        """Critical steps of a scene in the linear regime, both reduced by ``sqrt(1 + alpha)`` for local damping.
+        """Critical steps of a scene in the linear law, both reduced by ``sqrt(1 + alpha)`` for local damping.
 
         All disks have the scene's damping, so the true limit is ``2 / (omega_max sqrt(1 + alpha))``.
         """
@@ -64,7 +64,7 @@ class Detection:
 
 
 def fastest_mode(state: State) -> float:
-    """Largest angular frequency of a scene in the linear regime, rad/s."""
+    """Largest angular frequency of a scene in the linear law, rad/s."""
     root = np.sqrt(_inertia_of(state))
     # Rotations are scaled to make the matrix symmetric up to rounding.
     symmetric = root[:, None] * _acceleration_matrix(state) / root
@@ -78,7 +78,7 @@ def _inertia_of(state: State) -> Floats:
 
 
 def _acceleration_matrix(state: State) -> Floats:
-    """``M^-1 K`` of a scene in the linear regime, (3 N, 3 N) 1/s2; the state is changed.
+    """``M^-1 K`` of a scene in the linear law, (3 N, 3 N) 1/s2; the state is changed.
 
     Its columns follow from the change of velocities in one kernel step after displacing one coordinate.
     """
@@ -120,9 +120,9 @@ _PRESSED_LATTICE = Extreme(confinement=1e6)
 
 @dataclass(frozen=True, slots=True)
 class Endurance:
-    """Results of long runs of one regime."""
+    """Results of long runs of one law."""
 
-    regime: Regime
+    law: Law
     """See `state.start`."""
     steps: int
     """Steps of each run."""
@@ -135,31 +135,29 @@ class Endurance:
 
 
 def endurance() -> tuple[Endurance, ...]:
-    """Long runs of a lattice with a third of its cement, in all regimes."""
+    """Long runs of a lattice with a third of its cement, in all laws."""
     return tuple(
-        Endurance(
-            regime, _LONG, energy_drift(regime, _LONG), _residual_motion(regime, _LONG), _restart_keeps_bits(regime)
-        )
-        for regime in get_args(Regime)
+        Endurance(law, _LONG, energy_drift(law, _LONG), _residual_motion(law, _LONG), _restart_keeps_bits(law))
+        for law in get_args(Law)
     )
 
 
-def _moving_state(regime: Regime) -> State:
+def _moving_state(law: Law) -> State:
     """Pressed lattice without damping, with random velocities so small that no contact opens or slips."""
     scene, packing = _PRESSED_LATTICE.at_rest(0.0)
-    features = replace(choose_features(scene, regime, account=True), servo=False)
+    features = replace(choose_features(scene, law, account=True), servo=False)
     limit = float(start(scene, features=features).critical_time_step[0])
     speed = _MOTION * packing.report.mean_overlap / limit
     return start(scene, features=features, velocity=speed * np.random.default_rng(1).standard_normal((scene.count, 2)))
 
 
-def energy_drift(regime: Regime, steps: int) -> float:
+def energy_drift(law: Law, steps: int) -> float:
     """Largest change of the energy balance without damping, over the kinetic energy at the start.
 
-    The linear regime has an exact invariant, ``v(n - 1/2) M v(n + 1/2) / 2 + x K x / 2``; the others have `energies`.
+    The linear law has an exact invariant, ``v(n - 1/2) M v(n + 1/2) / 2 + x K x / 2``; the others have `energies`.
     """
-    state = advance(_moving_state(regime), 1)
-    balance = _linear_invariant(state) if regime == "linear" else lambda state: energies(state).imbalance
+    state = advance(_moving_state(law), 1)
+    balance = _linear_invariant(state) if law == "linear" else lambda state: energies(state).imbalance
     begin, kinetic = balance(state), 0.5 * float(_inertia_of(state) @ state.motion.velocity[:, :, 0].ravel() ** 2)
     largest = 0.0
     for _ in range(_LOOKS):
@@ -169,7 +167,7 @@ def energy_drift(regime: Regime, steps: int) -> float:
 
 
 def _linear_invariant(state: State) -> Callable[[State], float]:
-    """Energy conserved by the leapfrog to rounding in the linear regime, as a function of the state, J/m."""
+    """Energy conserved by the leapfrog to rounding in the linear law, as a function of the state, J/m."""
     inertia, matrix, step = _inertia_of(state), _acceleration_matrix(duplicate(state)), float(state.time_step[0])
 
     def energy(now: State) -> float:
@@ -182,16 +180,16 @@ def _linear_invariant(state: State) -> Callable[[State], float]:
     return energy
 
 
-def _residual_motion(regime: Regime, steps: int) -> float:
+def _residual_motion(law: Law, steps: int) -> float:
     """Largest displacement in an undisturbed balanced scene, over the mean overlap."""
     scene, packing = _PRESSED_LATTICE.at_rest(0.3)
-    state = start(scene, features=replace(choose_features(scene, regime), servo=False))
+    state = start(scene, features=replace(choose_features(scene, law), servo=False))
     return float(np.abs(advance(state, steps).motion.displacement[:, :2]).max()) / packing.report.mean_overlap
 
 
-def _restart_keeps_bits(regime: Regime, steps: int = 1000) -> bool:
+def _restart_keeps_bits(law: Law, steps: int = 1000) -> bool:
     """Whether a run continued from a stored state half-way ends with the same bits as an uninterrupted one."""
-    state = _moving_state(regime)
+    state = _moving_state(law)
     half = advance(state, steps // 2)
     again = advance(pickle.loads(pickle.dumps(half)), steps - steps // 2)  # noqa: S301 - what was just written
     return bool(np.array_equal(advance(state, steps).motion.velocity, again.motion.velocity))

@@ -15,7 +15,7 @@ _STATICS = "statics of a chain of springs"
 
 
 @cache
-def _bent(regime: str) -> tuple[float, float]:
+def _bent(law: str) -> tuple[float, float]:
     """Relative errors of deflection and rotation of the tip of a slanting beam of eight bonds."""
     bonds, radius, force, slope = 8, 1.7e-3, 0.3, 0.6
     along = np.array([np.cos(slope), np.sin(slope)])
@@ -28,7 +28,7 @@ def _bent(regime: str) -> tuple[float, float]:
         place[:, 0], place[:, 1], np.full(count, radius), sand_of(GRAIN), held=np.arange(count) == 0, damping=0.6,
         bonds=Bonds(np.column_stack([np.arange(bonds), np.arange(1, count)]), _BEAM), load=load,
     )  # fmt: skip
-    state = advance(start(scene, features=features_of(scene, regime)), 30_000)
+    state = advance(start(scene, features=features_of(scene, law)), 30_000)
     shear = _BEAM.bond_modulus / _BEAM.bond_stiffness_ratio
     twist = _BEAM.bond_modulus * (2.0 * radius) ** 2 / 12.0
     length = 2.0 * radius

@@ -40,7 +40,7 @@ def _peak(values: Floats) -> tuple[float, float]:
     return top + shift, float(at - 0.25 * (before - after) * shift)
 
 
-def _loaded(overlap: float, count: int, mode: int, speed: float, regime: str, *, across: bool = False) -> State:
+def _loaded(overlap: float, count: int, mode: int, speed: float, law: str, *, across: bool = False) -> State:
     """Chain between held ends, every contact with the same overlap, kicked in one of its standing waves."""
     spacing = 2.0 * _RADIUS - overlap
     place = spacing * np.arange(count + 1.0)
@@ -48,7 +48,7 @@ def _loaded(overlap: float, count: int, mode: int, speed: float, regime: str, *,
     scene = Scene(place, np.zeros(count + 1), np.full(count + 1, _RADIUS), sand_of(GRAIN), held=held)
     shape = speed * np.sin(np.pi * mode * np.arange(count + 1) / count) * ~held
     velocity = np.column_stack([0.0 * shape, shape] if across else [shape, 0.0 * shape])
-    return start(scene, features=features_of(scene, regime), velocity=velocity, step_fraction=0.5)
+    return start(scene, features=features_of(scene, law), velocity=velocity, step_fraction=0.5)
 
 
 def grid_frequency(signal: Floats, dt: float) -> float:

@@ -20,16 +20,16 @@ def sand_of(grain: Grain) -> Sand:
     return Sand(grain.modulus, grain.ratio, grain.density, grain.friction)
 
 
-def features_of(scene: Scene, regime: str = "finite", **others: bool) -> Features:
+def features_of(scene: Scene, law: str = "finite", **others: bool) -> Features:
     """Features of a scene and a few more that it does not need, so that checks (and tests) share compiled kernels."""
-    found = choose_features(scene, regime)  # type: ignore[arg-type]
-    more = {"bonds": True, "linear_group": True} if regime == "linear" else {}
+    found = choose_features(scene, law)  # type: ignore[arg-type]
+    more = {"bonds": True, "linear_group": True} if law == "linear" else {}
     return replace(found, damping=True, loads=True, **(more | others))
 
 
 def stability_limit(scene: Scene) -> float:
     """Reported stability limit at the contacts of the scene, whatever flies about, s."""
-    return float(start(scene, regime="linear").critical_time_step[0])
+    return float(start(scene, law="linear").critical_time_step[0])
 
 
 def history(state: State, steps: int, every: int = 1) -> tuple[Floats, Floats]:

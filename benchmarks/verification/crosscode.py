@@ -69,12 +69,12 @@ def _bonded_lattice() -> Problem:
     return replace(problem, spin=np.zeros_like(problem.spin))
 
 
-def _difference(peer: str, problem: Problem, steps: int, regime: str, mode: str) -> float:
+def _difference(peer: str, problem: Problem, steps: int, law: str, mode: str) -> float:
     """Largest difference of displacements at ten times, root mean square over the disks, over the displacements.
 
     ``mode`` is the shear rescaling of calcidem that is nearest to the peer's law.
     """
-    own = (regime, "1", "float64", mode, "half" if peer == "yade" else "centred")
+    own = (law, "1", "float64", mode, "half" if peer == "yade" else "centred")
     with tempfile.TemporaryDirectory() as folder:
         scene = problem.save(Path(folder) / "scene.npz")
         theirs, ours = (_moved(name, scene, given, steps) for name, given in ((peer, ()), ("calcidem", own)))
@@ -110,12 +110,12 @@ def _compare(
     reason: str,
     *,
     steps: int = 400,
-    regime: str = "finite",
+    law: str = "finite",
 ) -> None:
     """Put a run that calcidem and a peer make on the list."""
     program, mode = peer.lower(), "1" if peer == "LAMMPS" else "0"
     row = check(f"{peer}: {name}", source=_SOURCES[peer], tolerance=tolerance, reason=reason, program=program)
-    row(lambda: _difference(program, problem(), steps, regime, mode))
+    row(lambda: _difference(program, problem(), steps, law, mode))
 
 
 for _peer, _turning, _turned in (
@@ -131,7 +131,7 @@ for _peer, _turning, _turned in (
     _compare(_peer, "oblique impact, full sliding", lambda: impact_problem(0.05, oblique=True), 1e-10, _ROUNDING)
 _compare(
     "LAMMPS", "280 disks, friction 0.5, thrown at 1e-05 m/s, calcidem linear", lambda: _thrown_packing(0.5, 1e-5), 3e-3,
-    f"{_ARMS}; the linear regime leaves out that loaded contacts turn", regime="linear",
+    f"{_ARMS}; the linear law leaves out that loaded contacts turn", law="linear",
 )  # fmt: skip
 _compare("LAMMPS", "oblique impact with sticking", lambda: impact_problem(0.5, oblique=True), 0.1, _SCALED)
 _compare("YADE", "oblique impact with sticking", lambda: impact_problem(0.5, oblique=True), 1e-8, _ROUNDING)

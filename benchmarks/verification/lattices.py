@@ -43,29 +43,29 @@ def _patch(kind: int, overlap: float) -> tuple[Scene, int]:
     return Scene(x, y, np.full(x.size, _RADIUS), sand_of(GRAIN)), size * _LAYERS + _LAYERS
 
 
-def _plane_wave(scene: Scene, middle: int, wave: Floats, shape: "np.ndarray", regime: str) -> State:
+def _plane_wave(scene: Scene, middle: int, wave: Floats, shape: "np.ndarray", law: str) -> State:
     """Lattice at the start of a standing wave."""
     phase = np.exp(1j * (wave[0] * (scene.x - scene.x[middle]) + wave[1] * (scene.y - scene.y[middle])))
     motion = (phase[:, None] * shape).real
     # Where the patch is pressed its free edges burst, and a step that is watched would follow the limit that they set.
     return start(
-        scene, features=features_of(scene, regime), velocity=motion[:, :2].copy(),
+        scene, features=features_of(scene, law), velocity=motion[:, :2].copy(),
         spin=np.sqrt(2.0) / _RADIUS * motion[:, 2], step_fraction=0.95, steps_per_contact=0.0,
     )  # fmt: skip
 
 
-def _worst_branch(kind: int, overlap: float, waves: Floats, regime: str, amplitude: float) -> float:
+def _worst_branch(kind: int, overlap: float, waves: Floats, law: str, amplitude: float) -> float:
     """Largest relative error of a frequency over wave vectors (times the spacing) and their three branches."""
     scene, middle = _patch(kind, overlap)
     worst = 0.0
     for vector in waves:
         wave = vector / (2.0 * _RADIUS - overlap)
-        squared, shapes = np.linalg.eigh(_dynamical_matrix(kind, wave, overlap, tilting=regime == "finite"))
+        squared, shapes = np.linalg.eigh(_dynamical_matrix(kind, wave, overlap, tilting=law == "finite"))
         for branch in range(3):
             shape = shapes[:, branch]
             strongest = int(np.argmax(np.abs(shape)))
             shape = amplitude * shape * np.abs(shape[strongest]) / shape[strongest]  # real where it is read
-            state = _plane_wave(scene, middle, wave, shape, regime)
+            state = _plane_wave(scene, middle, wave, shape, law)
             path, _ = history(state, _STEPS)
             found = grid_frequency((path - path[0])[:, middle, strongest], float(state.time_step[0]))
             worst = max(worst, abs(found / np.sqrt(squared[branch]) - 1.0))

@@ -108,8 +108,8 @@ def _limits_of_packings() -> Floats:
     for share, alpha in ((0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (0.5, 0.7)):
         scene = boxed_packing(share_bonded=share, damping=alpha)
         exact = _exact_limit(scene, packing_springs(scene), QUARTZ)
-        for regime in ("linear", "finite"):
-            state = start(scene, features=features_of(scene, regime))
+        for law in ("linear", "finite"):
+            state = start(scene, features=features_of(scene, law))
             ratios.append(float(state.critical_time_step[0]) / exact)
     return np.array(ratios)
 
@@ -149,7 +149,7 @@ def _bound() -> float:
     reason="a bound: a tight one costs nothing, a loose one costs steps",
 )  # fmt: skip
 def _shortfall() -> float:
-    return 1.0 - float(_limits_of_packings()[::2].min())  # without what the finite regime adds for impacts
+    return 1.0 - float(_limits_of_packings()[::2].min())  # without what the finite law adds for impacts
 
 
 @check(
@@ -160,8 +160,8 @@ def _gaps() -> float:
     worst = 0.0
     for scene, springs in _gapped_scenes():
         exact = _exact_limit(scene, springs, GRAIN)
-        for regime in ("linear", "finite"):
+        for law in ("linear", "finite"):
             worst = max(
-                worst, float(start(scene, features=features_of(scene, regime)).critical_time_step[0]) / exact - 1.0
+                worst, float(start(scene, features=features_of(scene, law)).critical_time_step[0]) / exact - 1.0
             )
     return worst

@@ -41,12 +41,12 @@ def _corner(*, bonded: bool) -> tuple[Scene, Preload]:
     return scene, Preload(pairs, packing.preload.shear[inside])
 
 
-def _worst(*, bonded: bool, regime: str) -> float:
+def _worst(*, bonded: bool, law: str) -> float:
     """Largest difference of displacements and velocities after 60 steps, over the largest of each component."""
     scene, preload = _corner(bonded=bonded)
     generator = np.random.default_rng(12)
     velocity, spin = 0.05 * generator.standard_normal((30, 2)), 40.0 * generator.standard_normal(30)
-    features = features_of(scene, regime)
+    features = features_of(scene, law)
     state = start(scene, features=features, preload=preload, velocity=velocity, spin=spin, step_fraction=0.1)
     plain = naive.make_twin(scene, features, float(state.time_step[0]), velocity, spin, 0, preload)
     naive.first_step(plain)
@@ -70,7 +70,7 @@ _TWIN = "tests/dem/naive.py: one pair at a time, plain floats"
     tolerance=1e-7, reason="rounding of overlaps, stretched by impacts; order of sums",
 )  # fmt: skip
 def _sand() -> float:
-    return _worst(bonded=False, regime="finite")
+    return _worst(bonded=False, law="finite")
 
 
 @check(
@@ -78,7 +78,7 @@ def _sand() -> float:
     source=_TWIN, tolerance=1e-7, reason="as above; the approach in a step is taken to second order in its turn",
 )  # fmt: skip
 def _cemented() -> float:
-    return _worst(bonded=True, regime="finite")
+    return _worst(bonded=True, law="finite")
 
 
 @check(
@@ -86,4 +86,4 @@ def _cemented() -> float:
     reason="order of sums",
 )  # fmt: skip
 def _linear() -> float:
-    return _worst(bonded=True, regime="linear")
+    return _worst(bonded=True, law="linear")

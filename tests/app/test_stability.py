@@ -135,10 +135,10 @@ def test_an_unstable_run_is_found_at_the_first_look() -> None:
 
 @pytest.mark.full
 def test_undamped_runs_keep_their_energy() -> None:
-    """Over 100,000 steps the linear regime keeps its invariant to rounding, the others their balance to 2 %."""
+    """Over 100,000 steps the linear law keeps its invariant to rounding, the others their balance to 2 %."""
     assert energy_drift("linear", 100_000) < 1e-11
     # The balance of the leapfrog swings by (omega dt)^2 but does not drift.
-    assert energy_drift("small", 100_000) < 0.02
+    assert energy_drift("finite", 100_000) < 0.02
 
 
 @pytest.mark.parametrize("floating", [1, 3])
@@ -232,7 +232,7 @@ def test_a_scene_at_rest_stays_at_rest() -> None:
     """Undisturbed, the balanced lattice moves by rounding alone over 20 000 steps."""
     experiment, _ = Extreme(law="finite").experiment()
     scene = wave_scene(experiment.packing, experiment.sand, experiment.wave, None)
-    state = advance(start(scene, regime="small", preload=experiment.packing.preload), 20_000)
+    state = advance(start(scene, law="finite", preload=experiment.packing.preload), 20_000)
     overlap = experiment.packing.report.mean_overlap
     assert np.abs(state.motion.displacement).max() < 1e-6 * overlap
 
@@ -243,6 +243,6 @@ def test_a_restarted_run_goes_on_as_if_it_had_never_stopped() -> None:
     experiment, _ = Extreme(law="finite", confinement=1e6).experiment()
     scene = wave_scene(experiment.packing, experiment.sand, experiment.wave, None)
     velocity = 1e-3 * np.random.default_rng(1).standard_normal((scene.count, 2))
-    state = start(scene, regime="small", velocity=velocity)
+    state = start(scene, law="finite", velocity=velocity)
     once, twice = advance(state, 1000), advance(advance(state, 500), 500)
     assert np.array_equal(once.motion.velocity, twice.motion.velocity)

@@ -175,25 +175,22 @@ def add_pair(twin: Twin, i: int, j: int, dt: float, force: Floats) -> None:
     rest = np.zeros_like(twin.moved)
     reference = place(twin, j, rest) - place(twin, i, rest)
     overlap0 = reference_overlap(scene, i, j)
-    if not features.finite and overlap0 <= 0.0 and pair not in twin.cemented:
-        return  # the small regimes know only contacts of the reference geometry
+    if features.linear and overlap0 <= 0.0 and pair not in twin.cemented:
+        return  # the linear law knows only contacts of the reference geometry
     apart = place(twin, j, twin.moved) - place(twin, i, twin.moved)
-    n = apart / np.hypot(*apart) if features.finite else reference / np.hypot(*reference)
+    n = reference / np.hypot(*reference) if features.linear else apart / np.hypot(*apart)
     t = np.array([-n[1], n[0]])
-    if features.finite:
-        overlap = scene.radius[i] + scene.radius[j] - np.hypot(*apart)
-        before = apart - dt * (twin.velocity[j, :2] - twin.velocity[i, :2])
-        approach = np.hypot(*before) - np.hypot(*apart)
-    else:
-        overlap = overlap0 - n @ (twin.moved[j, :2] - twin.moved[i, :2])
-        approach = -dt * n @ (twin.velocity[j, :2] - twin.velocity[i, :2])
-    arms = [scene.radius[k] - 0.5 * (overlap if features.finite else overlap0) for k in pair]
+    overlap = scene.radius[i] + scene.radius[j] - np.hypot(*apart)
+    before = apart - dt * (twin.velocity[j, :2] - twin.velocity[i, :2])
+    approach = np.hypot(*before) - np.hypot(*apart)
+    arms = [scene.radius[k] - 0.5 * (overlap0 if features.linear else overlap) for k in pair]
     field_ = twin.moved if features.linear else dt * twin.velocity
     turn = [field_[k, 2] if scene.rotation else 0.0 for k in pair]
     slide = t @ (field_[j, :2] - field_[i, :2]) - arms[0] * turn[0] - arms[1] * turn[1]
     twist = turn[1] - turn[0]
     if features.linear:
-        normal, shear, moment = tangent_law(twin, pair, overlap - overlap0, slide, twist)
+        closer = -n @ (twin.moved[j, :2] - twin.moved[i, :2])
+        normal, shear, moment = tangent_law(twin, pair, closer, slide, twist)
     else:
         normal, shear, moment = pair_law(twin, pair, overlap, approach, slide, twist)
     push = normal * n + shear * t
@@ -237,9 +234,7 @@ def pair_law(
     elif pair in twin.intact:
         normal, twin.shear[pair] = 0.0, 0.0
     else:
-        open_gap = not features.finite and reference_overlap(scene, *pair) <= 0.0
-        coefficient = 0.0 if open_gap else hertz_coefficient(scene, *pair)
-        normal = mindlin(twin, pair, coefficient, overlap, slide, scene.sand.friction)
+        normal = mindlin(twin, pair, hertz_coefficient(scene, *pair), overlap, slide, scene.sand.friction)
     twin.overlap_before[pair] = overlap
     return normal + bond[0], twin.shear[pair] + bond[1], bond[2]
 
@@ -291,10 +286,10 @@ def add_wall(twin: Twin, disk: int, index: int, dt: float, force: Floats) -> Non
     n = np.array(wall.normal)
     t = np.array([-n[1], n[0]])
     overlap0 = scene.radius[disk] - (place(twin, disk, np.zeros_like(twin.moved)) - wall.point) @ n
-    if not features.finite and overlap0 <= 0.0:
+    if features.linear and overlap0 <= 0.0:
         return
     overlap = wall_overlap(twin, disk, index)
-    arm = scene.radius[disk] - 0.5 * (overlap if features.finite else overlap0)
+    arm = scene.radius[disk] - 0.5 * (overlap0 if features.linear else overlap)
     field_, wall_field = (
         (twin.moved, twin.wall_moved) if features.linear else (dt * twin.velocity, dt * twin.wall_velocity)
     )

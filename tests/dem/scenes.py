@@ -20,7 +20,7 @@ SERVO = Features(search=True, servo=True, loads=False)
 ACCOUNT = Features(search=True, account=True)
 BONDED = Features(bonds=True, breakage=True, search=True, midpoint=True)
 GROUPED = Features(bonds=True, linear_group=True, breakage=True, search=True, midpoint=True)
-LINEAR = Features(finite=False, linear=True, bonds=True, linear_group=True, slip=False, rescaling=False)
+LINEAR = Features(linear=True, bonds=True, linear_group=True, slip=False, rescaling=False)
 
 SOFT_CEMENT = Cement(bond_modulus=2.0e8, linear_modulus=1.0e8, bond_stiffness_ratio=2.0, linear_stiffness_ratio=1.5)
 

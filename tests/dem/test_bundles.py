@@ -9,7 +9,7 @@ from scenes import ACCOUNT, BONDED, GROUPED, HERTZ, LINEAR, SOFT_CEMENT, jumble,
 
 from calcidem.dem.engine import leapfrog
 from calcidem.dem.engine.leapfrog import State, plan_bundles
-from calcidem.dem.engine.scene import Bonds, Precision, Regime, Scene
+from calcidem.dem.engine.scene import Bonds, Law, Precision, Scene
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import ABREAST, Features
 
@@ -50,8 +50,6 @@ def kernel_bytes(state: State) -> list[bytes]:
         pytest.param(BONDED, "float32", marks=pytest.mark.full),
         pytest.param(replace(HERTZ, slip=False, rescaling=False), "float64", marks=pytest.mark.full),
         pytest.param(replace(HERTZ, rotation=False), "float64", marks=pytest.mark.full),
-        pytest.param(replace(BONDED, finite=False, search=False), "float64", marks=pytest.mark.full),
-        pytest.param(replace(GROUPED, finite=False, search=False), "float64", marks=pytest.mark.full),
         pytest.param(LINEAR, "float64", marks=pytest.mark.full),
         pytest.param(LINEAR, "float32", marks=pytest.mark.full),
     ],
@@ -102,9 +100,9 @@ def test_a_list_without_bonds_costs_nothing() -> None:
     """The features are those of a scene without cement."""
     scene = jumble(1, 9)
     empty = replace(scene, bonds=Bonds(np.empty((0, 2), dtype=np.int64), SOFT_CEMENT))
-    regimes: tuple[Regime, ...] = ("linear", "small", "finite")
-    for regime in regimes:
-        assert choose_features(empty, regime) == choose_features(scene, regime)
+    laws: tuple[Law, ...] = ("linear", "finite")
+    for law in laws:
+        assert choose_features(empty, law) == choose_features(scene, law)
 
 
 def test_scenes_of_some_hundred_disks_are_bundled() -> None:

@@ -128,20 +128,15 @@ def test_speeds_too_small_for_normal_numbers_do_no_harm() -> None:
 
 
 @pytest.mark.parametrize("together", [2, 4, 7])
-@pytest.mark.parametrize(
-    "features", [EIGHT, pytest.param(replace(EIGHT, finite=False, search=False), marks=pytest.mark.full)]
-)
-def test_steps_in_flight_together_change_no_bit(
-    features: Features, together: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_steps_in_flight_together_change_no_bit(together: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps that run through the disks one behind the other give the bits of one step after the other."""
     scene = scene_of()
     velocities = {lane: thrown(scene, lane) for lane in range(WIDTH)}
     monkeypatch.setattr(leapfrog, "_SMALLEST_BLOCK", 3)  # several blocks even in a small heap
     monkeypatch.setattr(leapfrog, "_STEPS_TOGETHER", 1)
-    one_by_one = run(scene, velocities, features)
+    one_by_one = run(scene, velocities)
     monkeypatch.setattr(leapfrog, "_STEPS_TOGETHER", together)
-    in_flight = run(scene, velocities, features)
+    in_flight = run(scene, velocities)
     assert leapfrog._make_front(in_flight).levels == together
     assert 3 * leapfrog._make_front(in_flight).block <= scene.count
     for lane in range(WIDTH):

@@ -10,7 +10,7 @@ from calcidem.dem.engine import state as state_module
 from calcidem.dem.engine.assembly import assemble, is_among, listed_pairs, near_pairs
 from calcidem.dem.engine.leapfrog import State, _renew_neighbours
 from calcidem.dem.engine.readout import contact_forces
-from calcidem.dem.engine.scene import Bonds, Regime, Scene, Wall
+from calcidem.dem.engine.scene import Bonds, Law, Scene, Wall
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import DISTANCE, NORMAL_X, NORMAL_Y
 
@@ -60,21 +60,21 @@ def test_the_pair_list_names_every_pair_once_and_knows_its_rows() -> None:
     np.testing.assert_allclose(geometry[:, [NORMAL_X, NORMAL_Y]] * geometry[:, DISTANCE, None], apart, rtol=1e-12)
 
 
-@pytest.mark.parametrize("regime", ["linear", "small", "finite"])
+@pytest.mark.parametrize("law", ["linear", "finite"])
 @pytest.mark.parametrize("across", [False, True])
-def test_what_samples_share_is_what_each_would_find(regime: Regime, across: bool) -> None:
+def test_what_samples_share_is_what_each_would_find(law: Law, across: bool) -> None:
     """Samples begun from their packing without cement have the arrays and the step that they have alone, to the bit.
 
     Also where cement spans a gap, of which the packing's list knows nothing.
     """
     bare = replace(jumble(1, 25), load=None)
     unwatched = {"skin_fraction": 0.01, "steps_per_contact": 0.0}  # which needs no kernel
-    single = start(bare, regime=regime, **unwatched)
+    single = start(bare, law=law, **unwatched)
     pairs = single.assembly.order[listed_pairs(single.assembly)][::2]
     first, second = ([0, 24] if across else pairs[0]), pairs[-1]
     bonds = Bonds(np.vstack([pairs, first, second]), SOFT_CEMENT, lanes=np.arange(len(pairs) + 2) % 7 + 1)
     scene = replace(bare, bonds=bonds, load=np.full((25, 3), 1e-3))
-    features = choose_features(scene, regime, 2)
+    features = choose_features(scene, law, 2)
     alone = start(scene, features=features, **unwatched)
     shared = start(scene, features=features, single=single, **unwatched)
     np.testing.assert_array_equal(shared.time_step, alone.time_step)

@@ -101,7 +101,7 @@ def test_the_limit_is_that_of_the_disk_with_the_highest_frequency_of_all(share: 
     """`critical_time_step_of_disks`, which looks at few, is 2 / omega of the largest of all, to the last bit."""
     for seed in range(20):
         scene = jumble(seed, count=40, share_bonded=share, damping=np.linspace(0.0, 1.0, 40))
-        state = start(scene, features=choose_features(scene, "small", 4), steps_per_contact=0.0)
+        state = start(scene, features=choose_features(scene, "finite", 4), steps_per_contact=0.0)
         of_all = squared_frequencies(scene, state.assembly, state.features, None, None)
         found = critical_time_step_of_disks(scene, state.assembly, state.features)
         assert np.array_equal(found, 2.0 / np.sqrt(of_all.max(axis=0)))

@@ -34,7 +34,7 @@ def part_of(state: State, rim: Flags, disks: Flags) -> ShearedPart:
 
 def lattice_errors(x: Floats, y: Floats, modulus: float, cell: float) -> Floats:
     """Relative errors of the modulus of a lattice's middle, held all around and at two sides, and of its density."""
-    state = start(Scene(x, y, np.full(len(x), RADIUS), SOFT), regime="linear")
+    state = start(Scene(x, y, np.full(len(x), RADIUS), SOFT), law="linear")
     middle = np.maximum(np.abs(x - x.mean()) / np.ptp(x), np.abs(y - y.mean()) / np.ptp(y)) < 0.3
     found = [part_of(state, rim_of(x, y, ends=ends), middle) for ends in (True, False)]
     return np.array(
@@ -194,7 +194,7 @@ def test_rows_count_with_the_energy_of_the_wave_in_them() -> None:
 def test_what_has_no_stiffness_is_refused() -> None:
     """Disks that do not touch or are not held, parts without neighbours and broken bonds are refused in a sentence."""
     x, y = hexagonal(3, 3, 2.1 * RADIUS)
-    apart = start(Scene(x, y, np.full(9, RADIUS), SOFT), regime="linear")
+    apart = start(Scene(x, y, np.full(9, RADIUS), SOFT), law="linear")
     with pytest.raises(ValueError, match="without contacts"):
         sheared_motion(apart, rim_of(x, y))
     state, rim = jumbled(3, bonded=True)

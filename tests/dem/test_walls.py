@@ -43,7 +43,7 @@ def test_a_rough_wall_drags_the_disk_along() -> None:
 
 
 def test_sand_without_friction_slides_in_the_linear_regime_too() -> None:
-    """Contacts of frictionless sand have no shear stiffness in any regime."""
+    """Contacts of frictionless sand have no shear stiffness in any law."""
     scene = replace(jumble(4, 9, walls=False), sand=replace(SOFT, friction=0.0))
     state = start(scene, features=LINEAR, spin=np.linspace(-1.0, 1.0, 9))
     np.testing.assert_allclose(advance(state, 20).spin(), np.linspace(-1.0, 1.0, 9), rtol=1e-15)

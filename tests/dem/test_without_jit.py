@@ -27,10 +27,10 @@ from calcidem.dem.engine.leapfrog import no_recording, run_in_place
 from calcidem.dem.engine.state import start
 
 weak = replace(SOFT_CEMENT, tensile_strength=4e5, cohesion=3e5)
-small, bundled = replace(GROUPED, finite=False, search=False), replace(BONDED, bundles=True)
+bundled = replace(BONDED, bundles=True)
 recording = replace(GROUPED, recording=True, driven=True, account=True)
 # Each with its share of bonds. The last are those of cells; they record the mean of three disks.
-cases = [(ACCOUNT, 0.0), (GROUPED, 0.6), (small, 0.6), (LINEAR, 0.6), (bundled, 0.6), (recording, 0.6)]
+cases = [(ACCOUNT, 0.0), (GROUPED, 0.6), (LINEAR, 0.6), (bundled, 0.6), (recording, 0.6)]
 cases += [(replace(features, lanes=2), bonded) for features, bonded in cases if {is_wide}]
 cases += [(SERVO, 0.0), (replace(GROUPED, midpoint=False), 0.6)] if {is_wide} else []
 

@@ -41,7 +41,7 @@ _CHOSEN = {
     "wave.transmitter_half_width": (_UNKNOWN, "half-width of the transmitter, m"),
     "wave.receiver_half_width": (_UNKNOWN, "half-width of the receiver, m"),
     "wave.boundary_thickness": (_UNKNOWN, "thickness of the strongly damped layers, m"),
-    "wave.regime": (_UNKNOWN, "whether geometry and stiffness change with the wave"),
+    "wave.law": (_UNKNOWN, "whether geometry and stiffness change with the wave"),
     "cement.bond_stiffness_ratio": (_UNKNOWN, "normal over shear stiffness of a bond"),
     "cement.installation": (_UNKNOWN, "treatment of a contact's force at cementing"),
 }

@@ -27,11 +27,12 @@ from calcidem.app.studies.study import (
     relative_deviation,
     signal_distance,
 )
+from calcidem.dem.engine.scene import Law
 from calcidem.dem.wave.check import cheapest_law
 from calcidem.dem.wave.experiment import Experiment, domain_of
 from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.reading import smooth
-from calcidem.dem.wave.rule import WHOLE_DOMAIN, Law, Pulse
+from calcidem.dem.wave.rule import WHOLE_DOMAIN, Pulse
 from calcidem.storage.records import NORMAL_95
 
 DEFAULT = "default"
@@ -421,7 +422,7 @@ def find_reference(
 def _convergence_rows(cells: Cells, content: float) -> Iterator[dict[str, float | str]]:
     """Order of convergence at a content, with and without local damping."""
     known: tuple[tuple[bool, Law], ...] = (
-        (True, unchecked(cells.experiment).wave.law),
+        (True, unchecked(cells.experiment).wave.contact_law),
         (False, "linear"),
         (False, "finite"),
     )
@@ -547,6 +548,7 @@ def _settings_table(study: Study) -> str:
             row.lost,
         )
         for row in study.summaries
+        if row.cells or row.lost  # not for a setting that was refused at all contents
     ]
     return markdown_table(("setting", *errors, "s a cell", "cells lost"), rows)
 

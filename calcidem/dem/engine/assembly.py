@@ -280,8 +280,8 @@ def overlap_roots(overlap: Floats, lanes: int, dtype: npt.DTypeLike) -> Floats:
     return aligned_copy(np.repeat(values[:, None], lanes, axis=1).astype(dtype))
 
 
-def pair_overlaps(assembly: Assembly, displacement: Floats, *, finite: bool) -> Floats:
-    """(M, L) overlaps of the listed pairs after displacements (N, 3, L), m; see `Features.finite`."""
+def pair_overlaps(assembly: Assembly, displacement: Floats, *, linear: bool) -> Floats:
+    """(M, L) overlaps of the listed pairs after displacements (N, 3, L), m; see `Features.linear`."""
     pairs = assembly.pairs
     moved = displacement[:, XY].astype(float)
     apart = moved[pairs.second] - moved[pairs.first]
@@ -289,7 +289,7 @@ def pair_overlaps(assembly: Assembly, displacement: Floats, *, finite: bool) -> 
         pairs.geometry[:, column, None].astype(float) for column in (NORMAL_X, NORMAL_Y, DISTANCE, OVERLAP)
     )
     further: Floats = n_x * apart[:, X] + n_y * apart[:, Y]
-    if finite:
+    if not linear:
         now = length(n_x * distance + apart[:, X], n_y * distance + apart[:, Y])
         further = (2.0 * distance * further + (apart[:, X] ** 2 + apart[:, Y] ** 2)) / (now + distance)
     return overlap - further
@@ -373,7 +373,7 @@ def listed_pairs(assembly: Assembly) -> Integers:
 def install_forces(scene: Scene, assembly: Assembly, features: Features, preload: Preload | None) -> None:
     """Set the initial contact forces of a new assembly: preloaded shear, and the cement's share of the forces.
 
-    In the linear regime forces are increments to the reference state. The preload moves nothing; it sets only how far
+    With the linear law forces are increments to the reference state. The preload moves nothing; it sets only how far
     each contact is from slipping.
     """
     pairs, wall_pairs = assembly.pairs, assembly.wall_pairs
@@ -381,10 +381,6 @@ def install_forces(scene: Scene, assembly: Assembly, features: Features, preload
         pairs.shear[...] = _preload_of_pairs(scene, assembly, preload)[:, None]
     if features.linear:
         return
-    if not features.finite:
-        # Without contact search a gap stays a gap; it is listed only because cement fills it in some lane.
-        gaps = pairs.geometry[:, OVERLAP] <= 0.0
-        pairs.hertz[gaps] = pairs.mindlin[gaps] = 0.0
     pairs.root[...] = overlap_roots(pairs.geometry[:, OVERLAP], features.lanes, pairs.shear.dtype)
     wall_pairs.root[...] = overlap_roots(wall_pairs.overlap, features.lanes, wall_pairs.shear.dtype)
     if scene.bonds is None:

@@ -118,7 +118,7 @@ def _histories(features: Features) -> list[str]:
     """Histories of pairs that the kernel uses, except the state of bonds."""
     uses = {
         "shear": not features.linear,
-        "root": features.rescaling or features.finite or features.midpoint,
+        "root": not features.linear,
         "bond_force": features.bonds and not features.linear,
     }
     return [name for name, used in uses.items() if used]
@@ -168,7 +168,7 @@ def _bundle_pairs(pairs: Pairs, bundles: _Bundles, radius: Floats, features: Fea
         second=dealt(RECORD * pairs.second),
         cemented=bits(pairs.cemented) if features.bonds else pairs.cemented,
         intact=bits(pairs.intact) if features.bonds else pairs.intact,
-        radii=dealt(radius[ends]) if features.finite else pairs.radii,
+        radii=dealt(radius[ends]) if not features.linear else pairs.radii,
     )
 
 

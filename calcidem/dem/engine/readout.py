@@ -168,7 +168,7 @@ class Energies:
 
 def overlaps(state: State) -> Floats:
     """(M, L) overlaps of the listed pairs, m; negative for a gap."""
-    return pair_overlaps(state.assembly, state.motion.displacement, finite=state.features.finite)
+    return pair_overlaps(state.assembly, state.motion.displacement, linear=state.features.linear)
 
 
 def wall_overlaps(state: State) -> Floats:
@@ -177,7 +177,7 @@ def wall_overlaps(state: State) -> Floats:
 
 
 def contact_forces(state: State, lane: int = 0, ahead: State | None = None) -> ContactForces:
-    """Forces between the disks at the present position; `ValueError` in the ``linear`` regime, which has none.
+    """Forces between the disks at the present position; `ValueError` with the law ``linear``, which has none.
 
     ``ahead`` is the result of `look_ahead`, if it is known.
     """
@@ -207,7 +207,7 @@ def contact_forces(state: State, lane: int = 0, ahead: State | None = None) -> C
 
 
 def wall_contacts(state: State, lane: int = 0) -> WallForces:
-    """Forces of walls on disks at the present position; `ValueError` in the ``linear`` regime."""
+    """Forces of walls on disks at the present position; `ValueError` with the law ``linear``."""
     _refuse_linear(state)
     wall_pairs = look_ahead(state).assembly.wall_pairs
     depth = wall_overlaps(state)[:, lane]
@@ -258,7 +258,7 @@ def unbalanced_ratio(state: State, lane: int = 0) -> float:
 
 
 def energies(state: State, lane: int = 0) -> Energies:
-    """Energies of one lane at the present position; `ValueError` in the ``linear`` regime."""
+    """Energies of one lane at the present position; `ValueError` with the law ``linear``."""
     _refuse_linear(state)
     ahead = look_ahead(state)
     velocity = state.motion.velocity[:, :, lane].astype(float)
@@ -283,6 +283,6 @@ def energies(state: State, lane: int = 0) -> Energies:
 
 
 def _refuse_linear(state: State) -> None:
-    """Raise a `ValueError` for a state of the ``linear`` regime."""
+    """Raise a `ValueError` for a state of the law ``linear``."""
     if state.features.linear:
-        raise ValueError("regime = linear: only force increments to the reference state are known; use small or finite")
+        raise ValueError('law = "linear": only force increments to the reference state are known; use "finite"')

@@ -120,7 +120,7 @@ class Cement:
         return np.column_stack([bond_radius, rest])
 
 
-Regime = Literal["finite", "small", "linear"]
+Law = Literal["finite", "linear"]
 Precision = Literal["float64", "float32"]
 Installation = Literal["preserve", "zero", "pfc_absolute"]
 

@@ -39,7 +39,7 @@ from calcidem.dem.engine.leapfrog import (
 )
 from calcidem.dem.engine.portable import length, root
 from calcidem.dem.engine.readout import stored_energy
-from calcidem.dem.engine.scene import Precision, Preload, Regime, Scene
+from calcidem.dem.engine.scene import Law, Precision, Preload, Scene
 from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks, squared_frequencies
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import (
@@ -131,7 +131,7 @@ class UnstableRunError(RuntimeError):
 
 def step_limit(state: State) -> Floats:
     """Limit (L,) of the step at present overlaps, speeds and unbalanced forces, s."""
-    overlap = pair_overlaps(state.assembly, state.motion.displacement, finite=state.features.finite)
+    overlap = pair_overlaps(state.assembly, state.motion.displacement, linear=state.features.linear)
     wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
     stability = critical_time_step_of_disks(state.scene, state.assembly, state.features, overlap, wall_overlap)
     if not is_watched(state):
@@ -165,7 +165,7 @@ def _instant(state: State, ahead: State) -> _Instant:
     inertia = np.column_stack([scene.mass, scene.mass, scene.inertia])[order][:, :, None]
     velocity, later = state.motion.velocity.astype(float), ahead.motion.velocity.astype(float)
     before = velocity if state.steps else 0.0
-    overlap = pair_overlaps(state.assembly, state.motion.displacement, finite=state.features.finite)
+    overlap = pair_overlaps(state.assembly, state.motion.displacement, linear=state.features.linear)
     wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
     return _Instant(
         velocity=velocity,
@@ -302,7 +302,7 @@ def _refuse_step(state: State, now: _Instant, limits: Floats) -> None:
 def refuse_blow_up(state: State) -> None:
     """Raise an `UnstableRunError` if a disk's velocity is NaN or too large."""
     velocity = state.motion.velocity
-    leap = 0.1 * float(np.min(state.scene.radius)) if state.features.finite and is_watched(state) else np.inf
+    leap = 0.1 * float(np.min(state.scene.radius)) if is_watched(state) else np.inf
     moved = np.abs(velocity[:, XY]) * state.time_step
     # Comparisons with NaN are false, so the valid case is tested.
     if (moved <= leap).all() and np.isfinite(velocity).all():
@@ -327,15 +327,14 @@ SKIN = 0.2  # largest gap of listed pairs over the mean radius
 
 
 def choose_features(
-    scene: Scene, regime: Regime, lanes: int = 1, *, slip: bool = True, breakage: bool = True, account: bool = False
+    scene: Scene, law: Law, lanes: int = 1, *, slip: bool = True, breakage: bool = True, account: bool = False
 ) -> Features:
-    """Features for a scene and a regime: ``finite``, ``small`` (fixed geometry) or ``linear`` (fixed stiffness)."""
-    linear = regime == "linear"
+    """Features for a scene and a contact law, see `start`."""
+    linear = law == "linear"
     bonds = scene.bonds is not None and len(scene.bonds.pairs) > 0
     group = bonds and scene.bonds is not None and bool(scene.bonds.cement.linear_modulus > 0.0)
     return Features(
         lanes=lanes,
-        finite=regime == "finite",
         linear=linear,
         rotation=scene.rotation,
         bonds=bonds,
@@ -345,7 +344,7 @@ def choose_features(
         rescaling=scene.rescaling and not linear,
         damping=bool(np.any(np.asarray(scene.damping) > 0.0)),
         servo=any(wall.servo_force is not None for wall in scene.walls) and not linear,
-        search=regime == "finite",
+        search=not linear,
         loads=scene.load is not None or any(scene.gravity),
         account=account and not linear,
         # Bundles of fewer disks save less than their preparation costs, at least 0.1 ms a call.
@@ -357,7 +356,7 @@ def choose_features(
 def start(  # noqa: PLR0913 - entry to the engine: every departure from the default is a keyword
     scene: Scene,
     *,
-    regime: Regime = "finite",
+    law: Law = "finite",
     features: Features | None = None,
     precision: Precision = "float64",
     time_step: Floats | float | None = None,
@@ -377,8 +376,8 @@ def start(  # noqa: PLR0913 - entry to the engine: every departure from the defa
     ----------
     scene
         Disks at their reference positions.
-    regime
-        ``finite``: displacements of any size. ``small``: fixed normals. ``linear``: fixed normals and stiffnesses.
+    law
+        ``finite``: displacements of any size. ``linear``: fixed normals and stiffnesses.
     features
         Overrides the features of `choose_features`.
     precision
@@ -401,11 +400,11 @@ def start(  # noqa: PLR0913 - entry to the engine: every departure from the defa
         One-lane state of the same scene without bonds and loads, with the same skin and preload. Reuse of its
         neighbours and constants saves half of the time.
     """
-    chosen = features or choose_features(scene, regime)
+    chosen = features or choose_features(scene, law)
     dtype = np.dtype(precision)
     if skin_fraction is None:
         skin_fraction = SKIN if chosen.search else 0.0
-    skin = skin_fraction * float(np.mean(scene.radius)) if chosen.finite else 0.0
+    skin = skin_fraction * float(np.mean(scene.radius)) if not chosen.linear else 0.0
     assembly = None if single is None else share_assembly(single.assembly, scene, chosen.lanes)
     if assembly is None:
         centres = np.column_stack([scene.x, scene.y])[:, :, None]

@@ -15,12 +15,10 @@ class Features:
 
     lanes: int = 1
     """Samples advanced side by side, one of `LANE_COUNTS`."""
-    finite: bool = True
-    """Normals and overlaps follow the displacements; otherwise they are those of the reference geometry."""
     linear: bool = False
-    """Small displacement with constant stiffness: Hertz contacts are replaced by their tangent at the reference
-    overlap. Contacts neither slip nor open, and bonds do not break. Forces are changes from the reference state. No
-    contact has a history.
+    """Contact law `linear`: normals and stiffnesses are those of the reference geometry, and Hertz contacts are
+    replaced by their tangent there. Contacts neither slip nor open, and bonds do not break. Forces are changes from the
+    reference state. No contact has a history. Otherwise law `finite`: normals and overlaps follow the displacements.
     """
     rotation: bool = True
     """Disks turn."""
@@ -63,16 +61,12 @@ class Features:
             raise ValueError(f"lanes = {self.lanes}: choose 1, 2, 4, 8, 16 or 32")
         if self.linear:
             needless = [
-                name
-                for name in ("finite", "breakage", "slip", "servo", "search", "account", "midpoint")
-                if getattr(self, name)
+                name for name in ("breakage", "slip", "servo", "search", "account", "midpoint") if getattr(self, name)
             ]
             if needless:
                 raise ValueError(
                     f"linear = True excludes {', '.join(needless)}: its contacts keep their stiffness; switch them off"
                 )
-        if self.search and not self.finite:
-            raise ValueError("search = True needs finite = True: other regimes keep their contacts")
         if self.driven and not self.recording:
             raise ValueError("driven = True needs recording = True: it is a recording that has the drive")
         if not self.bonds and (self.linear_group or self.breakage):

@@ -91,7 +91,7 @@ class Pairs(NamedTuple):
     mindlin: Floats
     """(M,) coefficient of k_s = 1.5 h_n (k_s / k_n) overlap^0.5, N/m^1.5."""
     tangent: Floats
-    """(M, 2) normal and shear stiffness at the reference overlap, for the linear regime, N/m."""
+    """(M, 2) normal and shear stiffness at the reference overlap, for the linear law, N/m."""
     friction: Floats
     """(M,) friction coefficient."""
     bond: Floats

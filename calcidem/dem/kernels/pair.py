@@ -64,7 +64,7 @@ class Geometry(NamedTuple):
     normal_y: Vector
     """Unit vector from the first to the second disk."""
     overlap: Vector
-    """m; in the linear regime the distance by which the disks have moved apart."""
+    """m; with the linear law the distance by which the disks have moved apart."""
     first_arm: Vector
     second_arm: Vector
     """From the centres to the contact, m."""
@@ -115,7 +115,7 @@ def pair_geometry(features: Features, pair: int, system: System) -> Geometry:
     table = system.pairs.geometry
     overlap = constant(features, table, (pair, OVERLAP))
     apart_x, apart_y = _relative_translation(features, pair, system.pairs, system.motion.displacement)
-    if features.finite:
+    if not features.linear:
         distance_before = constant(features, table, (pair, DISTANCE))
         before_x, before_y = constant(features, table, (pair, APART_X)), constant(features, table, (pair, APART_Y))
         x, y = apart_x + before_x, apart_y + before_y
@@ -138,10 +138,7 @@ def pair_geometry(features: Features, pair: int, system: System) -> Geometry:
     first_arm = fill_lanes(constant(features, table, (pair, FIRST_ARM)), features.width)
     second_arm = fill_lanes(constant(features, table, (pair, SECOND_ARM)), features.width)
     flat = zero_like(along)
-    if features.linear:
-        return Geometry(normal_x, normal_y, along, first_arm, second_arm, flat, flat)
-    inverse_root = 1.0 / load(system.pairs.root, (pair,), features.width) if features.rescaling else flat
-    return Geometry(normal_x, normal_y, overlap - along, first_arm, second_arm, flat, inverse_root)
+    return Geometry(normal_x, normal_y, along, first_arm, second_arm, flat, flat)
 
 
 @inline
@@ -301,10 +298,8 @@ def _relative_approach(features: Features, pair: int, geometry: Geometry, dt: Ve
     """
     apart_x, apart_y = _relative_translation(features, pair, system.pairs, system.motion.velocity)
     along = (geometry.normal_x * apart_x + geometry.normal_y * apart_y) * dt
-    if features.finite:
-        across = (geometry.normal_x * apart_y - geometry.normal_y * apart_x) * dt
-        return 0.5 * across * across * geometry.curvature - along
-    return -along
+    across = (geometry.normal_x * apart_y - geometry.normal_y * apart_x) * dt
+    return 0.5 * across * across * geometry.curvature - along
 
 
 @inline

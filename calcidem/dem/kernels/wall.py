@@ -58,16 +58,15 @@ def wall_force(
     away = normal_x * of_disk(features, field, grain, X) + normal_y * of_disk(features, field, grain, Y)
     closer = load(front.wall_motion, (level, wall, NORMAL_PATH), lanes) - away
     depth = overlap + closer
-    arm = zero_like(away) + (scalar(grains.radius, (grain,)) - 0.5 * overlap)
-    if features.finite:
-        arm = scalar(grains.radius, (grain,)) - 0.5 * depth
     if features.linear:
+        arm = zero_like(away) + (scalar(grains.radius, (grain,)) - 0.5 * overlap)
         rim = load(front.wall_motion, (level, wall, TANGENT_PATH), lanes)
         slide = _wall_slide(features, grain, wall, arm, rim, motion.displacement, walls)
         normal = closer * scalar(wall_pairs.tangent, (contact, NORMAL))
         stiffness = fill_lanes(scalar(wall_pairs.tangent, (contact, NORMAL)), lanes)
         shear = slide * -scalar(wall_pairs.tangent, (contact, SHEAR))
     else:
+        arm = scalar(grains.radius, (grain,)) - 0.5 * depth
         rim = load(front.wall_motion, (level, wall, TANGENT_SPEED), lanes)
         slide = _wall_slide(features, grain, wall, arm, rim, motion.velocity, walls) * dt
         friction = min(scalar(walls.friction, (wall,)), scalar(grains.friction, (grain,)))

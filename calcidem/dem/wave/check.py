@@ -13,10 +13,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 
+from calcidem.dem.engine.scene import Law
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Reading, arrival_shift, read_section
-from calcidem.dem.wave.rule import Law
 from calcidem.dem.wave.section import Section
 
 PATTERNS = 2

@@ -113,7 +113,7 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> D
         middle, bands = packing.height / 2.0, max(rule.transmitter_half_width, rule.receiver_half_width)
         reach = max(middle - rule.boundary_thickness, bands) + 6.0 * 2.0 * float(packing.radius.mean())
         kept = np.asarray(np.abs(packing.y - middle) < reach)
-    if rule.regime != "finite":
+    if rule.contact_law != "finite":
         kept &= np.bincount(packing.pairs.ravel(), minlength=count) > 0
     kept[listening_disks(packing, rule)] = True
     inside = kept[packing.pairs]
@@ -222,7 +222,7 @@ class Experiment:
     _kept: dict[tuple[Callable[..., Any], tuple[Any, ...]], Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse invalid factors, and settings that the linear regime excludes."""
+        """Refuse invalid factors, and settings that the linear law excludes."""
         require(self.stiffness_factor > 0.0, "stiffness_factor", self.stiffness_factor, "give a positive factor")
         require(
             self.installation == "preserve" or self.wave.law != "linear",

@@ -88,7 +88,7 @@ def measure(
     if experiment.is_checked:
         found = checked(content) if checked else experiment.once(check_content, content, lanes, check=check)
     else:
-        found = Check(experiment.wave.regime, experiment.wave.step_fraction)
+        found = Check(experiment.wave.contact_law, experiment.wave.step_fraction)
     settings = with_check(experiment, found)
     began = perf_counter() - seconds_compiling()
     sections = send_waves(

@@ -100,7 +100,7 @@ def prepare_recorder(
     bonds = lane_bonds(packing, experiment.cement, [flags[domain.pairs] for flags in bonded], lanes, installation)
     # Gap of listed pairs, in mean radii: no bit depends on it. If a disk moves further than ten strokes, pairs are
     # listed again; after a loud pulse with 0.2 so often that lists take a third as long as the kernel.
-    skin = min(0.4, 2.0 * 10.0 * pulse.stroke / float(packing.radius.mean())) if rule.regime == "finite" else 0.0
+    skin = min(0.4, 2.0 * 10.0 * pulse.stroke / float(packing.radius.mean())) if rule.contact_law == "finite" else 0.0
     features = _wave_features(bare, experiment, lanes)
     single, scene = experiment.once(_bare_sample, features, skin)
     scene = replace(scene, bonds=bonds)
@@ -212,16 +212,16 @@ def _limit_of_all_patterns(experiment: Experiment, cemented: bool) -> float:
     rule, packing = experiment.wave, experiment.domain.packing
     bonds = Bonds(packing.pairs, experiment.cement, installation=experiment.installation) if cemented else None
     scene = wave_scene(packing, experiment.stiffen()[1], rule, bonds)
-    features = choose_features(scene, rule.regime)
+    features = choose_features(scene, rule.contact_law)
     state = start(scene, features=features, preload=packing.preload, steps_per_contact=0.0)
     return float(state.critical_time_step[0])
 
 
 def _wave_features(scene: Scene, experiment: Experiment, lanes: int) -> Features:
     """Kernel features that the wave needs or the rule keeps; samples without cement use the kernel of the others."""
-    rule, finite = experiment.wave, experiment.wave.regime == "finite"
+    rule, finite = experiment.wave, experiment.wave.contact_law == "finite"
     features = replace(
-        choose_features(scene, rule.regime, lanes),
+        choose_features(scene, rule.contact_law, lanes),
         recording=True,
         driven=rule.transmitter == "driven",
         servo=False,

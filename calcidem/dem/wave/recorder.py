@@ -88,7 +88,7 @@ def unbalanced_speed(state: State, amplitude: float) -> Floats:
     """(L,) rms speed of the disks by unbalanced forces alone, over the amplitude of the pulse.
 
     A disk with the net force F oscillates with about ``F / (m omega)``. Omega follows from the limit ``2 / omega`` of
-    the Hertz contacts; bonds are far stiffer, but do not affect disks without a bond. The linear regime assumes a
+    the Hertz contacts; bonds are far stiffer, but do not affect disks without a bond. The linear law assumes a
     balanced reference state. `ValueError` if the speed exceeds 0.001.
     """
     lanes = state.features.lanes

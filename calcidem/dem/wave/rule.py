@@ -9,11 +9,10 @@ from annotated_types import Interval, Unit
 
 from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, checked
 from calcidem.dem.engine.portable import interpolate, sine_of_turns
-from calcidem.dem.engine.scene import Precision
+from calcidem.dem.engine.scene import Law, Precision
 from calcidem.dem.kernels.layout import Floats
 
 Transmitter = Literal["wall", "driven"]
-Law = Literal["auto", "linear", "finite"]
 
 WHOLE_DOMAIN = "whole_domain"
 FEWEST_SAMPLES = 20  # samples per period of the pulse; with 20 a peak shifts by 0.1 % (docs/velocity.md)
@@ -78,7 +77,7 @@ class WaveRule:
     ] = 0.3
     boundary_damping: Part = 1.0
     boundary_thickness: Annotated[NotNegative, Unit("m")] = 0.05
-    law: Law = "auto"
+    law: Literal["auto", "linear", "finite"] = "auto"
     precision: Precision = "float64"
     step_fraction: Annotated[PositivePart, "0.05 to 0.95: above 1 the scheme is unstable"] = 0.8
     samples_per_period: Annotated[
@@ -92,8 +91,8 @@ class WaveRule:
     keep: tuple[str, ...] = ()
 
     @property
-    def regime(self) -> Literal["linear", "finite"]:
-        """Regime of the engine; until the check has decided, that which neglects nothing."""
+    def contact_law(self) -> Law:
+        """Law of the engine; until the check has decided, that which neglects nothing."""
         return "linear" if self.law == "linear" else "finite"
 
 

@@ -118,7 +118,8 @@ class Section:
 
 P_OVER_S = 1.4
 """Ratio of P to S wave speed: 1.34 to 1.58 for disks whose contacts have shear stiffnesses of 1 to 1/3 of the normal
-stiffness. The clamp K is known as well as this ratio, to 15 %.
+stiffness. The clamp K is known to 15 %: sections of uniform packings fit best with 0.9 to 1.0 of it, although their
+static moduli have a ratio of 1.8, since the layers give way a little (benchmarks/velocity/clamp.py).
 """
 
 _DAMPING = 0.5

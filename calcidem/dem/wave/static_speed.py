@@ -269,7 +269,7 @@ def _state_at_rest(experiment: Experiment, bonded: Flags) -> State:
     rule, keeps_forces = experiment.wave, experiment.installation == "preserve"
     bonds = Bonds(packing.pairs[bonded], experiment.cement, installation=experiment.installation)
     scene = wave_scene(packing, sand, rule, bonds if np.any(bonded) else None)
-    state = start(scene, regime="linear" if keeps_forces else rule.regime, preload=packing.preload)
+    state = start(scene, law="linear" if keeps_forces else rule.contact_law, preload=packing.preload)
     if np.any(bonded) and not keeps_forces:
         state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps)
     return state
