@@ -85,7 +85,7 @@ def test_ranks_that_die_in_each_start_end_the_run(workshop: "Workshop", fault: s
     prepare(workshop, fault, victim)
     ended = workshop.run("run", "c.toml", "--ranks", "2", "--restarts", "5")
     assert ended.code == 1
-    assert "The run did not begin (" in ended.errors
+    assert "The run did not begin (" in ended.output
     assert said in " ".join((ended.output + ended.errors).split())  # mpirun breaks its lines
     assert "nothing was computed." in ended.output
     assert (workshop.folder / "starts").read_text().count("start") == 2
