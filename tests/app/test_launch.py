@@ -153,7 +153,7 @@ def test_a_cell_that_kills_each_worker_is_quarantined_and_the_others_go_on(
     ended = workshop.run("run", "c.toml", "--ranks", "2")
     assert ended.code == 0, ended.errors
     assert "The run was cut off (" in ended.output
-    assert "Start 4 of at most 4." in ended.errors
+    assert "Start 4 of at most 4." in ended.output
     assert "quarantined: seed 2, 5 %: 3 runs died while it was computed" in ended.output
     cells = workshop.cells()
     assert cells.pop((2, 5.0))[0] == "quarantined"
