@@ -39,7 +39,6 @@ ALLOWED = {
     ("storage/netcdf_trial.py", "Dataset"): "the NetCDF library opens files itself; the door looks at the file before",
     ("storage/netcdf.py", "Dataset"): "as above, after the trial; writes",
     ("storage/encoding.py", "ZipFile"): "writes",
-    ("storage/encoding.py", "open"): "writes",
     ("app/serve/__main__.py", "load"): "what the starting process tells",
     ("storage/sql/lease.py", "open"): "a lock, opened without following links, see there",
     ("storage/files.py", "open"): "a descriptor to flush what was written",
