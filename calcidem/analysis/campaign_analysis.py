@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -393,9 +394,13 @@ def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:
     Phase velocities are searched from a third to three times the median Vs. Without cement all cells are one sample.
     `ValueError` if no cell has a velocity and a section.
     """
-    found = [(cell.key.content, cell.vs, cell.section) for cell in cells]
-    read = [(vs, section) for _, vs, section in found if vs is not None and section is not None]
-    read = read if any(content for content, *_ in found) else read[:1]
+    found = [
+        (math.nan if cell.vs is None else cell.vs, cell.section, cell.key.content)
+        for cell in cells
+        if cell.section is not None
+    ]
+    counted = are_samples([vs for vs, *_ in found], [content for *_, content in found])
+    read = [(vs, section) for vs, section, _ in compress(found, counted)]
     if not read:
         raise ValueError("no cell has a velocity and a stored section, which a dispersion needs")
     median = float(np.median([vs for vs, _ in read]))

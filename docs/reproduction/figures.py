@@ -6,7 +6,7 @@ from matplotlib.patches import Circle, ConnectionPatch, Polygon, Rectangle
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CampaignFigure
-from calcidem.analysis.figures.samples import COLOURS, _draw_grains, draw_bands, draw_frame
+from calcidem.analysis.figures.samples import COLOURS, draw_bands, draw_frame, draw_grains
 from calcidem.analysis.figures.signals import draw_signal_pair, load_arrival
 from calcidem.analysis.figures.style import (
     BLACK,
@@ -42,7 +42,7 @@ def draw_method(analysis: CampaignAnalysis) -> Figure:
     figure = new_figure(height=5.0, width=9.6)
     grid = figure.add_gridspec(2, 4, width_ratios=[1.0, 1.05, 1.25, 1.55])
     box = figure.add_subplot(grid[:, 0])
-    _draw_grains(box, graph)
+    draw_grains(box, graph)
     draw_frame(box, packing)
     draw_bands(box, packing, wave["transmitter_half_width"], wave["receiver_half_width"])
     for x, name, colour in ((-0.06, "transmitter", VERMILION), (1.06, "receiver", GREEN)):
@@ -59,7 +59,7 @@ def draw_method(analysis: CampaignAnalysis) -> Figure:
     rows = []
     for line, (seed, (sample, colour)) in enumerate(chosen.items()):
         cement, signals = figure.add_subplot(grid[line, 1]), figure.add_subplot(grid[line, 2])
-        _draw_grains(cement, graph, sample.kinds, low=low - 2 * half, high=low + 2 * half, cement_width=2.6)
+        draw_grains(cement, graph, sample.kinds, low=low - 2 * half, high=low + 2 * half, cement_width=2.6)
         cement.set_xlim(corner[0], corner[0] + 2 * half * MM)
         cement.set_ylim(corner[1], corner[1] + 2 * half * MM)
         cement.set_title(f"cement: seed {seed}")
@@ -127,7 +127,8 @@ def draw_cement_volume(_: CampaignAnalysis) -> Figure:
     axes.annotate(
         f"$d_c$ = {width:g} mm",
         (0.0, -0.3 * width),
-        (0.35 * diameters[1], -0.52 * diameters[1]),
+        (-0.5 * diameters[0], -0.48 * diameters[1]),
+        ha="center",
         va="center",
         arrowprops={"arrowstyle": "-", "linewidth": 0.6},
     )
@@ -151,7 +152,7 @@ def draw_damping_ratio(analysis: CampaignAnalysis) -> Figure:
         if cell.section is not None and cell.effective_vs is not None:
             ratios = found.setdefault(cell.key.content, [])
             if cell.key.content or not ratios:  # without cement all seeds are one sample
-                ratios.append(damping_ratio(cell.section, cell.effective_vs, clamp))
+                ratios.append(spectral_damping_ratio(cell.section, cell.effective_vs, clamp))
     axes.axhspan(0.02, 0.15, color=SKY, alpha=0.25, linewidth=0, label="cemented sands, as the paper quotes")
     label = "sample"
     for content, ratios in found.items():
@@ -166,7 +167,7 @@ def draw_damping_ratio(analysis: CampaignAnalysis) -> Figure:
     return figure
 
 
-def damping_ratio(section: RecordedSection, velocity: float, clamp: float) -> float:
+def spectral_damping_ratio(section: RecordedSection, velocity: float, clamp: float) -> float:
     """Damping ratio D by spectral ratios of the stations: of a wave exp(-g x), g^2 = (s (1 - i D) / c)^2 + K^2.
 
     Transforms are taken at s = f / 2 + 2 pi i f with the frequency f of the pulse; c is the velocity (m/s) and K the

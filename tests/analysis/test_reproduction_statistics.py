@@ -12,7 +12,7 @@ from calcidem.storage.records import RecordedSection
 
 sys.path.append(str(Path(__file__).parents[2] / "docs" / "reproduction"))
 
-from figures import damping_ratio
+from figures import spectral_damping_ratio
 from shapes import jarque_bera_power
 from variance import variance_parts
 
@@ -83,7 +83,7 @@ def test_damping_ratio_of_a_damped_wave(ratio: float) -> None:
         across=np.round(2.0**20 * across[short]).astype(np.int32),
         along=np.zeros_like(across[short], dtype=np.int32),
     )
-    assert damping_ratio(section, velocity, clamp) == pytest.approx(ratio, abs=0.001, rel=0.03)
+    assert spectral_damping_ratio(section, velocity, clamp) == pytest.approx(ratio, abs=0.001, rel=0.03)
 
 
 def test_damping_ratios_of_the_page() -> None:
@@ -94,7 +94,7 @@ def test_damping_ratios_of_the_page() -> None:
         clamp = clamp_of_strip(campaign.packing().height - 2.0 * wave["boundary_thickness"])
         for cell in campaign.select(with_arrays=True):
             if cell.section is not None and cell.effective_vs is not None:
-                ratio = damping_ratio(cell.section, cell.effective_vs, clamp)
+                ratio = spectral_damping_ratio(cell.section, cell.effective_vs, clamp)
                 found.setdefault(cell.key.content, []).append(ratio)
     sand, *cemented = (float(np.mean(ratios)) for ratios in found.values())
     said = f"a wave loses {sand:.2f} in sand alone, and {min(cemented):.2f} to {max(cemented):.2f} with cement"

@@ -4,12 +4,19 @@ import numpy as np
 import pytest
 
 from calcidem.analysis.published import published_study
-from calcidem.analysis.velocity import damping_ratio, median_diameter_by_mass, small_strain_modulus, wavelengths
+from calcidem.analysis.velocity import (
+    SOIL_DENSITY,
+    damping_ratio,
+    median_diameter_by_mass,
+    small_strain_modulus,
+    wavelengths,
+)
 
 
 def test_modulus_and_damping_ratio_are_those_of_the_paper() -> None:
     """Eq. 1 with the soil density of Table 1, for numbers and arrays, and D = 0.095 at alpha = 0.3 (section 3.1.2)."""
     assert small_strain_modulus(100.0) == 1659.0 * 1e4
+    assert published_study().parameters["soil_density"] == SOIL_DENSITY
     np.testing.assert_array_equal(small_strain_modulus(np.array([1.0, 2.0]), density=2000.0), [2000.0, 8000.0])
     assert damping_ratio(published_study().parameters["local_damping"]) == pytest.approx(0.095, abs=1e-3)
 

@@ -47,7 +47,7 @@ _RING: dict[str, Any] = {"markerfacecolor": "white", "markeredgecolor": PURPLE, 
 """Look of an uncemented contact on a path."""
 
 
-def _draw_grains(
+def draw_grains(
     axes: Axes,
     sample: PackingGraph,
     kinds: NDArray[np.uint8] | None = None,
@@ -132,13 +132,13 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]
     )
     left = packing.width / 2 - half
     for axes, sample in zip(grid[0], samples, strict=True):
-        _draw_grains(axes, graph, sample.kinds, cement_width=0.7)
+        draw_grains(axes, graph, sample.kinds, cement_width=0.7)
         draw_frame(axes, packing)
         axes.set_title(f"{sample.content:g} %")
         corner = (left * MM, (middle - half) * MM)
         axes.add_patch(Rectangle(corner, 2 * half * MM, 2 * half * MM, fill=False, edgecolor=BLACK, linewidth=1.1))
     for axes, sample in zip(grid[1], samples, strict=True):
-        _draw_grains(axes, graph, sample.kinds, low=middle - 1.3 * half, high=middle + 1.3 * half, cement_width=2.4)
+        draw_grains(axes, graph, sample.kinds, low=middle - 1.3 * half, high=middle + 1.3 * half, cement_width=2.4)
         axes.set_xlim(left * MM, (left + 2 * half) * MM)
         axes.set_ylim((middle - half) * MM, (middle + half) * MM)
         for spine in axes.spines.values():
@@ -167,7 +167,7 @@ def draw_measurement(graph: PackingGraph, wave: Mapping[str, Any], arrival: Arri
     else:
         figure = new_figure(height=4.4)
         scene, signals = figure.subplots(1, 2, width_ratios=[1.0, 1.35])
-    _draw_grains(scene, graph)
+    draw_grains(scene, graph)
     for bottom in (0.0, height - layer):
         scene.add_patch(Rectangle((0, bottom), width, layer, facecolor=GREY, alpha=0.45, linewidth=0, zorder=3))
         scene.text(width / 2, bottom + layer / 2, "strongly damped", ha="center", va="center", fontsize=7, zorder=4)
@@ -213,7 +213,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
     figure = new_figure(height=0.9 + len(samples) * 3.4 * (high - low) / packing.width)  # 3.4 inches wide, text beside
     panels = figure.subplots(len(samples), 1, squeeze=False)[:, 0]
     for axes, sample in zip(panels, samples, strict=True):
-        _draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.2)
+        draw_grains(axes, graph, sample.kinds, low=low, high=high, cement_width=1.2)
         grains = np.array(sample.path.grains)
         x, y = packing.x[grains] * MM, packing.y[grains] * MM
         axes.plot(x, y, color="white", linewidth=3.0, zorder=6, solid_joinstyle="round")

@@ -118,7 +118,8 @@ def init_command(
     another = "give another name" if given else f"write another with 'calcidem init {other} --preset {chosen}'"
     _write_new(file, text, f"run it with 'calcidem run {file}', or {another}")
     typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
-    _tell_decisions(text if given else "")
+    if given:
+        _tell_decisions(text)
 
 
 def _tell_decisions(text: str) -> None:

@@ -132,7 +132,8 @@ def write_report(  # noqa: PLR0913 - all but two have names in every call
         write_text_atomically(target, _render_page(analysis, studies or {}, watch))
         if files is not None:
             count = pluralize(len(figures or CAMPAIGN_FIGURES), "figure")
-            tell(f"Drawing {count} in three formats takes 2 to 5 s each; 'calcidem report --figure NAME' chooses.")
+            choice = "" if figures else "; 'calcidem report --figure NAME' chooses"
+            tell(f"Drawing {count} in three formats, 2 to 5 s for each{choice}.")
             _write_files(analysis, files, figures)
     return target
 
