@@ -77,6 +77,7 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: Features(lanes=3), "lanes", "3", "8, 16 or 32"),
     (lambda: Features(linear=True), "linear", "True", "switch"),
     (lambda: Features(breakage=True), "breakage", "cemented", "bonds = True"),
+    (lambda: start(pair_scene(), law="small"), "law", "small", "finite, linear"),  # type: ignore[arg-type]
     (lambda: contact_forces(start(pair_scene(), law="linear")), "law", "linear", "finite"),
     (lambda: energies(start(pair_scene(), law="linear")), "law", "linear", "finite"),
     (lambda: PackingRule(width=0.0), "width", "0.0", "positive"),

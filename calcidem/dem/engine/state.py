@@ -11,7 +11,7 @@ of such a contact (Landau & Lifshitz, Theory of Elasticity, section 9).
 """
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -330,6 +330,7 @@ def choose_features(
     scene: Scene, law: Law, lanes: int = 1, *, slip: bool = True, breakage: bool = True, account: bool = False
 ) -> Features:
     """Features for a scene and a contact law, see `start`."""
+    require(law in get_args(Law), "law", law, f"choose one of {', '.join(get_args(Law))}")
     linear = law == "linear"
     bonds = scene.bonds is not None and len(scene.bonds.pairs) > 0
     group = bonds and scene.bonds is not None and bool(scene.bonds.cement.linear_modulus > 0.0)
