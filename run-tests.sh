@@ -4,7 +4,7 @@
 #   --fast  what one waits for while writing: no MPI, nothing that takes seconds
 #   (none)  what CI runs
 #   --full  everything: hundreds of faults and scenes, other programs, fresh installations
-# JOBS says how many tests run side by side; 2 by default, since the tests of MPI start several ranks each.
+# JOBS says how many tests run side by side; 3 by default, for two cores, since tests of stops and deaths often wait.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 chosen=()
@@ -19,6 +19,10 @@ unset PYTHONDONTWRITEBYTECODE # without its compiled modules every process of a 
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 ruff format --check .
 ruff check .
-mypy
 lint-imports
-exec python -m pytest -n "${JOBS:-2}" --dist loadfile --no-loadscope-reorder ${chosen[@]+"${chosen[@]}"} "$@"
+mypy & # beside the tests, which often wait
+types=$!
+code=0
+python -m pytest -n "${JOBS:-3}" --dist loadfile --no-loadscope-reorder ${chosen[@]+"${chosen[@]}"} "$@" || code=$?
+wait "$types"
+exit "$code"

@@ -1,6 +1,6 @@
 """A long run: memory, descriptors, log and database against the cells that are stored, over a stop and a full disk.
 
-    python benchmarks/endurance/run.py --cells 100000 [--ranks 2] [--rows 10] [--stops 1] [--disk MB] [--clock] [--folder DIR]
+    python benchmarks/endurance/run.py --cells 100000 [--ranks 2] [--rows 10] [--stops 1] [--disk MB] [--clock] [--folder DIR] [--gpu]
 
 The campaign has 280 disks and eight contents. `--stops` ends the run so many times at equal distances with SIGTERM, and
 goes on with the same command. `--disk` (needs root) gives the folder a file system of so many MB: the run ends when it
@@ -67,14 +67,15 @@ GROWTH = 1.1
 class Campaign:
     """A campaign in a folder."""
 
-    def __init__(self, folder: Path, cells: int, ranks: int, *, with_clock: bool) -> None:
-        self.folder, self.ranks, self.clock = folder, ranks, folder / "clock"
+    def __init__(self, folder: Path, cells: int, options: tuple[str, ...], *, with_clock: bool) -> None:
+        self.folder, self.options, self.clock = folder, options, folder / "clock"
         self.cells = cells - cells % len(CONTENTS)
         seeds = self.cells // len(CONTENTS)
         (folder / "c.toml").write_text(CONFIGURATION.format(seeds=seeds, contents=list(CONTENTS)))
         self.database = folder / "results" / "endurance.db"
         self.variables = os.environ | {"CALCIDEM_CACHE": str(folder / "cache"), "OMPI_MCA_btl": "^ofi"}
-        self.variables |= {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+        self.variables |= {"OMP_NUM_THREADS": "1"}
+        self.variables["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
         where = "from calcidem.app.campaign.packing import _cached_name as n; from calcidem.app.config.reader import "
         where += "load_configuration as l; print(n(l('c.toml').packing_hash))"
         name = subprocess.run(
@@ -95,7 +96,7 @@ class Campaign:
 
     def start(self) -> subprocess.Popen[bytes]:
         """Start the run, or go on with it."""
-        command = [sys.executable, "-m", "calcidem", "run", "c.toml", "--ranks", str(self.ranks)]
+        command = [sys.executable, "-m", "calcidem", "run", "c.toml", *self.options]
         with (self.folder / "log").open("ab") as log:
             return subprocess.Popen(command, cwd=self.folder, env=self.variables, stdout=log, stderr=log)
 
@@ -215,13 +216,15 @@ def main() -> None:
     parser.add_argument("--disk", type=int, default=0)
     parser.add_argument("--clock", action="store_true")
     parser.add_argument("--folder", type=Path)
+    parser.add_argument("--gpu", action="store_true")
     options = parser.parse_args()
     with (
         tempfile.TemporaryDirectory(prefix="calcidem-endurance-") as scratch,
         disk(options.folder or Path(scratch, "run"), options.disk) as folder,
     ):
         folder.mkdir(exist_ok=True)
-        campaign = Campaign(folder, options.cells, options.ranks, with_clock=options.clock)
+        run = ("--ranks", str(options.ranks), *(["--gpu"] if options.gpu else []))
+        campaign = Campaign(folder, options.cells, run, with_clock=options.clock)
         complaints = endure(campaign, options.rows, options.stops, options.disk)
     print("\n".join(complaints) or "as it should be")
     sys.exit(bool(complaints))

@@ -1,22 +1,20 @@
 """What a GPU does for a campaign: bits, time of the kernel, and the cells of the paper, with and without it.
 
-    python benchmarks/gpu/run.py [--seeds 116] [--ranks 9 17] [--wheels DIR] [--json gpu.json]
+    python benchmarks/gpu/run.py [--parts sections profile campaign] [--seeds 116] [--ranks 9 17] [--json gpu.json]
 
-For a machine with an NVIDIA card and 15 minutes: it installs the extra `gpu` where numba-cuda is missing (`--wheels`:
-from a folder, without network), and takes about
+For a machine with an NVIDIA card, and the extra `gpu` installed. Parts:
 
-     1 to 4 minutes  compilation of the kernels
-           1 minute  sections of whole records on both, laws and precisions at 0.66 and 5 %, with ns a contact-step
-           1 minute  a profile of one batch
-     1 to 2 minutes  the campaign by each number of ranks on the GPU
-           2 minutes the same by the processor's cores, whose cells are compared
+    sections  whole records of 32 samples on both, laws and precisions at 0.66 and 5 %; ns a contact-step on the card,
+              of these 32 samples and of as many as the campaign has
+    profile   where the time of one batch goes
+    campaign  by each number of ranks on the GPU, twice: with and without the compilation of the kernels; then by the
+              processor's cores, whose cells are compared
 
-Results are printed and written after each part, so that an early end loses only what was not begun.
+Results are printed and written after each step, so that an early end loses only what was not begun.
 """
 
 import argparse
 import cProfile
-import importlib.util
 import io
 import json
 import os
@@ -28,47 +26,72 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[2]
 PAPER = ROOT / "examples" / "paper.toml"
-LANES = 32
-
-
-def install(wheels: str | None) -> None:
-    """Install the extra, unless it is there, and begin again: numba-cuda takes the place of numba's at the start."""
-    if importlib.util.find_spec("numba_cuda") is None:
-        source = [] if wheels is None else ["--no-index", "--find-links", wheels]
-        wanted = ["numba-cuda[cu13]>=0.30.4", "numpy<2.5"]
-        subprocess.run([sys.executable, "-m", "pip", "install", "-q", *source, *wanted], check=True)
-        os.execv(sys.executable, [sys.executable, *sys.argv])  # noqa: S606 - this program
+LANES, SAMPLES = 32, 1972
+PARTS, TWICE = ("sections", "profile", "campaign"), ("", ", again")
 
 
 class Clock:
-    """A kernel whose seconds on the card, samples and steps are counted."""
+    """A kernel whose seconds on the card, samples and steps are counted, also with as many samples as fill the card."""
 
     def __init__(self, kernel: Any) -> None:  # noqa: ANN401 - of numba-cuda
         self.kernel, self.seconds, self.contact_steps, self.sample_steps = kernel, 0.0, 0, 0
+        self.filled: dict[str, float] = {}
 
     def __getitem__(self, shape: tuple[int, int]) -> Any:  # noqa: ANN401 - what launches it
-        from numba import cuda  # noqa: PLC0415 - installed by this program
-
         def launch(steps: int, done: Any, time_step: Any, system: Any, plan: Any) -> None:  # noqa: ANN401 - on the card
-            before = int(done.copy_to_host().sum())
-            begin, end = cuda.event(), cuda.event()
-            begin.record()
-            self.kernel[shape](steps, done, time_step, system, plan)
-            end.record()
-            end.synchronize()
-            taken = int(done.copy_to_host().sum()) - before
-            self.seconds += 1e-3 * cuda.event_elapsed_time(begin, end)
+            pairs = len(system.pairs.first)
+            if not self.filled:
+                times = SAMPLES // shape[0]
+                wide = [widen(value, times) for value in (system, plan)]
+                apart = widen(done, times, "samples"), widen(time_step, times, "samples")
+                seconds, taken = self.timed((shape[0] * times, shape[1]), steps, *apart, *wide)
+                self.filled = {
+                    "samples": shape[0] * times,
+                    "ns a contact-step": 1e9 * seconds / (taken * pairs),
+                    "us a sample-step": 1e6 * seconds / taken,
+                }
+            seconds, taken = self.timed(shape, steps, done, time_step, system, plan)
+            self.seconds += seconds
             self.sample_steps += taken
-            self.contact_steps += taken * len(system.pairs.first)
+            self.contact_steps += taken * pairs
 
         return launch
+
+    def timed(self, shape: tuple[int, int], steps: int, done: Any, *arguments: Any) -> tuple[float, int]:  # noqa: ANN401
+        """Seconds of the card, and the steps of all samples."""
+        from numba import cuda  # noqa: PLC0415 - where there is no GPU `sections` is not called
+
+        before = int(done.copy_to_host().sum())
+        begin, end = cuda.event(), cuda.event()
+        begin.record()
+        self.kernel[shape](steps, done, *arguments)
+        end.record()
+        end.synchronize()
+        return 1e-3 * cuda.event_elapsed_time(begin, end), int(done.copy_to_host().sum()) - before
+
+
+def widen(value: Any, times: int, name: str = "") -> Any:  # noqa: ANN401 - a part of a system, or an array
+    """Copy a part of a system on the card, with each sample as many times."""
+    from numba import cuda  # noqa: PLC0415 - as above
+
+    from calcidem.dem.kernels.gpu import card  # noqa: PLC0415
+
+    if isinstance(value, tuple):
+        return type(value)(*(widen(part, times, inner) for part, inner in zip(value, value._fields, strict=True)))  # type: ignore[attr-defined]
+    if not hasattr(value, "copy_to_host"):
+        return value
+    here = value.copy_to_host()
+    has_samples = name in card.WITH_LANES | card.BITS | {"force"} and here.ndim > 1
+    return cuda.to_device(np.repeat(here, times, axis=0) if has_samples or name == "samples" else here)
 
 
 def sections(content: float, law: str, precision: str) -> dict[str, Any]:
     """Whether whole records of a batch are the same on both, with seconds of both and of the kernel alone."""
-    from calcidem.app.campaign.packing import provide_packing  # noqa: PLC0415 - after numba-cuda is installed
+    from calcidem.app.campaign.packing import provide_packing  # noqa: PLC0415 - after the path is set
     from calcidem.app.config.reader import change_configuration  # noqa: PLC0415
     from calcidem.dem.kernels.gpu import card  # noqa: PLC0415
     from calcidem.dem.wave.propagation import send_waves  # noqa: PLC0415
@@ -102,6 +125,7 @@ def sections(content: float, law: str, precision: str) -> dict[str, Any]:
         "kernel s": kernel,
         "ns a contact-step": 1e9 * kernel / max(1, steps),
         "us a sample-step": 1e6 * kernel / max(1, sum(c.sample_steps for c in clocks)),
+        "card filled": clocks[0].filled,
     }
 
 
@@ -131,8 +155,9 @@ def campaign(folder: Path, seeds: int, ranks: int, *options: str) -> tuple[dict[
     (folder / "c.toml").write_text(text, encoding="utf-8")
     command = [sys.executable, "-m", "calcidem", "run", str(folder / "c.toml"), "--db", str(folder / "c.db")]
     command += ["--output", str(folder), "--ranks", str(ranks), *options]
+    path = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     began = time.monotonic()
-    subprocess.run(command, env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True)
+    subprocess.run(command, env=os.environ | {"PYTHONPATH": os.pathsep.join(path)}, check=True)
     spent = time.monotonic() - began
     with open_campaign(folder / "c.db") as opened:
         columns = ["content", "seed", "status", "vs", "effective_vs", "steps", "law", "numerical_error"]
@@ -145,14 +170,13 @@ def campaign(folder: Path, seeds: int, ranks: int, *options: str) -> tuple[dict[
 def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--parts", nargs="*", default=PARTS, choices=PARTS, help="what to measure")
     parser.add_argument("--seeds", type=int, default=116, help="seeds of the campaign; 116 have 1,972 cells")
     parser.add_argument(
         "--ranks", type=int, nargs="*", default=[9, 17], help="ranks that share the GPU, one after another"
     )
-    parser.add_argument("--wheels", help="folder of wheels, where there is no network")
     parser.add_argument("--json", type=Path, default=Path("gpu.json"), help="file for the results")
     asked = parser.parse_args()
-    install(asked.wheels)
     sys.path.insert(0, str(ROOT))
     card = subprocess.run(
         ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"],  # noqa: S607 - of the driver
@@ -160,7 +184,7 @@ def main() -> None:
         text=True,
         check=True,
     ).stdout.strip()
-    found: dict[str, Any] = {"card": card}
+    found: dict[str, Any] = {}
 
     def keep(name: str, value: Any) -> None:  # noqa: ANN401 - of many types
         found[name] = value
@@ -168,21 +192,24 @@ def main() -> None:
         asked.json.write_text(json.dumps(found, indent=1), encoding="utf-8")
 
     keep("card", card)
+    if "sections" in asked.parts:
+        for law, precision in (("linear", "float32"), ("finite", "float32"), ("finite", "float64")):
+            for content in (0.66, 5.0):
+                keep(f"{law} law, {precision}, {content} %", sections(content, law, precision))
+    if "profile" in asked.parts:
+        keep("profile of a batch", batch_profile())
+        print("\n".join(found["profile of a batch"]))
+    if "campaign" not in asked.parts:
+        return
     cells = {}
-    for law, precision in (("finite", "float32"), ("linear", "float32"), ("finite", "float64")):
-        for content in (0.66, 5.0):
-            keep(f"{law} law, {precision}, {content} %", sections(content, law, precision))
-    profile = batch_profile()
-    keep("profile of a batch", profile)
-    print("\n".join(profile))
     for name, ranks, options in (
-        *((f"campaign on the GPU, {ranks} ranks", ranks, ["--gpu"]) for ranks in asked.ranks),
-        ("campaign on the processor", 0, []),
+        *((f"campaign on the GPU, {ranks} ranks{times}", ranks, ["--gpu"]) for ranks in asked.ranks for times in TWICE),
+        *((f"campaign on the processor, {asked.ranks[-1]} ranks{times}", asked.ranks[-1], []) for times in TWICE),
     ):
         with tempfile.TemporaryDirectory(prefix="calcidem-gpu-") as folder:
             seconds, cells[name] = campaign(Path(folder), asked.seeds, ranks, *options)
         keep(name, seconds)
-    last = cells["campaign on the processor"]
+    (*_, last) = cells.values()
     keep(
         "cells other than the processor's",
         {name: sum(a != b for a, b in zip(rows, last, strict=True)) for name, rows in cells.items()},

@@ -16,9 +16,9 @@ from calcidem.dem.kernels.layout import RECEIVED, Floats, Integers, System
 from calcidem.dem.kernels.steps import advance_steps
 
 _HISTORIES = {"pairs": ("shear", "root", "bond_force"), "wall_pairs": ("shear", "root")}
-_WITH_LANES = {"displacement", "velocity", "shear", "root", "bond_force", "motion", "reaction", "wall_motion", "origin"}
-_WITH_LANES |= {"wall_origin", "drive", "samples"}
-_BITS = {"cemented", "intact"}
+WITH_LANES = {"displacement", "velocity", "shear", "root", "bond_force", "motion", "reaction", "wall_motion", "origin"}
+WITH_LANES |= {"wall_origin", "drive", "samples"}
+BITS = {"cemented", "intact"}
 """Names of arrays in `layout`: histories of contacts, arrays whose last axis is the lane, and words of lane bits."""
 
 _proved: set[tuple[Features, np.dtype[Any], str]] = set()
@@ -103,9 +103,9 @@ def _send(value: Any, name: str = "") -> Any:  # noqa: ANN401 - a part of a syst
         return type(value)(*map(_send, value, value._fields))  # type: ignore[attr-defined]  # named
     if not isinstance(value, np.ndarray):
         return value
-    if name in _WITH_LANES:
+    if name in WITH_LANES:
         value = np.moveaxis(value, -1, 0)[..., None]
-    if name in _BITS:
+    if name in BITS:
         value = value >> np.arange(32, dtype=np.uint32)[:, None] & np.uint32(1)
     return cuda.to_device(np.ascontiguousarray(value))
 
