@@ -63,7 +63,7 @@ def test_a_stopped_campaign_goes_on(workshop: "Workshop", expected: "Cells", num
 
     One that is ignored at the start, as under nohup, ends neither the command nor its ranks.
     """
-    workshop.configure(5 * max(seed for seed, _ in expected))  # enough to be stopped half-way
+    workshop.configure(60, (0.66,))  # enough to be stopped half-way
     command = ("run", "c.toml", "--ranks", str(ranks), *(("--restarts", "3") if ranks > 1 else ()))
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
@@ -80,12 +80,13 @@ def test_a_stopped_campaign_goes_on(workshop: "Workshop", expected: "Cells", num
     assert "Start 2" not in stopped.output
     assert workshop.leaves_no_process()
     kept = workshop.cells()
-    assert 0 < len(kept) < 5 * len(expected)
+    assert 0 < len(kept) < 60
     done = workshop.run(*command)
     assert done.code == 0, done.errors
     cells = workshop.cells()
-    assert {key: cells[key] for key in expected} == expected
-    assert workshop.attempts() == len(cells) == 5 * len(expected)
+    wanted = {key: cell for key, cell in expected.items() if key[1] == 0.66}
+    assert {key: cells[key] for key in wanted} == wanted
+    assert workshop.attempts() == len(cells) == 60
 
 
 @pytest.mark.full
