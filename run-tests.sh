@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Installs calcidem for development if needed, then runs linters, type checks and tests.
+# Installs calcidem for development if needed, then runs linters, and type checks beside the tests.
 # Usage: ./run-tests.sh [--fast | --full] [pytest arguments]
 #   --fast  what one waits for while writing: no MPI, nothing that takes seconds
 #   (none)  what CI runs
@@ -19,10 +19,11 @@ unset PYTHONDONTWRITEBYTECODE # without its compiled modules every process of a 
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 ruff format --check .
 ruff check .
-lint-imports
-mypy & # beside the tests, which often wait
-types=$!
-code=0
+log=$(mktemp)
+{ mypy && lint-imports; } >"$log" 2>&1 & # beside the tests, which often wait
+checks=$! code=0
 python -m pytest -n "${JOBS:-3}" --dist loadfile --no-loadscope-reorder ${chosen[@]+"${chosen[@]}"} "$@" || code=$?
-wait "$types"
+wait "$checks" || code=$?
+cat "$log"
+rm "$log"
 exit "$code"

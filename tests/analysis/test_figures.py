@@ -39,13 +39,14 @@ pytestmark = pytest.mark.slow
 
 @pytest.mark.parametrize("entry", CAMPAIGN_FIGURES, ids=lambda entry: entry.name)
 def test_every_figure_is_drawn_and_written(entry: CampaignFigure, analysis: CampaignAnalysis) -> None:
-    """Each figure has labelled scales, lettered panels and free curves; it becomes PNG (150 dpi), SVG and PDF."""
+    """Each figure has labelled scales, lettered panels and free curves; one becomes PNG (150 dpi), SVG and PDF."""
     figure = entry.draw(analysis)
-    png, svg, pdf = style.save(figure, Path.cwd(), entry.name)
-    width, height = struct.unpack(">II", png.read_bytes()[16:24])
-    assert np.allclose([width, height], figure.get_size_inches() * 150, atol=1)
+    svg, *others = style.save(figure, Path.cwd(), entry.name, ("svg", *(("png", "pdf") * (entry.name == "vs_range"))))
     assert ET.parse(svg).getroot().tag.endswith("svg")  # noqa: S314 - written just above
-    assert pdf.read_bytes().startswith(b"%PDF")
+    if others:
+        png, pdf = (path.read_bytes() for path in others)
+        assert np.allclose(struct.unpack(">II", png[16:24]), figure.get_size_inches() * 150, atol=1)
+        assert pdf.startswith(b"%PDF")
     panels = [axes for axes in figure.axes if axes.axison and axes.get_label() != "<colorbar>"]
     pictures = [axes.get_title(loc="left").partition(" ")[0] for axes in panels]
     assert len(panels) == 1 or pictures == [f"({letter})" for letter in ascii_lowercase[: len(panels)]]
@@ -225,10 +226,9 @@ import sys
 from calcidem.app.campaign.opened import open_campaign
 
 with open_campaign(sys.argv[1]) as campaign:
-    for name in ("vs_range", "signals"):
-        figure = getattr(campaign.plot, name)()
-        figure.savefig(f"{name}.png")
-        figure.savefig(f"{name}.svg", metadata={"Date": None})
+    figure = campaign.plot.vs_range()
+    figure.savefig("vs_range.png")
+    figure.savefig("vs_range.svg", metadata={"Date": None})
     campaign.plot.movie("wave.gif", seed=1, content=5.0, frames=2)
 """
 
@@ -246,5 +246,5 @@ def test_a_users_settings_of_matplotlib_change_no_figure(
     monkeypatch.setattr("sys.argv", ["-c", str(small_database)])
     exec(DRAWN_BY_A_USER, {})  # noqa: S102 - the same program here, in an empty folder and without settings
     written = {path.name: path.read_bytes() for path in own.iterdir()}
-    assert len(written) == 5
+    assert len(written) == 3
     assert written == {path.name: path.read_bytes() for path in Path.cwd().iterdir()}

@@ -43,7 +43,7 @@ wave_stiffness_factor = 4.7
 receiver_half_width = 0.01
 listening_depth = 0.006
 boundary_thickness = 0.01
-step_fraction = 0.05
+step_fraction = {step}
 law = "linear"
 {wave}
 [run]
@@ -86,10 +86,16 @@ class Workshop(MarkedProcesses):
         return self.folder / "results" / "small.db"
 
     def configure(
-        self, seeds: object = SEEDS, contents: object = CONTENTS, wave: str = "", name: str = "c.toml"
+        self,
+        seeds: object = SEEDS,
+        contents: object = CONTENTS,
+        wave: str = "",
+        name: str = "c.toml",
+        *,
+        step: float = 0.05,
     ) -> None:
         """Write the configuration of a small campaign."""
-        text = SMALL.format(seeds=_toml(seeds), contents=_toml(contents), wave=wave)
+        text = SMALL.format(seeds=_toml(seeds), contents=_toml(contents), wave=wave, step=step)
         (self.folder / name).write_text(text, encoding="utf-8")
 
     def start(self, *arguments: str, program: str = "") -> subprocess.Popen[str]:
@@ -193,7 +199,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a cache folder that holds the small packing, so that every run computes on the same disks."""
     folder = tmp_path_factory.mktemp("cache")
     configuration = folder / "c.toml"
-    configuration.write_text(SMALL.format(seeds=SEEDS, contents=list(CONTENTS), wave=""), encoding="utf-8")
+    configuration.write_text(SMALL.format(seeds=SEEDS, contents=list(CONTENTS), wave="", step=0.05), encoding="utf-8")
     packing_hash = load_configuration(configuration).packing_hash
     shutil.copy(SMALL_PACKING, folder / _cached_name(packing_hash))
     return folder

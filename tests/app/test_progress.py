@@ -117,7 +117,7 @@ def test_time_left_is_that_of_the_workers_there_are() -> None:
 def test_a_run_in_python_tells_a_function(workshop: "Workshop", monkeypatch: pytest.MonkeyPatch) -> None:
     """`calcidem.run(progress=...)` tells every stage, and in the end all cells; a value can be set in the call."""
     monkeypatch.setenv("CALCIDEM_CACHE", str(workshop.cache))
-    workshop.configure(seeds=2, contents=(0.66,))
+    workshop.configure(seeds=2, contents=(0.66,), step=0.4)
     told: list[RunProgress] = []
     values = {"campaign.contents": [0.0, 5.0]}
     with calcidem.run(workshop.folder / "c.toml", db=workshop.database, set=values, progress=told.append) as campaign:
@@ -185,7 +185,7 @@ def run_in_terminal(workshop: "Workshop", *arguments: str) -> Iterator[str]:
 )
 def test_a_terminal_is_never_without_news(workshop: "Workshop", ranks: int, own_packing: bool) -> None:
     """Frames advance through all stages, the same under MPI and without, and tear no line of the ranks' text."""
-    workshop.configure(seeds=6, contents=(0.66,))
+    workshop.configure(seeds=6, contents=(0.66,), step=0.4)
     if own_packing:
         text = (workshop.folder / "c.toml").read_text(encoding="utf-8")
         own = text.replace("[packing]", f"[packing]\nseed = {ranks + 7}").replace("height = 0.06", "height = 0.12")
