@@ -82,10 +82,10 @@ class Sleep:
     times: Sequence[float]
     payload: tuple[PackedResult, ...]
 
-    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None]) -> Sequence[Any]:
+    def __call__(self, batch: Batch[Cell], raise_if_stopped: Callable[[], None]) -> Sequence[Any]:
         """Give outcomes after the batch's time, without a payload the cells themselves."""
         time.sleep(self.times[batch.identifier])
-        deadline_check()
+        raise_if_stopped()
         return moved(self.payload, batch) if self.payload else batch.cells
 
 

@@ -106,7 +106,7 @@ def force_step(factor: float, law: Literal["linear", "finite"]) -> Detection:
     experiment, content = scene.experiment()
     experiment = experiment.with_wave(boundary_damping=0.0)
     bonded = experiment.ordering(scene.seed).at(content).bonded
-    recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), 1, check=lambda: None)
+    recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), 1, raise_if_stopped=lambda: None)
     step = recorder.state.time_step * 0.0 + factor * Limits.of_scene(scene).true
     recorder.state = replace(recorder.state, time_step=step)
     record = recorder.run(lambda _: False, lambda: None)[0]

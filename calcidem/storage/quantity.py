@@ -2,7 +2,7 @@
 
 A field with one number or text of a cell is annotated with a `Quantity`, a field with an array with `Along`. Tables,
 checks, filters, files and the reference page follow from these annotations. So a new stored quantity needs only a field
-and a value.
+and a value. Databases without its column are refused; NetCDF files without it are read.
 """
 
 import math

@@ -282,7 +282,7 @@ class CellResult(Record):
     steps: Annotated[_Whole, _wave("1", "number of time steps", bound=_NOT_NEGATIVE, is_needed=True)] = None
     law: Annotated[str | None, Quantity("", "contact law that the check chose", "check", is_exact=True)] = None
     numerical_error: Annotated[_Real, _check("relative standard error of the velocities by the simulation")] = None
-    pulse_effect: Annotated[_Real, _check("relative standard error of the velocities by the pulse's strength")] = None
+    pulse_effect: Annotated[_Real, _check("relative standard error of the velocities by the sense of the pulse")] = None
     """Both measured for the content, see `calcidem.dem.wave.check`."""
     static_speed: Annotated[
         _Real, Quantity("m s-1", "velocity of long shear waves by statics", "statics", _POSITIVE)

@@ -56,11 +56,11 @@ class Deadline:
 class Compute(Protocol[CellT, ResultT_co]):
     """Computation of a batch, given by the caller of a sweep."""
 
-    def __call__(self, batch: Batch[CellT], deadline_check: Callable[[], None], /) -> Sequence[ResultT_co]:
+    def __call__(self, batch: Batch[CellT], raise_if_stopped: Callable[[], None], /) -> Sequence[ResultT_co]:
         """Return one picklable result for each cell, in the order of `batch.cells`.
 
         A result must depend only on its cell, not on rank, order or the other cells of the batch, since a batch may be
-        computed again elsewhere or in parts. The computation calls `deadline_check` every 0.1 to 0.5 s and does not
+        computed again elsewhere or in parts. The computation calls `raise_if_stopped` every 0.1 to 0.5 s and does not
         catch its exceptions. Any other exception becomes a failure of the batch.
         """
 
@@ -163,7 +163,7 @@ class StopRequest:
         """Whether the running batches have to be dropped."""
         return self.level >= StopLevel.HURRY
 
-    def check(self) -> None:
+    def raise_if_stopped(self) -> None:
         """Raise `SweepInterrupted` if what runs has to be dropped."""
         if self.hurry():
             raise SweepInterrupted

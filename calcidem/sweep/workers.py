@@ -61,9 +61,10 @@ class _Flight(Generic[CellT]):
 class Workers(Generic[CellT]):
     """Workers of an executor, which stays open.
 
-    A process that dies ends its executor (`ProcessPoolExecutor`), or the whole job (MPI). Then `exhausted` says why,
-    and the sweep ends; the same command continues. Dask alone goes on: it tries a batch on four workers before it
-    raises `KilledWorker`. The computation must be picklable unless `ThisProcess` is the executor.
+    A process that dies ends its executor (`ProcessPoolExecutor`). Then `exhausted` says why, and the sweep ends; the
+    same command continues. Under MPI it ends the whole job: rank 0 gets a SIGTERM, see `StopRequest.has_lost`. Dask
+    alone goes on: it tries a batch on four workers before it raises `KilledWorker`. The computation must be picklable
+    unless `ThisProcess` is the executor.
 
     Parameters
     ----------

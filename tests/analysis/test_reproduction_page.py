@@ -290,8 +290,8 @@ def test_sentences_on_the_parts_of_the_scatter(cells: xr.Dataset, published: dic
     broken = noisy["broken_bonds"].to_numpy() > 0
     check_said(
         f"the quiet one causes at most {pulse.max():.2f} of the variance. The stated effect of 5 m/s is "
-        f"{low.min():.1f} to {low.max():.1f} times the scatter up to 3.17 %, {effect[contents == 4][0]:.1f} at 4 % and "
-        f"at most {high.max():.1f} above",
+        f"{low.min():.1f} to {low.max():.1f} times the standard deviation between seeds up to 3.17 %, "
+        f"{effect[contents == 4][0]:.1f} at 4 % and at most {high.max():.1f} above",
         f"(`vs_bias`) has at most {wave.max():.3f} of the variance",
         f"means agree within {100 * np.abs(off).max():.1f} % and sd / mean is {scatter.min():.2f} to "
         f"{scatter.max():.2f} of the published, but {broken.sum():,} of {broken.size:,} cemented cells broke bonds",

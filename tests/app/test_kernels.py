@@ -62,7 +62,7 @@ def test_the_kernels_of_the_cells_are_compiled_and_no_others(
                 raise _EnoughSeen
 
         with contextlib.suppress(_EnoughSeen):
-            measure(experiment, content, [1], lanes=configuration.run.lanes, check=check)
+            measure(experiment, content, [1], lanes=configuration.run.lanes, raise_if_stopped=check)
     assert set(used) < compiled
     rest = compiled - set(used)
     assert {features.lanes for features in rest} == {4}  # those of the check

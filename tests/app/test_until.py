@@ -50,7 +50,7 @@ def velocity(cell: Cell) -> float:
     )
 
 
-def measured(batch: Batch[Cell], _deadline_check: Callable[[], None]) -> Sequence[PackedResult]:
+def measured(batch: Batch[Cell], _raise_if_stopped: Callable[[], None]) -> Sequence[PackedResult]:
     """Stand in for a measurement."""
     results = []
     numerics = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 2e-7, "steps": 1}

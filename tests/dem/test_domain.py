@@ -47,7 +47,7 @@ def bonded(packing: Packing, content: float) -> Integers:
 def heard(packing: Packing, rule: WaveRule, content: float, time_step: float) -> tuple[Counts, Floats]:
     """(S, X) steps of velocity across, of all disks of a place, and velocities at the end of what listens."""
     experiment = Experiment(packing, sand=SAND, wave=rule)
-    recorder = prepare_recorder(experiment, [bonded(packing, content)], FREQUENCY, 1, check=lambda: None)
+    recorder = prepare_recorder(experiment, [bonded(packing, content)], FREQUENCY, 1, raise_if_stopped=lambda: None)
     assert time_step <= SAFETY * recorder.state.critical_time_step[0]
     recorder.stride = STRIDE
     recorder.state = replace(recorder.state, time_step=np.array([time_step]))
@@ -142,7 +142,7 @@ def test_disks_at_the_rim_of_the_domain_are_held(packing: Packing) -> None:
 def test_stations_record_the_mean_of_their_disks(packing: Packing) -> None:
     """Each place is the plain mean of a slice, the last one that of the receiver, in whole steps."""
     experiment = Experiment(packing, sand=SAND, wave=RULE)
-    recorder = prepare_recorder(experiment, [bonded(packing, 5.0)], FREQUENCY, 1, check=lambda: None)
+    recorder = prepare_recorder(experiment, [bonded(packing, 5.0)], FREQUENCY, 1, raise_if_stopped=lambda: None)
     (record,) = recorder.run(lambda record: len(record.across) >= SAMPLES_PER_CHUNK, lambda: None)
     assert recorder.state.steps == SAMPLES_PER_CHUNK * recorder.stride
     part = domain_of(packing, RULE, "preserve").packing
@@ -161,7 +161,7 @@ def test_stations_record_the_mean_of_their_disks(packing: Packing) -> None:
 def test_samples_are_taken_in_the_middle_of_every_last_step(packing: Packing) -> None:
     """Leapfrog velocities belong to half a step before the end of the step after which they are read."""
     experiment = Experiment(packing, sand=SAND, wave=RULE)
-    recorder = prepare_recorder(experiment, [bonded(packing, 5.0)], FREQUENCY, 1, check=lambda: None)
+    recorder = prepare_recorder(experiment, [bonded(packing, 5.0)], FREQUENCY, 1, raise_if_stopped=lambda: None)
     recorder.record_chunk(3)
     section = recorder.section_of(0)
     assert recorder.stride > 1

@@ -54,4 +54,4 @@ def test_a_sample_that_settles_can_be_ended(packing: Packing) -> None:
     with pytest.raises(SettlingError):
         settle(state, unbalanced_force_ratio=1e-15, most_steps=1000)
     with pytest.raises(EndedError):
-        settle(state, unbalanced_force_ratio=1e-15, most_steps=1000, check=Check(2))
+        settle(state, unbalanced_force_ratio=1e-15, most_steps=1000, raise_if_stopped=Check(2))

@@ -36,7 +36,7 @@ class Fault:
     kind: str
     folder: Path
 
-    def __call__(self, batch: Batch[tuple[int, float]], check: Callable[[], None]) -> list[Any]:
+    def __call__(self, batch: Batch[tuple[int, float]], raise_if_stopped: Callable[[], None]) -> list[Any]:
         """Compute a batch."""
         time.sleep(0.01)
         if BAD_CELL in batch.cells:
@@ -47,7 +47,7 @@ class Fault:
             if self.kind == "unpicklable":
                 return [threading.Lock() for _ in batch.cells]
             while self.kind == "slow":
-                check()
+                raise_if_stopped()
                 time.sleep(0.01)
             while self.kind == "stuck":
                 time.sleep(1.0)

@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from conftest import MemorySink
 
 
-def square(batch: Batch[int], deadline_check: Callable[[], None]) -> list[int]:
+def square(batch: Batch[int], raise_if_stopped: Callable[[], None]) -> list[int]:
     """Compute something cheap."""
-    deadline_check()
+    raise_if_stopped()
     return [cell * cell for cell in batch.cells]
 
 
-def refuse_seven(batch: Batch[int], deadline_check: Callable[[], None]) -> list[int]:
+def refuse_seven(batch: Batch[int], raise_if_stopped: Callable[[], None]) -> list[int]:
     """Fail for one cell."""
     if 7 in batch.cells:
         raise ArithmeticError("seven is not supported")
-    return square(batch, deadline_check)
+    return square(batch, raise_if_stopped)
 
 
 def send_later(number: signal.Signals, seconds: float) -> threading.Timer:
@@ -38,11 +38,11 @@ def send_later(number: signal.Signals, seconds: float) -> threading.Timer:
     return timer
 
 
-def wait(batch: Batch[int], deadline_check: Callable[[], None]) -> Sequence[int]:
+def wait(batch: Batch[int], raise_if_stopped: Callable[[], None]) -> Sequence[int]:
     """Take half a second for each batch, in chunks."""
     end = time.monotonic() + 0.5
     while time.monotonic() < end:
-        deadline_check()
+        raise_if_stopped()
         time.sleep(0.01)
     return batch.cells
 

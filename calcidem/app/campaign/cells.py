@@ -68,7 +68,7 @@ class CellComputation:
     packing: Packing
     """Configuration and packing of the campaign."""
 
-    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None], /) -> Sequence[PackedResult]:
+    def __call__(self, batch: Batch[Cell], raise_if_stopped: Callable[[], None], /) -> Sequence[PackedResult]:
         """Measure the cells of a batch, which have the same content."""
         run, experiment = self.configuration.run, self._experiment
         content = batch.cells[0][1]
@@ -78,9 +78,9 @@ class CellComputation:
             content,
             seeds,
             lanes=run.lanes,
-            check=deadline_check,
+            raise_if_stopped=raise_if_stopped,
             ordering=self._ordering,
-            checked=partial(self._checked, check=deadline_check),
+            checked=partial(self._checked, raise_if_stopped=raise_if_stopped),
         )
         results = [
             cell_result(measurement, experiment, run.store_sections, self._graph) for measurement in measurements
@@ -107,13 +107,15 @@ class CellComputation:
         # Batches of the same seeds follow each other; a seed has 0.3 MB.
         return lru_cache(64)(self._experiment.ordering)
 
-    def _checked(self, content: float, check: Callable[[], None]) -> Check:
+    def _checked(self, content: float, raise_if_stopped: Callable[[], None]) -> Check:
         """Check of a content, kept in a file for the other processes of the machine and for later runs."""
         name = f"check-{self.configuration.hash[:32]}-{self._experiment.packing.content_hash[:32]}-{content!r}.json"
         path = cache_folder() / name
         with contextlib.suppress(OSError, ValueError, TypeError):  # without a readable file it is computed
             return Check(**json.loads(path.read_text(encoding="utf-8")))
-        found = self._experiment.once(check_content, content, self.configuration.run.lanes, check=check)
+        found = self._experiment.once(
+            check_content, content, self.configuration.run.lanes, raise_if_stopped=raise_if_stopped
+        )
         with contextlib.suppress(OSError, OutputRefusedError):  # which only costs time later
             path.parent.mkdir(parents=True, exist_ok=True)
             with write_atomically(path) as temporary:

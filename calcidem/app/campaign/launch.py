@@ -82,7 +82,7 @@ class Launch:
             reporter = ProgressReporter(display)
             try:
                 configuration = load()
-                with prepared_store(configuration, stop.check, reporter.on_packing) as (_, packing):
+                with prepared_store(configuration, stop.raise_if_stopped, reporter.on_packing) as (_, packing):
                     view.begin(configuration, packing)
                 code = self._start_until_complete(mpirun, configuration, stop, display)
                 display.show(RunProgress(RunStage.WRITING, "tables and files"))

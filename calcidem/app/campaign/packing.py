@@ -160,19 +160,19 @@ def _check_record(record: PackingRecord, packing: Packing, packing_hash: str | N
 def provide_packing(
     configuration: Configuration,
     store: "Store | None",
-    check: Callable[[], None] = lambda: None,
+    raise_if_stopped: Callable[[], None] = lambda: None,
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
     """Packing of a campaign: from its database, from calcidem itself, or from the cache; made only if none has it.
 
-    While a packing is made, ``check`` is called every fraction of a second and may raise to end it, and ``watch``
-    receives the progress. `PackingError` if it has to be made and does not come to rest, `DamagedStoreError` if the
-    stored one is damaged or belongs to another configuration.
+    While a packing is made, ``raise_if_stopped`` is called every fraction of a second and may raise to end it, and
+    ``watch`` receives the progress. `PackingError` if it has to be made and does not come to rest, `DamagedStoreError`
+    if the stored one is damaged or belongs to another configuration.
     """
     if store is not None and 0 in store.packing_indices():
         return stored_packing(store.packing(), configuration.packing_hash)
     kept = kept_packing(configuration.packing_hash)
-    packing = kept or new_packing(configuration, check, watch)
+    packing = kept or new_packing(configuration, raise_if_stopped, watch)
     if kept is None:
         _write_cache(packing, configuration.packing_hash)
     return packing
@@ -180,7 +180,7 @@ def provide_packing(
 
 def new_packing(
     configuration: Configuration,
-    check: Callable[[], None] = lambda: None,
+    raise_if_stopped: Callable[[], None] = lambda: None,
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
     """New packing of a configuration, without search in storage; see `provide_packing`."""
@@ -193,10 +193,10 @@ def new_packing(
         disks = Path(draw.file)
         if sha256(read_input(disks, MOST_BYTES)).hexdigest() != draw.file_sha256:
             raise PackingFileError(f"{disks} was changed while the campaign began; run the command again")
-        return packing_from_csv(disks, configuration.sand, configuration.packing, check, watch)
+        return packing_from_csv(disks, configuration.sand, configuration.packing, raise_if_stopped, watch)
     tell("Packing: being made; this is done once.")
     generator = random_generator(configuration.campaign.root_seed, draw.seed, RandomPurpose.DISKS)
-    return make_packing(configuration.packing, configuration.sand, generator, check, watch)
+    return make_packing(configuration.packing, configuration.sand, generator, raise_if_stopped, watch)
 
 
 def kept_packing(packing_hash: str) -> Packing | None:

@@ -171,7 +171,7 @@ def run_command_line(
         try:
             if executor is None:
                 refuse_singletons()
-            work = CampaignRun(load(), stop_request.check, reporter.on_packing)
+            work = CampaignRun(load(), stop_request.raise_if_stopped, reporter.on_packing)
             with work:
                 view.begin(work.configuration, work.packing)
                 end = work.compute(executor, reporter, stop_request)
@@ -214,7 +214,7 @@ def dask_executor(address: str) -> Iterator[Executor]:
 
 @contextmanager
 def prepared_store(
-    configuration: Configuration, check: Callable[[], None], watch: Callable[[PackingStage], None]
+    configuration: Configuration, raise_if_stopped: Callable[[], None], watch: Callable[[PackingStage], None]
 ) -> Iterator[tuple[Store, Packing]]:
     """Store of a campaign with its packing and its planned cells, of which this process is the only writer.
 
@@ -229,16 +229,16 @@ def prepared_store(
             if choose_campaign(stored, configuration) and stored.packing_indices():
                 check_against_packing(configuration, stored_packing(stored.packing(), configuration.packing_hash))
     configuration.output.mkdir(parents=True, exist_ok=True)  # before hours of computation
-    store = _become_master(configuration, check) if _exists(configuration.database) else None
+    store = _become_master(configuration, raise_if_stopped) if _exists(configuration.database) else None
     try:
-        packing = provide_packing(configuration, store, check, watch)
+        packing = provide_packing(configuration, store, raise_if_stopped, watch)
         doubts = check_against_packing(configuration, packing)
         if COMMAND_VARIABLE not in os.environ:  # which has said it before it started the ranks
             from calcidem.app.campaign.preview import wave_doubts  # noqa: PLC0415 - which loads the launcher
 
             for doubt in (*doubts, *wave_doubts(configuration, packing)):
                 advise(f"{doubt}.")
-        store = store or _become_master(configuration, check)
+        store = store or _become_master(configuration, raise_if_stopped)
         store.save_packing(packing_record(packing, index=0, packing_hash=configuration.packing_hash))
         store.extend(configuration.campaign.seed_numbers, configuration.campaign.contents)
         yield store, packing
@@ -257,7 +257,7 @@ class CampaignRun:
     ----------
     configuration
         Configuration to compute.
-    check
+    raise_if_stopped
         Called every fraction of a second while the packing is made; may raise to end it.
     watch
         Called as often with the progress.
@@ -275,13 +275,13 @@ class CampaignRun:
     def __init__(
         self,
         configuration: Configuration,
-        check: Callable[[], None] = lambda: None,
+        raise_if_stopped: Callable[[], None] = lambda: None,
         watch: Callable[[PackingStage], None] = lambda _: None,
     ) -> None:
         self.configuration = configuration
         self.end: SweepEnd | None = None
         self.demand: SeedDemand | None = None
-        self._closing = prepared_store(configuration, check, watch)
+        self._closing = prepared_store(configuration, raise_if_stopped, watch)
         self.store, self.packing = self._closing.__enter__()
 
     def compute(self, executor: Executor | None, reporter: ProgressReporter, stop_request: StopRequest) -> SweepEnd:
@@ -386,7 +386,7 @@ def read_own_status(configuration: Configuration) -> CampaignStatus:
         return CampaignStatus.of(store, columns, ())
 
 
-def _become_master(configuration: Configuration, check: Callable[[], None]) -> Store:
+def _become_master(configuration: Configuration, raise_if_stopped: Callable[[], None]) -> Store:
     """Open the database and become the only writer of this campaign."""
     path = Address.parse(configuration.database).path
     if path is not None:
@@ -394,7 +394,7 @@ def _become_master(configuration: Configuration, check: Callable[[], None]) -> S
     store = Store(configuration.database)
     try:
         store.begin_campaign(configuration.record())
-        for sentence in _acquire_lease(store, check):
+        for sentence in _acquire_lease(store, raise_if_stopped):
             tell(sentence)
     except BaseException:
         store.close()
@@ -402,7 +402,7 @@ def _become_master(configuration: Configuration, check: Callable[[], None]) -> S
     return store
 
 
-def _acquire_lease(store: Store, check: Callable[[], None]) -> tuple[str, ...]:
+def _acquire_lease(store: Store, raise_if_stopped: Callable[[], None]) -> tuple[str, ...]:
     """Acquire the lease; wait until the lease of a silent master on another machine ends.
 
     `LeaseHeldError` if another master lives: on this machine, or with a new heartbeat meanwhile.
@@ -422,7 +422,7 @@ def _acquire_lease(store: Store, check: Callable[[], None]) -> tuple[str, ...]:
                 "minutes of silence."
             )
         first = holder
-        check()
+        raise_if_stopped()
         time.sleep(1.0)
 
 

@@ -249,11 +249,13 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
     rows = []
     for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
         column = analysis.distinct.sel(content=row.content)
+        laws = np.unique(analysis.cells["law"].sel(content=row.content).astype(str))
         relative = 100 * row.vs.standard_deviation / (row.vs.mean * math.sqrt(row.vs.n)) if row.vs.n > 1 else math.nan
         rows.append(
             {
                 "content (%)": f"{row.content:g}",
                 "frequency (kHz)": decimal(median_known(column["frequency"]) / 1e3, 1),
+                "contact law": ", ".join(filter(None, laws)) or ABSENT,
                 "time step (ns)": significant(1e9 * median_known(column["time_step"])),
                 "step / limit": decimal(median_known(column["time_step"] / column["stability_limit"]), 2),
                 "steps": decimal(median_known(column["steps"])),
@@ -268,9 +270,9 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
     return Table.of(
         "Standard errors and cost at each content (medians). The standard error of Vs of one cell is the root of the "
         "sum of squares of three parts: that of the reading; that of the simulation, by contact law, time step, "
-        "sampling and precision; and the effect of the pulse's strength. The latter two are measured for each content: "
-        "two samples are computed again with everything changed that must not matter. In 95 % of cells Vs is off by "
-        f"less than {NORMAL_95:g} standard errors.",
+        "sampling and precision; and the effect of the sense of the pulse. The latter two are measured for each "
+        "content: two samples are computed again with finer settings and the reversed pulse. In 95 % of cells Vs is "
+        f"off by less than {NORMAL_95:g} standard errors.",
         rows,
     )
 

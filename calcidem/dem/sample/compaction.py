@@ -75,7 +75,7 @@ def make_packing(
     rule: PackingRule,
     sand: Sand,
     generator: np.random.Generator,
-    check: Callable[[], None] = lambda: None,
+    raise_if_stopped: Callable[[], None] = lambda: None,
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
     """Make a packing: sizes, loose placement, stepwise expansion, pressing by the lid.
@@ -90,7 +90,7 @@ def make_packing(
         Material; the friction of preparation replaces its own during packing.
     generator
         Source of sizes and positions.
-    check
+    raise_if_stopped
         Called every fraction of a second; may raise to end the work.
     watch
         Called as often with the progress.
@@ -107,11 +107,11 @@ def make_packing(
         # Random placement is possible up to an area fraction of 0.547, see `_loosest_factor`.
         covered = (1.0 - rule.porosity) * _square(float(factor))
         manner = _HALTED if covered < 0.547 else _FLYING if cost.expansion_step < rule.expansion_steps else _CRUSHED
-        state = relax(scene, preload, rule, cost, check, manner)
+        state = relax(scene, preload, rule, cost, raise_if_stopped, manner)
         x, y, preload = _found(state)
     cost.expansion_step += 1
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
-    return press(scene, preload, rule, cost, check)
+    return press(scene, preload, rule, cost, raise_if_stopped)
 
 
 def press(
@@ -119,14 +119,14 @@ def press(
     preload: Preload | None,
     rule: PackingRule,
     cost: Cost,
-    check: Callable[[], None],
+    raise_if_stopped: Callable[[], None],
     manner: _Manner = _PRESSED,
 ) -> Packing:
     """Packing of disks in a box under the stresses of a rule; `PackingError` as of `relax`."""
     box = _size_of(scene)
     while True:
         walls = box_walls(*box, rule.stress, rule.lateral_stress_ratio)
-        state = relax(replace(scene, walls=walls), preload, rule, cost, check, manner)
+        state = relax(replace(scene, walls=walls), preload, rule, cost, raise_if_stopped, manner)
         held, box = box, _size_of(state.scene, state)
         # The walls hold forces, those of the stresses on the box before it gave way.
         apart = max(abs(before / after - 1.0) for before, after in zip(held, box, strict=True))
@@ -223,7 +223,7 @@ def relax(
     preload: Preload | None,
     rule: PackingRule,
     cost: Cost,
-    check: Callable[[], None],
+    raise_if_stopped: Callable[[], None],
     manner: _Manner = _PRESSED,
 ) -> State:
     """Bring a scene to rest; `PackingError` if it does not come to rest or blows up."""
@@ -239,7 +239,7 @@ def relax(
     limit: Floats | None = None
     cost.watch(_stage_of(cost, rule, ratios))
     while True:
-        check()
+        raise_if_stopped()
         try:
             unrest = min(ratios, default=math.inf) / rule.unbalanced_force_ratio
             state, limit = _advance_to_look(state, manner, unrest, limit)
@@ -401,7 +401,7 @@ class SettlingError(RuntimeError):
 
 
 def settle(
-    state: State, unbalanced_force_ratio: float, most_steps: int, check: Callable[[], None] = lambda: None
+    state: State, unbalanced_force_ratio: float, most_steps: int, raise_if_stopped: Callable[[], None] = lambda: None
 ) -> State:
     """Return the state with every lane at rest under the lid's servo; steps restart from zero.
 
@@ -416,7 +416,7 @@ def settle(
         Ratio to reach.
     most_steps
         Largest number of steps.
-    check
+    raise_if_stopped
         Called every fraction of a second; may raise to end the run.
     """
     lanes = state.features.lanes
@@ -426,7 +426,7 @@ def settle(
     features = replace(state.features, servo=True, damping=True, recording=False, driven=False)
     current = duplicate(replace(state, assembly=replace(state.assembly, grains=damped), features=features))
     while open_lanes.any():
-        check()
+        raise_if_stopped()
         if current.steps >= most_steps:
             raise SettlingError(
                 f"a cemented sample is not at rest after {most_steps} steps: "

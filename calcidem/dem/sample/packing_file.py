@@ -40,7 +40,7 @@ def packing_from_csv(
     file: Path,
     sand: Sand,
     rule: PackingRule,
-    check: Callable[[], None] = lambda: None,
+    raise_if_stopped: Callable[[], None] = lambda: None,
     watch: Callable[[PackingStage], None] = lambda _: None,
 ) -> Packing:
     """Make a packing from the disks in a file.
@@ -60,7 +60,7 @@ def packing_from_csv(
         Material; the rule's friction of preparation replaces its own while the disks come to rest.
     rule
         Its width, stresses, damping and unbalanced-force ratio apply; the file determines sizes and porosity.
-    check
+    raise_if_stopped
         Called every fraction of a second; may raise to end the work.
     watch
         Called as often with the progress.
@@ -71,7 +71,7 @@ def packing_from_csv(
     slippery = replace(sand, friction=rule.friction_preparation)
     cost = Cost(watch=watch, expansion_step=1)
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, height), damping=rule.damping)
-    return press(scene, None, boxed, cost, check, OWN_DISKS)
+    return press(scene, None, boxed, cost, raise_if_stopped, OWN_DISKS)
 
 
 def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Floats, Floats, str]:

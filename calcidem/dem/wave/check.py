@@ -52,7 +52,7 @@ def with_check(experiment: Experiment, found: Check) -> Experiment:
 
 
 def check_content(
-    experiment: Experiment, content: float, lanes: int, *, check: Callable[[], None] = lambda: None
+    experiment: Experiment, content: float, lanes: int, *, raise_if_stopped: Callable[[], None] = lambda: None
 ) -> Check:
     """Compute the check samples of a content; choose law and step.
 
@@ -67,7 +67,7 @@ def check_content(
         Percent of the sand's mass.
     lanes
         Width of the campaign's kernel.
-    check
+    raise_if_stopped
         Called every fraction of a second; may raise to end the run.
     """
     rule, frequency = experiment.wave, experiment.frequency(content)
@@ -83,7 +83,7 @@ def check_content(
         found: list[Section] = []
         for begin in range(0, len(samples), width):
             flags, signs = zip(*samples[begin : begin + width], strict=True)
-            found += send_waves(settings, flags, frequency, lanes=width, check=check, signs=signs)
+            found += send_waves(settings, flags, frequency, lanes=width, raise_if_stopped=raise_if_stopped, signs=signs)
         return [found[begin : begin + len(bonded)] for begin in range(0, len(samples), len(bonded))]
 
     law, step = cheapest_law(experiment), rule.step_fraction

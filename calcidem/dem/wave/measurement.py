@@ -58,7 +58,7 @@ def measure(
     seeds: Sequence[int],
     *,
     lanes: int = 8,
-    check: Callable[[], None] = lambda: None,
+    raise_if_stopped: Callable[[], None] = lambda: None,
     ordering: Callable[[int], CementOrdering] | None = None,
     checked: Callable[[float], Check] | None = None,
 ) -> tuple[Measurement, ...]:
@@ -77,7 +77,7 @@ def measure(
         At most ``lanes`` seeds. The result of a seed does not depend on the others.
     lanes
         Width of the kernel: 1, 2, 4, 8, 16 or 32.
-    check
+    raise_if_stopped
         Called every fraction of a second; may raise to end the run.
     ordering
         Replaces `Experiment.ordering`; a cached one saves time if a seed is measured at many contents.
@@ -86,7 +86,11 @@ def measure(
     """
     placed = [(ordering or experiment.ordering)(seed).at(content) for seed in seeds]
     if experiment.is_checked:
-        found = checked(content) if checked else experiment.once(check_content, content, lanes, check=check)
+        found = (
+            checked(content)
+            if checked
+            else experiment.once(check_content, content, lanes, raise_if_stopped=raise_if_stopped)
+        )
     else:
         found = Check(experiment.wave.contact_law, experiment.wave.step_fraction)
     settings = with_check(experiment, found)
@@ -96,7 +100,7 @@ def measure(
         [cement.bonded for cement in placed],
         experiment.frequency(content),
         lanes=lanes,
-        check=check,
+        raise_if_stopped=raise_if_stopped,
     )
     measured = [
         interpret(experiment, Measurement(seed, content, cement, section, found))

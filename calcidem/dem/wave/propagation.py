@@ -40,7 +40,7 @@ def send_waves(
     *,
     stop_when: Callable[[Section], bool] | None = None,
     lanes: int = 8,
-    check: Callable[[], None] = lambda: None,
+    raise_if_stopped: Callable[[], None] = lambda: None,
     signs: Sequence[float] = (),
 ) -> list[Section]:
     """Send one pulse through each of several samples, side by side.
@@ -57,7 +57,7 @@ def send_waves(
         Called with each sample's section at fixed times; True ends it. By default it ends when it is settled.
     lanes
         Width of the kernel: 1, 2, 4, 8, 16 or 32. A sample's bits do not depend on how many of the lanes are in use.
-    check
+    raise_if_stopped
         Called every fraction of a second; may raise to end the run.
     signs
         Sense of the pulse for each sample: 1, or -1 for a reversed one; by default 1.
@@ -68,7 +68,9 @@ def send_waves(
     section notes this. If that fails, too, the problem stays in the section.
     """
     is_over = stop_when or (lambda section: is_settled(section, experiment.clamp, section.remaining_speed))
-    sections = prepare_recorder(experiment, bonded, frequency, lanes, check, signs).run(is_over, check)
+    sections = prepare_recorder(experiment, bonded, frequency, lanes, raise_if_stopped, signs).run(
+        is_over, raise_if_stopped
+    )
     failed = [sample for sample, section in enumerate(sections) if section.problem]
     if failed:
         again = prepare_recorder(
@@ -76,10 +78,10 @@ def send_waves(
             [bonded[sample] for sample in failed],
             frequency,
             lanes,
-            check,
+            raise_if_stopped,
             [signs[sample] for sample in failed] if signs else (),
         )
-        for sample, section in zip(failed, again.run(is_over, check), strict=True):
+        for sample, section in zip(failed, again.run(is_over, raise_if_stopped), strict=True):
             sections[sample] = replace(section, retry=sections[sample].problem)
     return sections
 
@@ -89,7 +91,7 @@ def prepare_recorder(
     bonded: Sequence[Flags],
     frequency: float,
     lanes: int,
-    check: Callable[[], None],
+    raise_if_stopped: Callable[[], None],
     signs: Sequence[float] = (),
 ) -> Recorder:
     """Prepare a batch for transmission with a common step; the arguments are those of `send_waves`."""
@@ -106,7 +108,7 @@ def prepare_recorder(
     scene = replace(scene, bonds=bonds)
     state = _start_at_rest(experiment, scene, _wave_features(scene, experiment, lanes), skin, single)
     if bonds is not None and installation != "preserve":
-        state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps, check)
+        state = settle(state, rule.unbalanced_force_ratio, rule.most_settling_steps, raise_if_stopped)
     speed = unbalanced_speed(state, rule.amplitude)
     _refuse_short_pulse(float(state.time_step.max()), frequency)
     rank = np.argsort(state.assembly.order)

@@ -174,12 +174,12 @@ class Recorder:
         self.counts = np.zeros((self.state.features.lanes, 2, len(self.listeners), 0), dtype=np.int32)
         self.broken = broken_bonds(self.state)
 
-    def run(self, stop_when: Callable[[Section], bool], check: Callable[[], None]) -> list[Section]:
+    def run(self, stop_when: Callable[[Section], bool], raise_if_stopped: Callable[[], None]) -> list[Section]:
         """Sections of all samples, in their order; see `propagation.send_waves`."""
         overlap = float(np.mean(np.maximum(overlaps(self.state), 0.0)))
         ended: dict[int, Section] = {}
         while len(ended) < self.samples:
-            check()
+            raise_if_stopped()
             self.record_chunk()
             running = [lane for lane in range(self.samples) if lane not in ended]
             problems = problems_of(self.state, self.pulse.amplitude, overlap, self.breakable)

@@ -144,7 +144,7 @@ class Work:
     def __init__(self, options: argparse.Namespace) -> None:
         self._options = options
 
-    def __call__(self, batch: Batch[Cell], deadline_check: Callable[[], None]) -> list[Any]:
+    def __call__(self, batch: Batch[Cell], raise_if_stopped: Callable[[], None]) -> list[Any]:
         """Return the hash of each cell, or do what was ordered."""
         options = self._options
         fault = options.fault if self._is_due(batch) else None
@@ -152,7 +152,7 @@ class Work:
             FAULTS[fault]()
         end = time.monotonic() + (1000.0 if fault == "slow" else options.seconds)
         while time.monotonic() < end:
-            deadline_check()
+            raise_if_stopped()
             time.sleep(0.01)
         if fault is not None and options.moment == "end":
             FAULTS[fault]()

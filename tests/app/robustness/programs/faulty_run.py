@@ -71,19 +71,19 @@ class FaultyComputation:
         self._compute = compute
         self._batches = 0
 
-    def __call__(self, batch: Batch[Any], deadline_check: Callable[[], None]) -> Any:  # noqa: ANN401 - as the sweep has it
+    def __call__(self, batch: Batch[Any], raise_if_stopped: Callable[[], None]) -> Any:  # noqa: ANN401 - as the sweep has it
         """Compute a batch, or do what was ordered."""
         self._batches += 1
         due = {"before": 1, "after": 2}.get(MOMENT)
         if VICTIM == "worker" and self._batches == due and is_first_time():
             if FAULT == "time limit":
                 while True:
-                    deadline_check()
+                    raise_if_stopped()
                     time.sleep(0.01)
             if MOMENT == "after":
                 time.sleep(0.3)  # the master stores the first result right after it has sent this batch
             OWN_FAULTS[FAULT]()
-        return self._compute(batch, deadline_check)
+        return self._compute(batch, raise_if_stopped)
 
 
 class FaultySink(StoreSink):
