@@ -92,7 +92,7 @@ class WaveRule:
 
     @property
     def contact_law(self) -> Law:
-        """Law of the engine; until the check has decided, that which neglects nothing."""
+        """Law of the engine; until a check has decided (`check.check_content`), that which neglects nothing."""
         return "linear" if self.law == "linear" else "finite"
 
 
