@@ -121,7 +121,8 @@ class Workbench:
                 code = ended.code
             except ComputingBeginsError:
                 pass
-        text = output.buffer.getvalue().decode()
+        is_binary = "parquet" in words and code in {0, None}
+        text = "" if is_binary else output.buffer.getvalue().decode()
         log = next(self.folder.glob("calcidem-error-*"), None)
         assert log is None, log.read_text()
         verdicts = {1, 3} if "verify" in words[:2] else set()  # damaged or different, and same to rounding

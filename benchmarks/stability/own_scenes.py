@@ -169,7 +169,8 @@ def _lid(own: OwnScene) -> float:
     column, row = np.meshgrid(np.arange(3), np.arange(3))
     x = apart * (column + 0.5 * (row % 2)).ravel() + _GREATEST
     y = np.sqrt(0.75) * apart * row.ravel() + _GREATEST
-    walls = box_walls(float(x.max()) + _GREATEST, float(y.max()) + _GREATEST, own.push)
+    width = float(x.max()) + _GREATEST
+    walls = box_walls(width, float(y.max()) + _GREATEST, own.push / width)
     scene = Scene(x, y, np.full(len(x), _GREATEST), Sand(friction=own.friction), walls, damping=damping)
 
     def at_rest(now: State) -> bool:

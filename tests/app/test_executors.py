@@ -72,7 +72,7 @@ def test_a_killed_process_of_a_pool_costs_a_second_call(workshop: "Workshop", ex
     (workshop.folder / "pool.py").write_text(KILLED_ONCE)
     done = workshop.wait(workshop.start(program=FROM_FILE))
     assert done.code == 0, done.errors
-    assert "a process of the executor was lost" in done.output
+    assert "a worker was lost" in done.output
     assert workshop.cells() == expected
 
 

@@ -228,10 +228,10 @@ def test_colours_show_another_quantity(page: Chromium) -> None:
     """The map takes the colours of any quantity, says which, and has a scale with its unit."""
     before = page.evaluate("document.getElementById('map').toDataURL()")
     choose(page, "colour", "vs_error")
-    assert "relative standard error of vs by simulation and reading" in page.evaluate(
+    assert "relative standard error of vs by reading, simulation and pulse" in page.evaluate(
         "document.getElementById('map').ariaLabel"
     )
-    assert "relative standard error of vs by simulation and reading" in page.evaluate(
+    assert "relative standard error of vs by reading, simulation and pulse" in page.evaluate(
         "document.getElementById('scale').textContent"
     )
     assert page.evaluate("document.getElementById('map').toDataURL()") != before

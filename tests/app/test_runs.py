@@ -195,7 +195,8 @@ def test_a_packing_in_the_making_is_dropped_at_once(workshop: "Workshop") -> Non
     workshop.variables["CALCIDEM_CACHE"] = str(workshop.folder / "cache")
     # A small packing first, of so many disks that their kernel is that of the large one: compiling it is the one thing
     # that no signal interrupts.
-    (workshop.folder / "small.toml").write_text("[packing]\nseed = 47\nwidth = 0.03\nheight = 0.06\n")
+    wave = "[wave]\nreceiver_half_width = 0.01\nlistening_depth = 0.006\nboundary_thickness = 0.01\n"
+    (workshop.folder / "small.toml").write_text("[packing]\nseed = 47\nwidth = 0.03\nheight = 0.06\n" + wave)
     assert workshop.run("run", "small.toml", "--packing-only").code == 0
     process = workshop.start("run", "c.toml", "--ranks", "2")
     assert process.stdout is not None

@@ -129,8 +129,8 @@ def test_unbalanced_forces_move_disks_at_force_over_mass_and_frequency() -> None
 def test_what_a_loud_pulse_makes_heard_does_not_depend_on_disks_out_of_reach() -> None:
     """At 5 m/s, too, damping layers let nothing through: with the same step, the signal is that of all disks."""
     part, whole = (recorded(experiment(boundary_thickness=0.022, keep=keep), 0.4) for keep in ((), (WHOLE_DOMAIN,)))
-    assert np.abs(whole.section.received).max() > 1e-3 * LOUD
-    np.testing.assert_allclose(part.section.across, whole.section.across, rtol=0.0, atol=2.0)  # steps of 1e-6
+    assert np.abs(whole.received).max() > 1e-3 * LOUD
+    np.testing.assert_allclose(part.across, whole.across, rtol=0.0, atol=2.0)  # steps of 1e-6
 
 
 @pytest.mark.full
@@ -143,7 +143,7 @@ def test_a_shock_is_told_from_an_unstable_run() -> None:
     stable, unstable = (recorded(given, part) for part in (0.8, 2.5))
     assert not stable.problem
     assert "moves at" in unstable.problem or "above the stability limit" in unstable.problem
-    assert unstable.section.duration < stable.section.duration
+    assert unstable.duration < stable.duration
 
 
 @pytest.mark.full

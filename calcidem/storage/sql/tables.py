@@ -72,8 +72,21 @@ class _UtcDateTime(sa.TypeDecorator[datetime]):
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
 
 
+class _Text(sa.TypeDecorator[str]):
+    """A text; SQLite keeps whatever a damaged file has in its place."""
+
+    impl = sa.Text
+    cache_ok = True
+
+    def process_result_value(self, value: object, dialect: sa.Dialect) -> str | None:  # noqa: ARG002 - as above
+        """Return a text; `TypeError` for anything else."""
+        if value is None or isinstance(value, str):
+            return value
+        raise TypeError(f"{value!r} is no text")
+
+
 _TYPES: dict[Any, type[TypeEngine[Any]]] = {
-    str: sa.Text,
+    str: _Text,
     int: sa.BigInteger,
     float: sa.Double,
     bool: sa.Boolean,
