@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Installs calcidem for development if needed, then runs linters, and type checks beside the tests.
+# Installs calcidem for development if needed, then runs linters and tests, and type checks beside the tests.
 # Usage: ./run-tests.sh [--fast | --full] [pytest arguments]
 #   --fast  what one waits for while writing: no MPI, nothing that takes seconds
 #   (none)  what CI runs

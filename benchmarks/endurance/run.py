@@ -1,6 +1,7 @@
 """A long run: memory, descriptors, log and database against the cells that are stored, over a stop and a full disk.
 
-    python benchmarks/endurance/run.py --cells 100000 [--ranks 2] [--rows 10] [--stops 1] [--disk MB] [--clock] [--folder DIR] [--gpu]
+    python benchmarks/endurance/run.py --cells 100000 [--ranks 2] [--rows 10] [--stops 1] [--disk MB] [--clock]
+                                       [--folder DIR] [--gpu]
 
 The campaign has 280 disks and eight contents. `--stops` ends the run so many times at equal distances with SIGTERM, and
 goes on with the same command. `--disk` (needs root) gives the folder a file system of so many MB: the run ends when it

@@ -58,6 +58,13 @@ class DamagedStoreError(StoreError):
     """The file's content is damaged."""
 
 
+DAMAGE_REMEDY = (
+    "It was not written to. Move it away, check the disk, and 'calcidem import' an earlier export into a new "
+    "database, or compute the campaign again; 'sqlite3 FILE .recover' saves what can be read."
+)
+"""Remedy for a damaged database."""
+
+
 class OutputRefusedError(StoreError):
     """An output file has the name of a database or of another file, or an unknown format."""
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from calcidem.ends import CellStatus
 from calcidem.storage.encoding import config_difference, pack_arrays
-from calcidem.storage.errors import CampaignMismatchError, DamagedStoreError
+from calcidem.storage.errors import DAMAGE_REMEDY, CampaignMismatchError, DamagedStoreError
 from calcidem.storage.passwords import hide_passwords
 from calcidem.storage.quantity import Along, Bound, Quantity, Record
 
@@ -619,10 +619,8 @@ class CampaignRecord:
         try:
             found: dict[str, Any] = json.loads(self.config)
         except ValueError as error:
-            raise DamagedStoreError(
-                f"The configuration of campaign {self.name!r} is damaged ({error}).",
-                "Move the file away, and 'calcidem import' an earlier export into a new database.",
-            ) from error
+            problem = f"The configuration of campaign {self.name!r} is damaged ({error})."
+            raise DamagedStoreError(problem, DAMAGE_REMEDY) from error
         return found
 
     @property

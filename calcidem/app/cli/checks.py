@@ -76,7 +76,7 @@ def verify_command(
 
 def _verify_integrity(opened: "Campaign", layout: Format) -> None:
     """Name all damage of the file; exit code 1 if there is any."""
-    from calcidem.storage.sql.engine import DAMAGE_REMEDY
+    from calcidem.storage.errors import DAMAGE_REMEDY
 
     damage = opened.store.damage()
     if layout is not Format.TABLE:

@@ -13,6 +13,7 @@ from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
 from calcidem.storage.errors import (
+    DAMAGE_REMEDY,
     DamagedStoreError,
     DiskError,
     DiskFullError,
@@ -30,11 +31,6 @@ from calcidem.storage.passwords import hide_passwords, with_passwords
 _BUSY_TIMEOUT_SECONDS = 30.0
 _WRITES = "calcidem_writes"
 """Execution option of a connection whose next transaction will write."""
-
-DAMAGE_REMEDY = (
-    "It was not written to. Move it away, check the disk, and 'calcidem import' an earlier export into a new "
-    "database, or compute the campaign again; 'sqlite3 FILE .recover' saves what can be read."
-)
 
 _ERRORS: tuple[tuple[tuple[int, ...], tuple[str, ...], type[StoreError], str], ...] = (
     # SQLITE_BUSY, LOCKED; serialization failure or deadlock, lock not available

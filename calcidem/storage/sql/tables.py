@@ -23,7 +23,7 @@ from sqlalchemy import ColumnElement, SQLColumnExpression, and_, literal, not_, 
 from sqlalchemy.types import TypeEngine
 
 from calcidem.ends import CellStatus
-from calcidem.storage.errors import ForeignDatabaseError, OtherSchemaError, QueryError
+from calcidem.storage.errors import DAMAGE_REMEDY, DamagedStoreError, ForeignDatabaseError, OtherSchemaError, QueryError
 from calcidem.storage.quantity import Bound, Quantity
 from calcidem.storage.records import (
     ARRAY_RECORDS,
@@ -79,10 +79,10 @@ class _Text(sa.TypeDecorator[str]):
     cache_ok = True
 
     def process_result_value(self, value: object, dialect: sa.Dialect) -> str | None:  # noqa: ARG002 - as above
-        """Return a text; `TypeError` for anything else."""
+        """Return a text; `DamagedStoreError` for anything else."""
         if value is None or isinstance(value, str):
             return value
-        raise TypeError(f"{value!r} is no text")
+        raise DamagedStoreError(f"The database has {value!r} in the place of a text.", DAMAGE_REMEDY)
 
 
 _TYPES: dict[Any, type[TypeEngine[Any]]] = {
@@ -92,7 +92,7 @@ _TYPES: dict[Any, type[TypeEngine[Any]]] = {
     bool: sa.Boolean,
     bytes: sa.LargeBinary,
     datetime: _UtcDateTime,
-    "text": sa.Text,
+    "text": _Text,
     "whole": sa.BigInteger,
     "real": sa.Double,  # kinds of quantities
 }
