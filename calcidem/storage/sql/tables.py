@@ -72,29 +72,41 @@ class _UtcDateTime(sa.TypeDecorator[datetime]):
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
 
 
-class _Text(sa.TypeDecorator[str]):
-    """A text; SQLite keeps whatever a damaged file has in its place."""
+class _Checked(sa.TypeDecorator[Any]):
+    """A value of one kind; SQLite keeps whatever a damaged file has in its place."""
 
-    impl = sa.Text
-    cache_ok = True
+    kind: type
 
-    def process_result_value(self, value: object, dialect: sa.Dialect) -> str | None:  # noqa: ARG002 - as above
-        """Return a text; `DamagedStoreError` for anything else."""
-        if value is None or isinstance(value, str):
+    def process_result_value(self, value: object, dialect: sa.Dialect) -> object:  # noqa: ARG002 - as above
+        """Return the value; `DamagedStoreError` if it is of another kind."""
+        if value is None or isinstance(value, self.kind):
             return value
-        raise DamagedStoreError(f"The database has {value!r} in the place of a text.", DAMAGE_REMEDY)
+        raise DamagedStoreError(f"The database has {value!r} in the place of a {self.kind.__name__}.", DAMAGE_REMEDY)
+
+
+class _Text(_Checked):
+    """A text."""
+
+    kind, impl, cache_ok = str, sa.Text, True
+
+
+class _Whole(_Checked):
+    """A whole number."""
+
+    kind, impl, cache_ok = int, sa.BigInteger, True
 
 
 _TYPES: dict[Any, type[TypeEngine[Any]]] = {
     str: _Text,
-    int: sa.BigInteger,
+    int: _Whole,
     float: sa.Double,
     bool: sa.Boolean,
     bytes: sa.LargeBinary,
     datetime: _UtcDateTime,
-    "text": _Text,
+    # Kinds of quantities, which `CellResult` checks.
+    "text": sa.Text,
     "whole": sa.BigInteger,
-    "real": sa.Double,  # kinds of quantities
+    "real": sa.Double,
 }
 
 
