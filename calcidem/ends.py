@@ -64,7 +64,7 @@ class Verdict(StrEnum):
     )
     INACCURATE = (
         "half the time step, the finite law or double precision change the velocities of this content",
-        'a smaller wave.step_fraction or wave.damping, wave.law = "finite", wave.precision = "float64"',
+        'a smaller wave.step_fraction, wave.damping or wave.amplitude, wave.law = "finite", wave.precision = "float64"',
     )
 
     @property

@@ -14,6 +14,8 @@ bootstrap() {
     fi
     echo "Installing calcidem into $venv (once)."
     [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+    # The pip of Python 3.11 needs twice the time of a newer one; without one it does.
+    "$venv/bin/python" -m pip install --no-compile --quiet --disable-pip-version-check --upgrade pip || true
     # Python compiles a module when it is first imported; most modules of the libraries never are.
     "$venv/bin/python" -m pip install --no-compile --quiet --disable-pip-version-check -e "$root[$extras]"
     touch "$stamp"

@@ -170,15 +170,15 @@ def test_tables_are_whole_and_images_have_words() -> None:
 
 
 def test_troubleshooting_has_every_error_and_reason() -> None:
-    """Each error that a user may see, each status without velocity, and each reason of an unread signal has its row."""
+    """Each error that a user may see, each status without velocity, and each reason of an unread signal is listed."""
     page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
     names = {name for name, kind in getmembers(calcidem.storage.errors, isclass) if kind.__module__.endswith("errors")}
     others = (MergeConflictError, UnstableRunError, CementCapacityError, PackingFileError, SettlingError, LaunchError)
     names |= {kind.__name__ for kind in others} - {"StoreError"}
     assert not {name for name in names - {"StoreError"} if f"`{name}`" not in page}
     settled = {str(status) for status in CellStatus} - {"pending", "running", "done"}
-    assert not {status for status in settled if f"| `{status}` |" not in page}
-    assert not {str(reason) for reason in Verdict if f"| {reason} |" not in page}
+    assert not {status for status in settled if f"\n* `{status}`: " not in page}
+    assert not {str(reason) for reason in Verdict if f"\n* *{reason}*: " not in page}
 
 
 @pytest.mark.full

@@ -10,6 +10,7 @@ from functools import cached_property
 from importlib.metadata import entry_points
 from inspect import getdoc
 from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -96,36 +97,41 @@ class ContactNetwork:
         pairs, conductance = self.graph.pairs[inside], np.where(bonded, 1.0, _SAND)[inside] * self.energy[inside]
         sums = np.bincount(pairs.ravel(), weights=np.repeat(conductance, 2), minlength=self.graph.grain_count)
         potential, (free, *places) = (self.side > 0).astype(float), self._equations
-        if not free.any():
+        if not len(free):
             return 0.0
         # A weak earth holds groups of grains that touch no wall.
         values = np.concatenate([sums * (1.0 + 1e-9), -conductance])
         matrix, driven = (type(one)((values[one.data], one.indices, one.indptr), one.shape) for one in places)
-        factors = splu(
-            matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        factors = _factorise(matrix, "NATURAL")
         potential[free] = factors.solve(-np.asarray(driven @ np.ones(driven.shape[1])))
         first, second = pairs.T
         return float(np.sum(conductance * (potential[second] - potential[first]) ** 2))
 
     @cached_property
-    def _equations(self) -> tuple[NDArray[np.bool_], sparse.csc_array, sparse.csr_array]:
+    def _equations(self) -> tuple[NDArray[np.intp], sparse.csc_array, sparse.csr_array]:
         """Grains whose potential is free, and places of the entries of their equations, the same for all samples.
 
-        The second and third are the columns of free grains and of those at the receiver's wall. Their entries number
-        the grains, for the diagonal, and then the contacts inside.
+        The grains are in an order of elimination that fills few entries. The second and third are the columns of free
+        grains and of those at the receiver's wall. Their entries number the grains, for the diagonal, and then the
+        contacts inside.
         """
         inside, count = self.energy > 0.0, self.graph.grain_count
         first, second = self.graph.pairs[inside].T
         grains, contacts = np.arange(count), count + np.arange(len(first))
         rows, columns = np.concatenate([grains, first, second]), np.concatenate([grains, second, first])
         numbers = np.concatenate([grains, contacts, contacts])
-        free = (self.side == 0) & (np.bincount(self.graph.pairs[inside].ravel(), minlength=count) > 0)
-        places = sparse.csr_array((numbers, (rows, columns)), shape=(count, count))[free]
-        return free, places[:, free].tocsc(), places[:, self.side > 0]
+        degree = np.bincount(self.graph.pairs[inside].ravel(), minlength=count)
+        free = np.flatnonzero((self.side == 0) & (degree > 0))
+        places = sparse.csr_array((numbers, (rows, columns)), shape=(count, count))
+        if len(free):
+            pattern = sparse.csr_array((np.where(numbers < count, 1.0, -1e-3), (rows, columns)), shape=places.shape)
+            free = free[np.argsort(_factorise(pattern[free][:, free].tocsc(), "MMD_AT_PLUS_A").perm_c)]
+        return free, places[free][:, free].tocsc(), places[free][:, self.side > 0]
+
+
+def _factorise(matrix: Any, order: Literal["NATURAL", "MMD_AT_PLUS_A"]) -> Any:  # noqa: ANN401 - types of SciPy
+    """LU factors of a symmetric matrix in an order of elimination; its columns have few entries, so they go singly."""
+    return splu(matrix, permc_spec=order, diag_pivot_thresh=0.0, panel_size=1, options={"SymmetricMode": True})
 
 
 def contact_network(packing: PackingRecord, graph: ContactGraph, boundary_thickness: float) -> ContactNetwork:

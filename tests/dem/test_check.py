@@ -122,12 +122,39 @@ def test_the_difference_of_both_senses_is_the_effect_of_the_pulse(
     assert result.numerical_error == pytest.approx(0.0, abs=1e-4)  # of a parabola between 40 samples in a period
 
 
-def test_samples_without_a_wave_have_no_errors(quiet: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What no check sample tells is unknown, not zero; the cheapest law is not confirmed then."""
-    silent = section(silence, duration=6.0)
-    monkeypatch.setattr(check, "send_waves", lambda _given, bonded, *_, **__: [silent] * len(bonded))
-    found = check_content(quiet, CONTENT, 8)
-    assert found == Check("finite", 0.8)
+@pytest.mark.parametrize("law", ["auto", "linear", "finite"])
+@pytest.mark.parametrize("slow", [False, True])
+def test_samples_without_a_wave_have_no_errors(
+    quiet: Experiment, monkeypatch: pytest.MonkeyPatch, law: Law, slow: bool
+) -> None:
+    """What no check sample tells is unknown, not zero; the cheapest law is not confirmed then.
+
+    So it is with a wave as slow as the slowest that is tried: its velocity is that end, and always the same.
+    """
+    wave = guided(8.5, HELD) if slow else silence
+    given = section(wave, duration=40.0 if slow else 6.0)
+    monkeypatch.setattr(Experiment, "clamp", HELD / DISTANCE)
+    monkeypatch.setattr(check, "send_waves", lambda _given, bonded, *_, **__: [given] * len(bonded))
+    found = check_content(quiet.with_wave(law=law), CONTENT, 8)
+    assert found == Check("finite" if law == "auto" else law, 0.8)
+
+
+@pytest.mark.parametrize("law", ["auto", "linear"])
+def test_a_wave_that_arrives_under_one_law_only_confirms_nothing(
+    quiet: Experiment, monkeypatch: pytest.MonkeyPatch, law: Law
+) -> None:
+    """Of two patterns one has no wave under the finite law: `auto` takes that law, a forced one has no known error."""
+    heard, silent = section(guided(2.0, HELD), duration=9.0), section(silence, duration=6.0)
+
+    def sent(given: Experiment, bonded: Sequence[object], *_: object, **__: object) -> list[Section]:
+        return [silent if given.wave.law == "finite" and one % 2 else heard for one in range(len(bonded))]
+
+    monkeypatch.setattr(check, "send_waves", sent)
+    monkeypatch.setattr(Experiment, "clamp", HELD / DISTANCE)
+    found = check_content(quiet.with_wave(law=law), CONTENT, 8)
+    same = pytest.approx(0.0, abs=1e-4)  # of a parabola between samples
+    expected = Check("finite", 0.8, same, same) if law == "auto" else Check("linear", 0.1, None, same)
+    assert found == expected
 
 
 # --- Real samples
@@ -229,13 +256,19 @@ def test_a_measurement_takes_law_and_step_of_its_check(quiet: Experiment) -> Non
 def test_errors_of_the_check_are_part_of_the_effective_error_and_may_refuse_vs(
     quiet: Experiment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Root of the sum of squares; above 5 % of the effective velocity there is no Vs, and the reason has it."""
+    """Root of the sum of squares; above 5 % of the effective velocity there is no Vs, and the reason has it.
+
+    If the check could not measure them, there is no velocity at all; an experiment without a check says so by itself.
+    """
     monkeypatch.setattr(Experiment, "clamp", HELD / DISTANCE)
     given = section(guided(2.5, HELD))
     cement = quiet.ordering(1).at(CONTENT)
 
-    def with_error(**errors: float) -> Measurement:
-        return interpret(quiet, Measurement(1, CONTENT, cement, given, Check("linear", 0.8, **errors)))
+    def with_error(
+        numerical_error: float | None = 0.0, pulse_effect: float | None = 0.0, experiment: Experiment = quiet
+    ) -> Measurement:
+        found = Check("linear", 0.8, numerical_error, pulse_effect)
+        return interpret(experiment, Measurement(1, CONTENT, cement, given, found))
 
     plain = with_error()
     assert plain.status is CellStatus.DONE
@@ -251,6 +284,11 @@ def test_errors_of_the_check_are_part_of_the_effective_error_and_may_refuse_vs(
     assert refused.effective_vs == plain.effective_vs
     assert Verdict.of(refused.reason) is Verdict.INACCURATE
     assert "5.1%" in refused.reason
+    for unknown in (with_error(numerical_error=None), with_error(pulse_effect=None)):
+        assert (unknown.status, unknown.vs, unknown.effective_vs) == (CellStatus.NO_ARRIVAL, None, None)
+        assert Verdict.of(unknown.reason) is Verdict.INACCURATE
+    unchecked = with_error(None, None, replace(quiet, is_checked=False))
+    assert (unchecked.vs, unchecked.effective_vs) == (plain.vs, plain.effective_vs)
 
 
 def test_seeds_are_measured_in_batches_of_the_kernels_width(monkeypatch: pytest.MonkeyPatch, quiet: Experiment) -> None:

@@ -49,13 +49,15 @@ def with_patterns(store: "Store", outcomes: Iterable[CellResult]) -> Iterator[Ce
     """
     same_physics = physics_version(store.record) == PHYSICS_VERSION
     experiment = lru_cache(lambda index: stored_experiment(store, index))
-    ordering = lru_cache(1)(lambda index, seed: experiment(index).ordering(seed))  # cells are sorted by seed
+    # Cells are sorted by seed; without cement all seeds are the same sample, here that of seed 0.
+    ordering = lru_cache(2)(lambda index, seed: experiment(index).ordering(seed))
     for outcome in outcomes:
         if not same_physics or outcome.cement is not None or outcome.bonded_contacts is None:
             yield outcome
             continue
         try:
-            cement = ordering(outcome.packing_index, outcome.key.seed).at(outcome.key.content)
+            seed = outcome.key.seed if outcome.bonded_contacts else 0
+            cement = ordering(outcome.packing_index, seed).at(outcome.key.content)
         except (StoreError, CementCapacityError, UnknownPatternError):
             yield outcome
             continue

@@ -31,7 +31,7 @@ _STUDENT = 2.2
 class Check:
     """Law and time step of a content, and the errors measured with them.
 
-    Relative standard errors, None if no pattern of the check has a velocity.
+    Relative standard errors, None if unknown: no pattern has a wave, or one has a wave in one of two runs only.
     """
 
     law: Law
@@ -99,7 +99,7 @@ def check_content(
             break
         step *= 0.5
     errors = (_STUDENT * numerical, _STUDENT / math.sqrt(2.0) * _apart(forth, back, experiment))
-    return Check(law, step, *(None if math.isnan(error) else error for error in errors))
+    return Check(law, step, *(error if math.isfinite(error) else None for error in errors))
 
 
 def kernels_of(experiment: Experiment, lanes: int) -> tuple[tuple[str, Experiment, int], ...]:
@@ -134,12 +134,17 @@ def _finer(experiment: Experiment, step_fraction: float) -> Experiment:
 
 
 def _apart(one: Sequence[Section], other: Sequence[Section], experiment: Experiment) -> float:
-    """Root mean square difference of both velocities of some sections, relative; NaN where none is known."""
+    """Root mean square difference of both velocities of some sections, relative.
+
+    Infinite if a sample has a wave in one run only; NaN if no sample has one.
+    """
     found = []
     for section, second in zip(one, other, strict=True):
         first, again = _read(section, experiment), _read(second, experiment)
-        if first is None or again is None:
+        if first is None and again is None:
             continue
+        if first is None or again is None:
+            return math.inf
         mean = 0.5 * (first.wave.velocity + again.wave.velocity)
         found.append((first.wave.velocity - again.wave.velocity) / mean)
         if first.verdict is None:
@@ -149,6 +154,6 @@ def _apart(one: Sequence[Section], other: Sequence[Section], experiment: Experim
 
 
 def _read(section: Section, experiment: Experiment) -> Reading | None:
-    """Reading of a section; None without a wave."""
+    """Reading of a section; None without a wave whose velocity has a known error."""
     found = None if section.problem else read_section(section, experiment.clamp, experiment.pick)
-    return found if isinstance(found, Reading) else None
+    return found if isinstance(found, Reading) and found.wave.error < 1.0 else None

@@ -127,21 +127,24 @@ def measure_all(
 
 def interpret(experiment: Experiment, measurement: Measurement) -> Measurement:
     """Read the section of a measurement; unreliable results have a reason instead of a velocity."""
-    section, found = measurement.section, measurement.check
+    section, check = measurement.section, measurement.check
     new = replace(measurement, status=CellStatus.NO_ARRIVAL, reason="", vs=None, reading=None)
     if section.problem:
         return replace(new, status=CellStatus.UNSTABLE, reason=section.problem)
     reading = read_section(section, experiment.clamp, experiment.pick)
     if isinstance(reading, Verdict):
         return replace(new, reason=describe_refusal(reading, section, experiment.pick))
-    new = replace(new, reading=reading)
-    if reading.verdict is not None:
-        return replace(new, reason=describe_refusal(reading, section, experiment.pick))
+    if experiment.is_checked and None in (check.numerical_error, check.pulse_effect):
+        # Neither velocity is a measurement without its error, whatever the law.
+        reason = "by an unknown amount, as waves of its check samples do not arrive in all runs"
+        return replace(new, reason=f"{Verdict.INACCURATE}: {reason}")
     vs: float | None = getattr(reading, experiment.pick.method)
-    if vs is None:
+    if reading.verdict is not None:
+        reason = describe_refusal(reading, section, experiment.pick)
+    elif vs is None:
         reason = f'the {experiment.pick.method.replace("_", " ")} cannot be read; pick.method = "peak" can'
-        return replace(new, reason=reason)
-    if (found.numerical_error or 0.0) > 0.05:  # then no velocity of the content is given
-        error = f"{Verdict.INACCURATE}: the standard error is {found.numerical_error:.1%}, 5 % are allowed"
-        return replace(new, reason=error)
-    return replace(new, status=CellStatus.DONE, vs=vs)
+    elif (check.numerical_error or 0.0) > 0.05:  # then no Vs of the content is given
+        reason = f"{Verdict.INACCURATE}: the standard error is {check.numerical_error:.1%}, 5 % are allowed"
+    else:
+        return replace(new, status=CellStatus.DONE, reading=reading, vs=vs)
+    return replace(new, reason=reason, reading=reading)
