@@ -20,9 +20,7 @@ import numpy as np
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.reader import read_configuration
-from calcidem.dem.engine.scene import Preload
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import check_content, with_check
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, interpret
@@ -64,17 +62,6 @@ def prepared(preset: str, packing: int, factor: float) -> Experiment:
     return replace(experiment, frequencies=lambda _, content: factor * experiment.frequency(content))
 
 
-def mirrored(packing: Packing) -> Packing:
-    """The packing with left and right exchanged; contacts keep their order."""
-    left, right, floor, lid = packing.report.wall_stress
-    return replace(
-        packing,
-        x=packing.width - packing.x,
-        preload=Preload(packing.preload.pairs, -packing.preload.shear),
-        report=replace(packing.report, wall_stress=(right, left, floor, lid)),
-    )
-
-
 class Samples:
     """Samples of one content and packing, measured in all manners."""
 
@@ -84,7 +71,7 @@ class Samples:
         check = check_content(experiment, content, LANES)
         own = with_check(experiment, check)
         wide = own.with_wave(receiver_half_width=0.49 * own.packing.height)
-        other = replace(own, packing=mirrored(own.packing))
+        other = replace(own, packing=own.packing.mirrored())
         self.static = np.array([static_speed(experiment, cement.bonded).speed for cement in placed])
         self.measured: dict[str, list[Measurement]] = {}
         for name, settings, sign in zip(SIDES, (own, wide, own, other), (1.0, 1.0, -1.0, 1.0), strict=True):

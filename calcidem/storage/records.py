@@ -283,7 +283,8 @@ class CellResult(Record):
     law: Annotated[str | None, Quantity("", "contact law that the check chose", "check", is_exact=True)] = None
     numerical_error: Annotated[_Real, _check("relative standard error of the velocities by the simulation")] = None
     pulse_effect: Annotated[_Real, _check("relative standard error of the velocities by the sense of the pulse")] = None
-    """Both measured for the content, see `calcidem.dem.wave.check`."""
+    side_error: Annotated[_Real, _check("relative standard error of effective_vs by the side that transmits")] = None
+    """Measured for the content, see `calcidem.dem.wave.check`."""
     static_speed: Annotated[
         _Real, Quantity("m s-1", "velocity of long shear waves by statics", "statics", _POSITIVE)
     ] = None

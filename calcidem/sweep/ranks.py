@@ -195,6 +195,9 @@ def run_on_ranks(lead: Callable[[Executor | None, StopRequest], int], grace: flo
             return lead(None, stop)
     refuse_ranks_off_linux()
     die_with_parent()
+    if COMMAND_VARIABLE in os.environ:  # it passes these on by itself, unless it has to ignore them
+        for number in (signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
     # Handlers come before MPI is initialised, for which all ranks wait: no request that rank 0 was told of can find a
     # rank without them.
     with StopRequest(finishes=own_rank() in {0, None}) as stop:

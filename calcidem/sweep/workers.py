@@ -167,8 +167,9 @@ class Workers(Generic[CellT]):
                 continue
             try:
                 outcome = self._answer(future.result(), flight)
-            except SweepInterrupted:
-                continue  # dropped, since the sweep ends now
+            except SweepInterrupted:  # by a signal that this process may not have received
+                self._end("a worker was asked to end, and dropped its batch")
+                continue
             except Exception as error:  # noqa: BLE001 - each executor has its own
                 outcome = self._failure(error, flight)
                 if outcome is None:

@@ -52,7 +52,7 @@ def quiet(small_packing: Packing) -> Experiment:
 # --- Law and step, from velocities that are written down
 
 Speed = Callable[[WaveRule, float], float]
-"""Travel time, periods, of a sample computed with a rule and a sense of the pulse."""
+"""Travel time, periods, of a sample computed with a rule and a sense of the pulse, 2 from the other side."""
 
 
 def checked(experiment: Experiment, monkeypatch: pytest.MonkeyPatch, travel: Speed) -> tuple[Check, list[WaveRule]]:
@@ -64,7 +64,9 @@ def checked(experiment: Experiment, monkeypatch: pytest.MonkeyPatch, travel: Spe
     ) -> list[Section]:
         rules.append(given.wave)
         assert len(bonded) == len(signs)
-        return [section(guided(travel(given.wave, sign), HELD), duration=9.0) for sign in signs]
+        is_mirrored = given.packing is not experiment.packing
+        assert is_mirrored <= (given.packing.x[0] == experiment.packing.width - experiment.packing.x[0])
+        return [section(guided(travel(given.wave, sign * (1 + is_mirrored)), HELD), duration=9.0) for sign in signs]
 
     monkeypatch.setattr(check, "send_waves", sent)
     monkeypatch.setattr(Experiment, "clamp", HELD / DISTANCE)
@@ -104,10 +106,11 @@ def test_the_step_is_halved_as_long_as_it_matters_by_more_than_a_percent(
 
     result, rules = checked(quiet.with_wave(law="finite"), monkeypatch, travel)
     assert result.step_fraction == 0.8 / 2**halvings
-    assert [rule.step_fraction for rule in rules] == [
-        part * 0.8 / 2**n for n in range(halvings + 1) for part in (0.5, 1.0)
-    ]
     step = result.step_fraction
+    assert [rule.step_fraction for rule in rules] == [
+        *(part * 0.8 / 2**n for n in range(halvings + 1) for part in (0.5, 1.0)),
+        step,  # from the other side
+    ]
     expected = 2.2 * slope * 0.5 * step / (1.0 + 0.75 * slope * step)
     assert result.numerical_error == pytest.approx(expected, rel=0.05)
 
@@ -120,6 +123,16 @@ def test_the_difference_of_both_senses_is_the_effect_of_the_pulse(
     # The peak of a wave in a strip comes early, so its shift is a larger part of its time.
     assert result.pulse_effect == pytest.approx(2.2 / np.sqrt(2.0) * 0.04, rel=0.03)
     assert result.numerical_error == pytest.approx(0.0, abs=1e-4)  # of a parabola between 40 samples in a period
+
+
+def test_the_side_that_transmits_is_compared_as_the_cells_are_computed(
+    quiet: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With law and step of the check; each side is off by the difference over sqrt 2, and it is no numerical error."""
+    result, rules = checked(quiet, monkeypatch, lambda _, sense: 2.0 * (1.0 + 0.05 * (sense == 2.0)))
+    assert rules[-1] == replace(quiet.wave, law=result.law, step_fraction=result.step_fraction)
+    assert result.side_error == pytest.approx(0.05 / 1.025 / np.sqrt(2.0), rel=1e-2)
+    assert result.numerical_error == pytest.approx(0.0, abs=1e-4)
 
 
 @pytest.mark.parametrize("law", ["auto", "linear", "finite"])
@@ -136,7 +149,7 @@ def test_samples_without_a_wave_have_no_errors(
     monkeypatch.setattr(Experiment, "clamp", HELD / DISTANCE)
     monkeypatch.setattr(check, "send_waves", lambda _given, bonded, *_, **__: [given] * len(bonded))
     found = check_content(quiet.with_wave(law=law), CONTENT, 8)
-    assert found == Check("finite" if law == "auto" else law, 0.8)
+    assert found == Check("finite" if law == "auto" else law, 0.8, None, None, None)
 
 
 @pytest.mark.parametrize("law", ["auto", "linear"])
@@ -153,7 +166,7 @@ def test_a_wave_that_arrives_under_one_law_only_confirms_nothing(
     monkeypatch.setattr(Experiment, "clamp", HELD / DISTANCE)
     found = check_content(quiet.with_wave(law=law), CONTENT, 8)
     same = pytest.approx(0.0, abs=1e-4)  # of a parabola between samples
-    expected = Check("finite", 0.8, same, same) if law == "auto" else Check("linear", 0.1, None, same)
+    expected = Check("finite", 0.8, same, same, 0.0) if law == "auto" else Check("linear", 0.1, None, same, 0.0)
     assert found == expected
 
 
@@ -247,7 +260,7 @@ def test_a_reversed_pulse_is_the_exact_negative_under_the_linear_law(quiet: Expe
 
 def test_a_measurement_takes_law_and_step_of_its_check(quiet: Experiment) -> None:
     """And nothing else of the experiment changes."""
-    given = with_check(quiet, Check("finite", 0.2))
+    given = with_check(quiet, Check("finite", 0.2, None, None, None))
     assert given.wave == replace(quiet.wave, law="finite", step_fraction=0.2)
     for field in fields(Experiment):
         assert field.name in {"wave", "_kept"} or getattr(given, field.name) is getattr(quiet, field.name)
@@ -264,30 +277,28 @@ def test_errors_of_the_check_are_part_of_the_effective_error_and_may_refuse_vs(
     given = section(guided(2.5, HELD))
     cement = quiet.ordering(1).at(CONTENT)
 
-    def with_error(
-        numerical_error: float | None = 0.0, pulse_effect: float | None = 0.0, experiment: Experiment = quiet
-    ) -> Measurement:
-        found = Check("linear", 0.8, numerical_error, pulse_effect)
+    def with_error(*errors: float | None, experiment: Experiment = quiet) -> Measurement:
+        found = Check("linear", 0.8, *errors)
         return interpret(experiment, Measurement(1, CONTENT, cement, given, found))
 
-    plain = with_error()
+    plain = with_error(0.0, 0.0, 0.0)
     assert plain.status is CellStatus.DONE
     assert plain.reading is not None
     assert plain.effective_vs == plain.reading.wave.velocity == pytest.approx(DISTANCE * FREQUENCY / 2.5, rel=1e-3)
     assert plain.effective_error == plain.reading.wave.error
     part = plain.reading.wave.error
-    both = with_error(numerical_error=2.0 * part, pulse_effect=2.0 * part)
-    assert both.effective_error == pytest.approx(3.0 * part)
-    assert with_error(numerical_error=0.049).vs == plain.vs
-    refused = with_error(numerical_error=0.051)
+    assert with_error(2.0 * part, 2.0 * part, 0.9 * part).effective_error == pytest.approx(3.0 * part)
+    assert with_error(2.0 * part, 0.0, 1.5 * part).effective_error == pytest.approx(2.5 * part)  # the larger of two
+    assert with_error(0.049, 0.0, 0.0).vs == plain.vs
+    refused = with_error(0.051, 0.0, 0.0)
     assert (refused.status, refused.vs) == (CellStatus.NO_ARRIVAL, None)
     assert refused.effective_vs == plain.effective_vs
     assert Verdict.of(refused.reason) is Verdict.INACCURATE
     assert "5.1%" in refused.reason
-    for unknown in (with_error(numerical_error=None), with_error(pulse_effect=None)):
+    for unknown in (with_error(None, 0.0, 0.0), with_error(0.0, None, 0.0), with_error(0.0, 0.0, None)):
         assert (unknown.status, unknown.vs, unknown.effective_vs) == (CellStatus.NO_ARRIVAL, None, None)
         assert Verdict.of(unknown.reason) is Verdict.INACCURATE
-    unchecked = with_error(None, None, replace(quiet, is_checked=False))
+    unchecked = with_error(None, None, None, experiment=replace(quiet, is_checked=False))
     assert (unchecked.vs, unchecked.effective_vs) == (plain.vs, plain.effective_vs)
 
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 import pytest
 
 from calcidem.ends import CellStatus
+from calcidem.sweep.attempt import SweepInterrupted
 from calcidem.sweep.batch import Batch, plan_batches
 from calcidem.sweep.run import _Master, run_sweep
 from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE, Progress, SweepError, SweepState
@@ -176,11 +177,16 @@ def test_a_cell_that_kills_the_workers_of_dask_is_quarantined_alone(sink: "Memor
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}
 
 
-@pytest.mark.parametrize("error", [ConnectionError, CancelledError, lambda: BrokenProcessPool("gone")])
+@pytest.mark.parametrize(
+    "error", [ConnectionError, CancelledError, lambda: BrokenProcessPool("gone"), SweepInterrupted]
+)
 def test_an_executor_that_is_gone_ends_the_sweep(
     error: Callable[[], Exception], sink: "MemorySink", tmp_path: Path
 ) -> None:
-    """When its processes or its scheduler are gone the sweep ends as resumable, not as complete."""
+    """When its processes or its scheduler are gone the sweep ends as resumable, not as complete.
+
+    So it does if a signal reached a worker alone, which dropped its batch.
+    """
     end = run_sweep(Scripted(error), planned(), Fault("", tmp_path), sink)
     assert (end.state, end.exit_code) == (SweepState.CUT_OFF, 75)
     assert BAD_CELL not in sink.results()

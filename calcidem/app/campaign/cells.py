@@ -208,6 +208,7 @@ def cell_result(
         law=measurement.check.law,
         numerical_error=measurement.check.numerical_error,
         pulse_effect=measurement.check.pulse_effect,
+        side_error=measurement.check.side_error,
         content_reached=cement.content_reached,
         content_of_contacts=content_of_contacts(packing, experiment.cement_rule, cement.kind),
         p_contacts=cement.p_contacts,

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -27,7 +27,7 @@ from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import StoreError
 from calcidem.storage.passwords import PASSWORDS_VARIABLE
 from calcidem.storage.records import RunRecord
-from calcidem.storage.sql.store import read_campaign
+from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import STALE_AFTER
 from calcidem.sweep.attempt import StopLevel, StopRequest, SweepInterrupted
 from calcidem.sweep.ranks import (
@@ -121,7 +121,7 @@ class Launch:
                 break
             fruitless = found is None
             if restart < self.restarts:
-                time.sleep(1.0)  # s, in which the last processes of this start end
+                start.let_go()
                 tell(f"Start {restart + 2} of at most {self.restarts + 1}.", logging.ERROR)
         return EXIT_RESUMABLE if begun else EXIT_ERROR
 
@@ -199,6 +199,16 @@ class _Start:
             reader.join(2.0)  # a process that has left its group may keep a pipe open
         return why or self._explanation()
 
+    def let_go(self) -> None:
+        """Wait a second for the last processes of this start, and up to 15 s as long as rank 0 has the campaign."""
+        for _ in range(15):
+            time.sleep(1.0)
+            holder = None
+            with suppress(StoreError), self._campaign() as store:
+                holder = store.lease_holder()
+            if holder is None or not holder.may_live():
+                break
+
     def _why_not_ended(self, seconds: float, since_end: float | None) -> str:
         """Why a launch is ended some seconds after its start and after the end of its run; empty to wait."""
         if since_end is not None and since_end > 15.0:  # s
@@ -208,21 +218,19 @@ class _Start:
             return "rank 0 has been silent for minutes"
         return ""
 
+    def _campaign(self) -> AbstractContextManager[Store]:
+        """The campaign in the database, to be read."""
+        return read_campaign(self._configuration.database, self._configuration.campaign.name)
+
     def _latest_run(self) -> tuple[int, RunRecord | None]:
-        with (
-            suppress(StoreError),
-            read_campaign(self._configuration.database, self._configuration.campaign.name) as store,
-        ):
+        with suppress(StoreError), self._campaign() as store:
             if runs := store.runs():
                 return runs[-1]
         return 0, None
 
     def _is_silent(self) -> bool:
         """Whether the heartbeat of rank 0 is too old."""
-        with (
-            suppress(StoreError),
-            read_campaign(self._configuration.database, self._configuration.campaign.name) as store,
-        ):
+        with suppress(StoreError), self._campaign() as store:
             holder = store.lease_holder()
             return holder is None or datetime.now(UTC) - holder.heartbeat > STALE_AFTER
         return False

@@ -292,7 +292,7 @@ def _live_page(configuration: Path, overrides: Mapping[str, str | bool | None]) 
             f"leave it out under {launcher()}: 'calcidem serve DB --wait' beside the run does it", param_hint="--serve"
         )
     wanted = _read_overridden(configuration, overrides)
-    return page_beside_run(wanted.database, wanted.campaign.name, tell)
+    return page_beside_run(wanted.database, wanted.campaign.name, typer.echo)  # a result, also with --quiet
 
 
 def _read_overridden(

@@ -295,6 +295,7 @@ def _two_velocities_table(analysis: CampaignAnalysis) -> Table | None:
                 "mean effective_vs (m/s)": decimal(float(effective.mean())),
                 "its standard deviation (%)": significant(100 * float(effective.std(ddof=1) / effective.mean()), 2),
                 "its standard error (%)": significant(100 * median_known(column["effective_error"]), 2),
+                "by the side (%)": significant(100 * median_known(column["side_error"]), 2),
                 "vs above it (%)": significant(100 * (median_known(column["vs"] / effective) - 1.0), 2),
                 "of it bias (%)": significant(100 * median_known(column["vs_bias"]), 2),
                 "effect of the pulse (%)": significant(100 * budget.pulse, 2),
@@ -302,9 +303,10 @@ def _two_velocities_table(analysis: CampaignAnalysis) -> Table | None:
         )
     return Table.of(
         "The two velocities of a cell (medians, unless stated otherwise). vs is the distance over the travel time of a "
-        "peak, as in the paper. effective_vs is that of the damped wave that fits the whole section; it belongs to the "
-        "sample. On a short path in a strip a peak is early; the fitted wave says by how much (bias). Marked: contents "
-        f"whose velocities depend on the pulse, by a standard error above {100 * MOST_PULSE_EFFECT:g} %.",
+        "peak, as in the paper. effective_vs is that of the damped wave that fits the whole section. It belongs to the "
+        "sample, so its standard error is at least that by the side that transmits, measured for the content. On a "
+        "short path in a strip a peak is early; the fitted wave says by how much (bias). Marked: contents whose "
+        f"velocities depend on the pulse, by a standard error above {100 * MOST_PULSE_EFFECT:g} %.",
         rows,
         frozenset(loud),
     )

@@ -22,7 +22,10 @@ from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, Ceme
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 
-_SHARES = ("coherence", "reading_error", "effective_error", "vs_bias", "numerical_error", "pulse_effect")
+_SHARES = (
+    *("coherence", "reading_error", "effective_error", "vs_bias"),
+    *("numerical_error", "pulse_effect", "side_error"),
+)
 """Numbers that are already relative, so their absolute difference counts."""
 
 

@@ -3,7 +3,7 @@
 The module imports nothing of the engine, so packings can be read without it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from typing import Annotated
 
@@ -151,6 +151,16 @@ class Packing:
             digest.update(f"{name} {kind} {array.shape}\n".encode())
             digest.update(array.tobytes())
         return digest.hexdigest()
+
+    def mirrored(self) -> "Packing":
+        """The packing with left and right exchanged; disks and pairs keep their numbers."""
+        left, right, floor, lid = self.report.wall_stress
+        return replace(
+            self,
+            x=self.width - self.x,
+            preload=replace(self.preload, shear=-self.preload.shear),
+            report=replace(self.report, wall_stress=(right, left, floor, lid)),
+        )
 
 
 @dataclass(frozen=True, slots=True)

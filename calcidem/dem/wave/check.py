@@ -1,8 +1,10 @@
 """Check of a content: the same samples with everything different that must not matter.
 
-Two cement patterns are computed as the cells of a campaign will be, and again with the finite law, double precision,
-half the time step, twice the samples in a period, and the pulse in both senses. The differences are the numerical error
-of the content, and the effect of the pulse. They also choose the cheapest contact law and the time step.
+Cement patterns are computed as the cells of a campaign will be. Two of them are computed again with the finite law,
+double precision, half the time step, twice the samples in a period, and the pulse in both senses. The differences are
+the numerical error of the content, and the effect of the pulse. They also choose the cheapest contact law and the time
+step. All of them are computed again with the wave from the other side: a velocity that belongs to the sample would be
+the same.
 
 The patterns are those of the first seeds from 0 on that hold so much. So the choice depends on no seed of a campaign,
 and is the same for its parts, for more seeds, and after an interruption.
@@ -10,21 +12,23 @@ and is the same for its parts, for more seeds, and after an interruption.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 from calcidem.dem.engine.scene import Law
+from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Reading, arrival_shift, read_section
 from calcidem.dem.wave.section import Section
 
-PATTERNS = 2
-_LANES = 4  # both senses of two patterns
+PATTERNS = 8
+_FINER = 2  # patterns that are computed with finer settings
+_LANES = 4  # both senses of these
 _ALLOWED = 0.01  # rms difference of the velocities above which a cheaper law or longer step is not taken
 _HALVINGS = 3
 _STUDENT = 2.2
-"""Student's t over the normal quantile, both at 95 %, for the rms of `PATTERNS` differences (4.30 / 1.96)."""
+"""Student's t over the normal quantile, both at 95 %, for the rms of `_FINER` differences (4.30 / 1.96)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +42,16 @@ class Check:
     """`linear` or `finite`."""
     step_fraction: float
     """Time step over the stability limit."""
-    numerical_error: float | None = None
+    numerical_error: float | None
     """Of both velocities, by law, time step, sampling and precision. That of Vs is the shift of the received wave over
     its travel time: two peaks of equal height may change places, which is the error of the reading.
     """
-    pulse_effect: float | None = None
+    pulse_effect: float | None
     """Of both velocities, by the strength of the pulse: from the difference of its two senses."""
+    side_error: float | None
+    """Of the effective velocity, by the side from which the wave comes: root mean square difference of both
+    sides over the root of 2.
+    """
 
 
 def with_check(experiment: Experiment, found: Check) -> Experiment:
@@ -57,7 +65,7 @@ def check_content(
     """Compute the check samples of a content; choose law and step.
 
     The linear law is taken where it confirms the finite one to 1 %. Otherwise the step is halved, up to three times,
-    as long as it matters by more. What is left is stated as error.
+    as long as it matters by more. What remains is stated as error.
 
     Parameters
     ----------
@@ -72,33 +80,41 @@ def check_content(
     """
     rule, frequency = experiment.wave, experiment.frequency(content)
     count = PATTERNS if content > 0.0 else 1  # without cement all samples are the same
-    orderings = (experiment.ordering(seed) for seed in range(32))
+    orderings = (experiment.once(Experiment.ordering, seed) for seed in range(32))
     holding = islice((one for one in orderings if one.maximum_content >= content), count)
     # If none holds so much, the first says what it holds.
     bonded = [one.at(content).bonded for one in (list(holding) or [experiment.ordering(0)])]
 
-    def sections(settings: Experiment, width: int, *senses: float) -> list[list[Section]]:
-        """Sections of the patterns for each sense of the pulse."""
-        samples = [(flags, sense) for sense in senses for flags in bonded]
+    usual = [(flags, 1.0) for flags in bonded]
+    both = [(flags, sense) for sense in (1.0, -1.0) for flags in bonded[:_FINER]]
+
+    def sections(settings: Experiment, samples: Sequence[tuple[Flags, float]], width: int) -> list[Section]:
+        """Sections of patterns, each with a sense of the pulse."""
         found: list[Section] = []
         for begin in range(0, len(samples), width):
             flags, signs = zip(*samples[begin : begin + width], strict=True)
             found += send_waves(settings, flags, frequency, lanes=width, raise_if_stopped=raise_if_stopped, signs=signs)
-        return [found[begin : begin + len(bonded)] for begin in range(0, len(samples), len(bonded))]
+        return found
 
     law, step = cheapest_law(experiment), rule.step_fraction
     for halving in range(_HALVINGS + 1):
-        forth, back = sections(_finer(experiment, step), _LANES, 1.0, -1.0)
-        (usual,) = sections(experiment.with_wave(law=law, step_fraction=step), lanes, 1.0)
-        numerical = _apart(usual, forth, experiment)
+        finer = sections(_finer(experiment, step), both, _LANES)
+        forth, back = finer[: len(both) // 2], finer[len(both) // 2 :]
+        here = sections(experiment.with_wave(law=law, step_fraction=step), usual, lanes)
+        numerical = _apart(here, forth, experiment)
         if rule.law == "auto" and law == "linear" and not numerical <= _ALLOWED:
             law = "finite"
-            (usual,) = sections(experiment.with_wave(law=law, step_fraction=step), lanes, 1.0)
-            numerical = _apart(usual, forth, experiment)
+            here = sections(experiment.with_wave(law=law, step_fraction=step), usual, lanes)
+            numerical = _apart(here, forth, experiment)
         if not numerical > _ALLOWED or halving == _HALVINGS:
             break
         step *= 0.5
-    errors = (_STUDENT * numerical, _STUDENT / math.sqrt(2.0) * _apart(forth, back, experiment))
+    mirrored = experiment.once(_from_other_side).with_wave(law=law, step_fraction=step)
+    errors = (
+        _STUDENT * numerical,
+        _STUDENT / math.sqrt(2.0) * _apart(forth, back, experiment),
+        _by_side(here, sections(mirrored, usual, lanes), experiment),
+    )
     return Check(law, step, *(error if math.isfinite(error) else None for error in errors))
 
 
@@ -133,20 +149,38 @@ def _finer(experiment: Experiment, step_fraction: float) -> Experiment:
     )
 
 
+def _from_other_side(experiment: Experiment) -> Experiment:
+    """The experiment with left and right exchanged."""
+    return replace(experiment, packing=experiment.packing.mirrored())
+
+
+def _by_side(here: Sequence[Section], there: Sequence[Section], experiment: Experiment) -> float:
+    """Standard error by the side that transmits, of the samples with a wave from both; NaN without any."""
+    read = (
+        (_read(section, experiment), _read(mirrored, experiment)) for section, mirrored in zip(here, there, strict=True)
+    )
+    apart = [_relative(one.wave.velocity, other.wave.velocity) for one, other in read if one and other]
+    return math.sqrt(0.5 * sum(each * each for each in apart) / len(apart)) if apart else math.nan
+
+
+def _relative(one: float, other: float) -> float:
+    """Difference of two velocities over their mean."""
+    return (one - other) / (0.5 * (one + other))
+
+
 def _apart(one: Sequence[Section], other: Sequence[Section], experiment: Experiment) -> float:
-    """Root mean square difference of both velocities of some sections, relative.
+    """Root mean square difference of both velocities of as many sections as both have, relative.
 
     Infinite if a sample has a wave in one run only; NaN if no sample has one.
     """
     found = []
-    for section, second in zip(one, other, strict=True):
+    for section, second in zip(one, other, strict=False):
         first, again = _read(section, experiment), _read(second, experiment)
         if first is None and again is None:
             continue
         if first is None or again is None:
             return math.inf
-        mean = 0.5 * (first.wave.velocity + again.wave.velocity)
-        found.append((first.wave.velocity - again.wave.velocity) / mean)
+        found.append(_relative(first.wave.velocity, again.wave.velocity))
         if first.verdict is None:
             found.append(arrival_shift(section, second, first.travel_time, experiment.pick) / first.travel_time)
     squares = [each * each for each in found if not math.isnan(each)]

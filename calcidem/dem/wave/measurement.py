@@ -44,11 +44,16 @@ class Measurement:
 
     @property
     def effective_error(self) -> float | None:
-        """Its relative standard error: root of the sum of squares of fit, simulation and pulse."""
+        """Its relative standard error: root of the sum of squares of fit, simulation and pulse.
+
+        That of the fit is the larger one of two estimates: of this section, and of the content by both sides.
+        """
         if self.reading is None:
             return None
-        parts = (self.reading.wave.error, self.check.numerical_error, self.check.pulse_effect)
-        fit, numerical, pulse = (part or 0.0 for part in parts)
+        numerical, pulse, side = (
+            part or 0.0 for part in (self.check.numerical_error, self.check.pulse_effect, self.check.side_error)
+        )
+        fit = max(self.reading.wave.error, side)
         return float((fit * fit + numerical * numerical + pulse * pulse) ** 0.5)
 
 
@@ -92,7 +97,7 @@ def measure(
             else experiment.once(check_content, content, lanes, raise_if_stopped=raise_if_stopped)
         )
     else:
-        found = Check(experiment.wave.contact_law, experiment.wave.step_fraction)
+        found = Check(experiment.wave.contact_law, experiment.wave.step_fraction, None, None, None)
     settings = with_check(experiment, found)
     began = perf_counter() - seconds_compiling()
     sections = send_waves(
@@ -134,7 +139,7 @@ def interpret(experiment: Experiment, measurement: Measurement) -> Measurement:
     reading = read_section(section, experiment.clamp, experiment.pick)
     if isinstance(reading, Verdict):
         return replace(new, reason=describe_refusal(reading, section, experiment.pick))
-    if experiment.is_checked and None in (check.numerical_error, check.pulse_effect):
+    if experiment.is_checked and None in (check.numerical_error, check.pulse_effect, check.side_error):
         # Neither velocity is a measurement without its error, whatever the law.
         reason = "by an unknown amount, as waves of its check samples do not arrive in all runs"
         return replace(new, reason=f"{Verdict.INACCURATE}: {reason}")
