@@ -161,14 +161,19 @@ class _Master:
     def _reason_to_end(self, workers: Workers[CellT], level: StopLevel) -> tuple[SweepState, str] | None:
         """Return why the sweep is over, or None if it isn't."""
         asked_by = self._stop_request.explanation
-        if workers.running == 0 and len(self._schedule) == 0 and not workers.exhausted:
-            return SweepState.COMPLETE, ""
-        if level is StopLevel.LOST:
-            return SweepState.CUT_OFF, asked_by
-        if level is StopLevel.HURRY:
-            return SweepState.STOPPED, f"{asked_by}: running batches were dropped"
-        if level is StopLevel.DRAIN and workers.running == 0:
-            return SweepState.STOPPED, f"{asked_by}: running batches were finished"
-        if workers.exhausted:
-            return SweepState.CUT_OFF, f"{workers.exhausted}; run the same command again to continue"
-        return None
+        is_over = workers.running == 0 and len(self._schedule) == 0 and not workers.exhausted
+        since_drop = 0.0 if workers.last_dropped is None else time.monotonic() - workers.last_dropped
+        end: tuple[SweepState, str] | None = None
+        if is_over and workers.last_dropped is None:
+            end = SweepState.COMPLETE, ""
+        elif level is StopLevel.LOST:
+            end = SweepState.CUT_OFF, asked_by
+        elif level is StopLevel.HURRY:
+            end = SweepState.STOPPED, f"{asked_by}: running batches were dropped"
+        elif level is StopLevel.DRAIN and workers.running == 0:
+            end = SweepState.STOPPED, f"{asked_by}: running batches were finished"
+        elif is_over and since_drop > 1.0:  # s, in which the same signal usually reaches this process, too
+            end = SweepState.STOPPED, "a worker was asked to end, and dropped its batches"
+        elif workers.exhausted:
+            end = SweepState.CUT_OFF, f"{workers.exhausted}; run the same command again to continue"
+        return end

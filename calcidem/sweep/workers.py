@@ -79,6 +79,8 @@ class Workers(Generic[CellT]):
     ----------
     exhausted
         Reason why no more batches can be computed; else empty.
+    last_dropped
+        Time at which a worker was known to have dropped a batch because of a signal; None if none has.
     """
 
     def __init__(
@@ -103,6 +105,7 @@ class Workers(Generic[CellT]):
         self._slowest = 0.0  # seconds for a unit of cost
         self._longest = 0.0  # seconds of a batch
         self.exhausted = ""
+        self.last_dropped: float | None = None
 
     @property
     def are_here(self) -> bool:
@@ -167,8 +170,8 @@ class Workers(Generic[CellT]):
                 continue
             try:
                 outcome = self._answer(future.result(), flight)
-            except SweepInterrupted:  # by a signal that this process may not have received
-                self._end("a worker was asked to end, and dropped its batch")
+            except SweepInterrupted:
+                self.last_dropped = time.monotonic()
                 continue
             except Exception as error:  # noqa: BLE001 - each executor has its own
                 outcome = self._failure(error, flight)

@@ -177,19 +177,21 @@ def test_a_cell_that_kills_the_workers_of_dask_is_quarantined_alone(sink: "Memor
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}
 
 
-@pytest.mark.parametrize(
-    "error", [ConnectionError, CancelledError, lambda: BrokenProcessPool("gone"), SweepInterrupted]
-)
+@pytest.mark.parametrize("error", [ConnectionError, CancelledError, lambda: BrokenProcessPool("gone")])
 def test_an_executor_that_is_gone_ends_the_sweep(
     error: Callable[[], Exception], sink: "MemorySink", tmp_path: Path
 ) -> None:
-    """When its processes or its scheduler are gone the sweep ends as resumable, not as complete.
-
-    So it does if a signal reached a worker alone, which dropped its batch.
-    """
+    """When its processes or its scheduler are gone the sweep ends as resumable, not as complete."""
     end = run_sweep(Scripted(error), planned(), Fault("", tmp_path), sink)
     assert (end.state, end.exit_code) == (SweepState.CUT_OFF, 75)
     assert BAD_CELL not in sink.results()
+
+
+def test_a_batch_that_a_worker_dropped_is_not_complete(sink: "MemorySink", tmp_path: Path) -> None:
+    """A signal that reaches a worker alone ends the sweep as stopped; it is no death, and blames no cell."""
+    end = run_sweep(Scripted(SweepInterrupted), planned(), Fault("", tmp_path), sink)
+    assert (end.state, end.exit_code) == (SweepState.STOPPED, 75)
+    assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell not in {BAD_CELL, (2, 5.0)}}
 
 
 def test_a_worker_that_does_not_answer_ends_the_sweep(sink: "MemorySink", tmp_path: Path) -> None:

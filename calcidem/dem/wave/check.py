@@ -155,11 +155,12 @@ def _from_other_side(experiment: Experiment) -> Experiment:
 
 
 def _by_side(here: Sequence[Section], there: Sequence[Section], experiment: Experiment) -> float:
-    """Standard error by the side that transmits, of the samples with a wave from both; NaN without any."""
-    read = (
+    """Standard error by the side that transmits, of the samples with a known wave from both; NaN without any."""
+    read = [
         (_read(section, experiment), _read(mirrored, experiment)) for section, mirrored in zip(here, there, strict=True)
-    )
-    apart = [_relative(one.wave.velocity, other.wave.velocity) for one, other in read if one and other]
+    ]
+    known = [(one.wave, other.wave) for one, other in read if one and other and _are_known(one, other)]
+    apart = [_relative(one.velocity, other.velocity) for one, other in known]
     return math.sqrt(0.5 * sum(each * each for each in apart) / len(apart)) if apart else math.nan
 
 
@@ -171,15 +172,15 @@ def _relative(one: float, other: float) -> float:
 def _apart(one: Sequence[Section], other: Sequence[Section], experiment: Experiment) -> float:
     """Root mean square difference of both velocities of as many sections as both have, relative.
 
-    Infinite if a sample has a wave in one run only; NaN if no sample has one.
+    Infinite if a sample has a wave in one run only; NaN if no sample has a known one in both.
     """
     found = []
     for section, second in zip(one, other, strict=False):
         first, again = _read(section, experiment), _read(second, experiment)
-        if first is None and again is None:
-            continue
-        if first is None or again is None:
+        if (first is None) != (again is None):
             return math.inf
+        if first is None or again is None or not _are_known(first, again):
+            continue
         found.append(_relative(first.wave.velocity, again.wave.velocity))
         if first.verdict is None:
             found.append(arrival_shift(section, second, first.travel_time, experiment.pick) / first.travel_time)
@@ -188,6 +189,11 @@ def _apart(one: Sequence[Section], other: Sequence[Section], experiment: Experim
 
 
 def _read(section: Section, experiment: Experiment) -> Reading | None:
-    """Reading of a section; None without a wave whose velocity has a known error."""
+    """Reading of a section; None without a wave."""
     found = None if section.problem else read_section(section, experiment.clamp, experiment.pick)
-    return found if isinstance(found, Reading) and found.wave.error < 1.0 else None
+    return found if isinstance(found, Reading) else None
+
+
+def _are_known(one: Reading, other: Reading) -> bool:
+    """Whether the fits of two waves have an error; an unknown one is 1, as at an end of the velocities tried."""
+    return max(one.wave.error, other.wave.error) < 1.0
