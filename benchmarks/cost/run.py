@@ -141,11 +141,8 @@ def print_growth(results: dict[str, Any]) -> None:
     """Print exponents of growth: slopes of least squares between the logarithms of size and time."""
     kinds = [(f"a step over disks, {law}", law, "grains", "seconds") for law in ("linear", "finite")]
     kinds += [(f"a sample over lanes, {law}", law, "lanes", "ns") for law in ("linear", "finite")]
-    kinds += [
-        ("a sample over contents", None, "contents", "seconds"),
-        ("a campaign over workers", None, "ranks", "seconds"),
-    ]
-    sizes = {"contents": "content", "ranks": "workers"}
+    kinds += [("a campaign over workers", None, "ranks", "seconds")]
+    sizes = {"ranks": "workers"}
     for title, law, table, spent in kinds:
         rows = [row for row in results[table] if row.get("law") == law and row.get("precision") != "float32"]
         size, time_spent = ([row[name] for row in rows] for name in (sizes.get(table, table), spent))
