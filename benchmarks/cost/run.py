@@ -1,6 +1,6 @@
 """How the cost of a sample grows with disks, lanes, calcite content and ranks.
 
-    python benchmarks/cost/run.py [--json FILE] [--figure docs/cost.png]
+    python benchmarks/cost/run.py [--json FILE] [--figure cost.png]
 
 Kernel times are CPU seconds of one core, without compilation; those of the ranks are wall times of `calcidem run` on
 a finished packing.
