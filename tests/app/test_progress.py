@@ -128,23 +128,31 @@ def test_a_run_in_python_tells_a_function(workshop: "Workshop", monkeypatch: pyt
     assert told[-1].contents == ((0.0, 2, 2), (5.0, 2, 2))
 
 
-HOLD_BATCHES = """
+HOLD = """
+import os
 import time
 from pathlib import Path
+
+def wait_for(name):
+    end = time.monotonic() + 20.0
+    while time.monotonic() < end and not (Path({folder!r}) / name).exists():
+        time.sleep(0.05)
+
+if "OMPI_COMM_WORLD_RANK" in os.environ or "PMI_RANK" in os.environ:
+    wait_for("starting")
 from calcidem.sweep.attempt import Deadline
 begin, begun = Deadline.__init__, []
 
 def hold(deadline, *arguments):
     begun.append(deadline)
-    end = time.monotonic() + 20.0
-    while len(begun) > 1 and time.monotonic() < end and not Path({shown!r}).exists():
-        time.sleep(0.05)
+    if len(begun) > 1:
+        wait_for("computing")
     begin(deadline, *arguments)
 
 Deadline.__init__ = hold
 """
-"""Python runs this when it starts: batches after a process's first wait until the terminal has shown that one is done,
-which on a busy machine all might be before."""
+"""Python runs this when it starts. Ranks wait until the terminal has shown that they are started, and batches after a
+process's first until it has shown that one is done: on a fast or a busy machine both might be over before."""
 
 
 def run_in_terminal(workshop: "Workshop", *arguments: str) -> Iterator[str]:
@@ -190,13 +198,15 @@ def test_a_terminal_is_never_without_news(workshop: "Workshop", ranks: int, own_
         text = (workshop.folder / "c.toml").read_text(encoding="utf-8")
         own = text.replace("[packing]", f"[packing]\nseed = {ranks + 7}").replace("height = 0.06", "height = 0.12")
         (workshop.folder / "c.toml").write_text(own, encoding="utf-8")
-    (workshop.folder / "sitecustomize.py").write_text(HOLD_BATCHES.format(shown=str(workshop.folder / "shown")))
+    (workshop.folder / "sitecustomize.py").write_text(HOLD.format(folder=str(workshop.folder)))
     plain = written = ""
     for text in run_in_terminal(workshop, "run", "c.toml", "--ranks", str(ranks)):
         written += text
         plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", written)
+        if len(set(re.findall(r"[-|/\\] Starting", plain))) > 2:
+            (workshop.folder / "starting").touch()
         if re.search(r"[1-9]\d* of 6 cells", plain):
-            (workshop.folder / "shown").touch()
+            (workshop.folder / "computing").touch()
     lines = [line.rstrip() for line in re.split(r"[\r\n]+", plain)]
     for stage in ("Starting",) * (ranks > 1) + ("Packing ",) * own_packing + ("Computing",):
         frames = dict.fromkeys(line for line in lines if re.match(rf"[-|/\\] {stage}", line))
