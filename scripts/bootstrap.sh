@@ -14,7 +14,7 @@ bootstrap() {
     fi
     echo "Installing calcidem into $venv (once)."
     [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
-    # The pip of Python 3.11 needs twice the time of a newer one; without one it does.
+    # The pip of Python 3.11 takes twice the time of a newer one. If there is no newer one, the old one installs.
     "$venv/bin/python" -m pip install --no-compile --quiet --disable-pip-version-check --upgrade pip || true
     # Python compiles a module when it is first imported; most modules of the libraries never are.
     "$venv/bin/python" -m pip install --no-compile --quiet --disable-pip-version-check -e "$root[$extras]"

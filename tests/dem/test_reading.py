@@ -280,13 +280,13 @@ def drawn(seed: int) -> tuple[float, Section]:
 def test_errors_cover_and_a_record_that_ends_when_settled_has_the_same_velocities(seeds: range) -> None:
     """At least 90 % lie within 1.96 stated errors; the end changes the fit by less than a tenth of its error.
 
-    That is .4 to .7 %, since a record of a wavelength ends soon after the pulse; above 1.2 wavelengths it is .1 %.
+    That is .4 to .7 %, since a record below a wavelength ends soon after the pulse; above it is .1 %.
     """
     effective, peaks = [], []
     for seed in seeds:
         travel, given = drawn(seed)
         whole, ended = read(given), read(given.until(first_settled(given, SAMPLES_PER_CHUNK)))
-        tolerance = 0.1 * whole.wave.error if travel < 1.2 else 1e-3
+        tolerance = 0.1 * whole.wave.error if travel < 1.0 else 1e-3
         assert ended.wave.velocity == pytest.approx(whole.wave.velocity, rel=tolerance), seed
         effective.append(off(whole, travel) / whole.wave.error)
         if whole.peak is not None:

@@ -56,7 +56,7 @@ def with_patterns(store: "Store", outcomes: Iterable[CellResult]) -> Iterator[Ce
             yield outcome
             continue
         try:
-            seed = outcome.key.seed if outcome.bonded_contacts else 0
+            seed = outcome.key.seed if outcome.key.content else 0
             cement = ordering(outcome.packing_index, seed).at(outcome.key.content)
         except (StoreError, CementCapacityError, UnknownPatternError):
             yield outcome

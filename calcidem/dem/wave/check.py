@@ -35,7 +35,8 @@ _STUDENT = 2.2
 class Check:
     """Law and time step of a content, and the errors measured with them.
 
-    Relative standard errors, None if unknown: no pattern has a wave, or one has a wave in one of two runs only.
+    Relative standard errors, None if unknown: no pattern has a wave in both runs, or, but for the two sides, one has a
+    wave in one run only.
     """
 
     law: Law
