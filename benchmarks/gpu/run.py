@@ -23,6 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -35,40 +36,39 @@ PARTS, TWICE = ("sections", "profile", "campaign"), ("", ", again")
 
 
 class Clock:
-    """A kernel whose seconds on the card, samples and steps are counted, also with as many samples as fill the card."""
+    """Launches kernels; counts their seconds on the card and their steps, also with as many samples as fill the card."""
 
-    def __init__(self, kernel: Any) -> None:  # noqa: ANN401 - of numba-cuda
-        self.kernel, self.seconds, self.contact_steps, self.sample_steps = kernel, 0.0, 0, 0
+    def __init__(self, launch: Callable[..., None]) -> None:
+        self.launch, self.seconds, self.contact_steps, self.sample_steps = launch, 0.0, 0, 0
         self.filled: dict[str, float] = {}
 
-    def __getitem__(self, shape: tuple[int, int]) -> Any:  # noqa: ANN401 - what launches it
-        def launch(steps: int, done: Any, time_step: Any, system: Any, plan: Any) -> None:  # noqa: ANN401 - on the card
-            pairs = len(system.pairs.first)
-            if not self.filled:
-                times = SAMPLES // shape[0]
-                wide = [widen(value, times) for value in (system, plan)]
-                apart = widen(done, times, "samples"), widen(time_step, times, "samples")
-                seconds, taken = self.timed((shape[0] * times, shape[1]), steps, *apart, *wide)
-                self.filled = {
-                    "samples": shape[0] * times,
-                    "ns a contact-step": 1e9 * seconds / (taken * pairs),
-                    "us a sample-step": 1e6 * seconds / taken,
-                }
-            seconds, taken = self.timed(shape, steps, done, time_step, system, plan)
-            self.seconds += seconds
-            self.sample_steps += taken
-            self.contact_steps += taken * pairs
+    def __call__(self, kernel: Any, shape: tuple[int, ...], *arguments: Any) -> None:  # noqa: ANN401 - on the card
+        """Launch a kernel as `card.launch` does; the first time also with more samples."""
+        steps, done, time_step, system, plan = arguments
+        pairs = len(system.pairs.first)
+        if not self.filled:
+            times = SAMPLES // shape[0]
+            wide = [widen(value, times) for value in (system, plan)]
+            apart = widen(done, times, "samples"), widen(time_step, times, "samples")
+            seconds, taken = self.timed(kernel, (shape[0] * times, *shape[1:]), steps, *apart, *wide)
+            self.filled = {
+                "samples": shape[0] * times,
+                "ns a contact-step": 1e9 * seconds / (taken * pairs),
+                "us a sample-step": 1e6 * seconds / taken,
+            }
+        seconds, taken = self.timed(kernel, shape, steps, done, time_step, system, plan)
+        self.seconds += seconds
+        self.sample_steps += taken
+        self.contact_steps += taken * pairs
 
-        return launch
-
-    def timed(self, shape: tuple[int, int], steps: int, done: Any, *arguments: Any) -> tuple[float, int]:  # noqa: ANN401
+    def timed(self, kernel: Any, shape: tuple[int, ...], steps: int, done: Any, *arguments: Any) -> tuple[float, int]:  # noqa: ANN401
         """Seconds of the card, and the steps of all samples."""
         from numba import cuda  # noqa: PLC0415 - where there is no GPU `sections` is not called
 
         before = int(done.copy_to_host().sum())
         begin, end = cuda.event(), cuda.event()
         begin.record()
-        self.kernel[shape](steps, done, *arguments)
+        self.launch(kernel, shape, steps, done, *arguments)
         end.record()
         end.synchronize()
         return 1e-3 * cuda.event_elapsed_time(begin, end), int(done.copy_to_host().sum()) - before
@@ -97,35 +97,27 @@ def sections(content: float, law: str, precision: str) -> dict[str, Any]:
     from calcidem.dem.wave.propagation import send_waves  # noqa: PLC0415
 
     values = {"wave.law": law, "wave.precision": precision}
-    found, seconds, make = [], [], card.gpu_kernel
-    clocks: list[Clock] = []
-
-    def timed(*arguments: Any) -> Clock:  # noqa: ANN401 - of `gpu_kernel`
-        clocks.append(Clock(make(*arguments)))
-        return clocks[-1]
-
+    found, seconds, clock = [], [], Clock(card.launch)
     for gpu in (False, True):
         configuration = change_configuration(PAPER, values | {"run.gpu": gpu})
         experiment = configuration.experiment(provide_packing(configuration, None))
         bonded = [experiment.ordering(seed).at(content).bonded for seed in range(LANES)]
         for repetition in range(2):  # the first compiles, and proves the kernel
-            clocks.clear()
-            card.gpu_kernel = timed if repetition else make
+            card.launch = clock if repetition else clock.launch
             began = time.perf_counter()
             sent = send_waves(experiment, bonded, experiment.frequency(content), lanes=LANES)
             seconds.append(time.perf_counter() - began)
         found.append([(s.across.tobytes(), s.along.tobytes(), s.steps, s.remaining_speed, s.problem) for s in sent])
-    card.gpu_kernel = make
-    kernel, steps = sum(c.seconds for c in clocks), sum(c.contact_steps for c in clocks)
+    card.launch = clock.launch
     return {
         "different sections": sum(one != other for one, other in zip(*found, strict=True)),
         "processor s": seconds[1],
         "first on the GPU s": seconds[2],
         "GPU s": seconds[3],
-        "kernel s": kernel,
-        "ns a contact-step": 1e9 * kernel / max(1, steps),
-        "us a sample-step": 1e6 * kernel / max(1, sum(c.sample_steps for c in clocks)),
-        "card filled": clocks[0].filled,
+        "kernel s": clock.seconds,
+        "ns a contact-step": 1e9 * clock.seconds / max(1, clock.contact_steps),
+        "us a sample-step": 1e6 * clock.seconds / max(1, clock.sample_steps),
+        "card filled": clock.filled,
     }
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import cuda
+from numba import config, cuda
 
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.gpu import GpuError
-from calcidem.dem.kernels.gpu.steps import Plan, gpu_kernel
+from calcidem.dem.kernels.gpu.steps import Plan, gpu_kernel, motion_bytes
 from calcidem.dem.kernels.layout import RECEIVED, Floats, Integers, System
 from calcidem.dem.kernels.steps import advance_steps
 
@@ -23,6 +23,10 @@ BITS = {"cemented", "intact"}
 
 _proved: set[tuple[Features, np.dtype[Any], str]] = set()
 """Features, number type and card of the kernels that have computed the bits of the processor in this process."""
+
+
+_allowed: set[tuple[Any, ...]] = set()
+"""Kernels, types and shapes of launches whose blocks may have their shared memory, in this process."""
 
 
 def refuse_missing() -> None:
@@ -78,9 +82,12 @@ class GpuSteps:
             self._card, self._time_step, self._plan = _send(system), _send(time_step[0][:, None]), _plan(system)
         card = self._card._replace(recording=_send(system.recording))
         done, disks = _send(self._ahead), len(system.grains.radius)
-        kernel = gpu_kernel(replace(features, lanes=1), len(system.walls.normal), time_step.dtype)
+        room = motion_bytes(disks, time_step.dtype)
+        is_shared = room <= _shared_memory()
+        kernel = gpu_kernel(replace(features, lanes=1), len(system.walls.normal), time_step.dtype, is_shared)
         # A thread has about four disks, so that blocks of small samples share a multiprocessor.
-        kernel[len(self._ahead), min(1024, -(-disks // 4))](steps, done, self._time_step, card, self._plan)
+        shape = len(self._ahead), min(1024, -(-disks // 4)), 0, room if is_shared else 0
+        launch(kernel, shape, steps, done, self._time_step, card, self._plan)
         self._ahead = done.copy_to_host()
         least = int(self._ahead.min())
         self._ahead -= least
@@ -95,6 +102,32 @@ class GpuSteps:
     def receive_histories(self, system: System) -> None:
         """Copy the histories of the contacts to the host."""
         _receive(system, self._card, _HISTORIES)
+
+
+def launch(kernel: Any, shape: tuple[int, int, int, int], *arguments: Any) -> None:  # noqa: ANN401 - of numba-cuda
+    """Launch a kernel: blocks, threads of each, stream, and bytes of each block's shared memory."""
+    kinds = tuple(map(kernel.typeof_pyval, arguments)) if not config.ENABLE_CUDASIM else ()  # type: ignore[attr-defined]
+    if kinds and (kernel, kinds, shape) not in _allowed:
+        _allow_shared_memory(kernel.compile(kinds), shape[3])
+        _allowed.add((kernel, kinds, shape))
+    kernel[shape](*arguments)
+
+
+def _shared_memory() -> int:
+    """Bytes of shared memory that a block can have; the simulator has those that every card has."""
+    return getattr(cuda.current_context().device, "MAX_SHARED_MEMORY_PER_BLOCK_OPTIN", 48 * 1024)
+
+
+def _allow_shared_memory(compiled: Any, count: int) -> None:  # noqa: ANN401 - of numba-cuda, which has no option for it
+    """Let blocks of a kernel have more than 48 kB of shared memory; `GpuError` if the driver refuses."""
+    from cuda.bindings import driver  # noqa: PLC0415 - not where the simulator stands for a card
+
+    attribute = driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
+    handle = driver.CUkernel(int(compiled._codelibrary.get_cufunc().handle))  # noqa: SLF001 - the only way to it
+    device = driver.CUdevice(cuda.current_context().device.id)
+    (said,) = driver.cuKernelSetAttribute(attribute, count, handle, device)
+    if said != driver.CUresult.CUDA_SUCCESS:
+        raise GpuError(f"run.gpu: the card gives no {count} bytes of shared memory ({said}): leave gpu out")
 
 
 def _send(value: Any, name: str = "") -> Any:  # noqa: ANN401 - a part of a system, or an array

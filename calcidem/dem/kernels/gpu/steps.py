@@ -56,11 +56,12 @@ class Plan(NamedTuple):
 
 
 @lru_cache
-def gpu_kernel(features: Features, walls: int, dtype: np.dtype[Any]) -> Any:  # noqa: ANN401 - a kernel of numba-cuda
-    """Compiled kernel: features with one lane, number of walls, and number type.
+def gpu_kernel(features: Features, walls: int, dtype: np.dtype[Any], is_shared: bool) -> Any:  # noqa: ANN401 - of numba-cuda
+    """Compiled kernel: features with one lane, number of walls, number type, and where the motion of the disks lies.
 
     It takes the steps to do, the steps (S,) that each sample has done and will have done, time steps (S, 1), a `System`
-    and a `Plan`. Arrays with lanes have the samples first instead, and one lane last.
+    and a `Plan`. Arrays with lanes have the samples first instead, and one lane last. Where the motion lies in the
+    shared memory of a block, `motion_bytes` of it are given at the launch.
     """
     real = dtype.type
     room, nothing = max(1, walls), real(0.0)
@@ -74,7 +75,14 @@ def gpu_kernel(features: Features, walls: int, dtype: np.dtype[Any]) -> Any:  # 
             for wall in range(room):
                 reaction[0, wall, component, 0] = nothing
         sample = cuda.blockIdx.x
-        own = _sample_of(system, sample, force, reaction)
+        motion = Motion(system.motion.displacement[sample], system.motion.velocity[sample])
+        kept = motion
+        if is_shared:
+            rows = 3 * system.grains.radius.shape[0]
+            place = cuda.shared.array(0, dtype)  # of the size that the launch gives
+            kept = Motion(place[:rows, None], place[rows : 2 * rows, None])
+            _copy_motion(motion, kept)
+        own = _sample_of(system, sample, kept, force, reaction)
         dt = load(time_step, (sample,), 1)
         step, far = done[sample], 0
         cuda.syncthreads()
@@ -87,6 +95,8 @@ def gpu_kernel(features: Features, walls: int, dtype: np.dtype[Any]) -> Any:  # 
             step += 1
             far = cuda.syncthreads_or(left)
             _finish_step(features, own.recording.offset + step, dt, own)
+        if is_shared:
+            _copy_motion(kept, motion)
         if cuda.threadIdx.x == 0:
             done[sample] = step
 
@@ -103,13 +113,26 @@ _SOURCES = sha256(
 """Identity of the source code, as `compiling.SOURCES` with this folder."""
 
 
+def motion_bytes(disks: int, dtype: np.dtype[Any]) -> int:
+    """Bytes of the motion of a sample's disks."""
+    return 2 * 3 * disks * dtype.itemsize
+
+
 @inline
-def _sample_of(system: System, sample: int, force: Floats, reaction: Floats) -> System:
+def _copy_motion(source: Motion, target: Motion) -> None:
+    """Copy the motion of all disks, with the threads of a block."""
+    for place in range(cuda.threadIdx.x, source.velocity.shape[0], cuda.blockDim.x):
+        target.displacement[place, 0] = source.displacement[place, 0]
+        target.velocity[place, 0] = source.velocity[place, 0]
+
+
+@inline
+def _sample_of(system: System, sample: int, motion: Motion, force: Floats, reaction: Floats) -> System:
     """System of one sample, as `advance_steps` gets it with one lane."""
     pairs, wall_pairs, walls, recording = system.pairs, system.wall_pairs, system.walls, system.recording
     return System(
         system.grains,
-        Motion(system.motion.displacement[sample], system.motion.velocity[sample]),
+        motion,
         Pairs(
             pairs.start,
             pairs.first,
