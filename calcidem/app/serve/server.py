@@ -449,11 +449,11 @@ class _Connection(H11Protocol):
     """Connection that lasts only while it answers, so that nobody who merely opens connections keeps others out."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Make room: of more than 100 connections the oldest one that answers nothing is closed."""
+        """Make room: of more than 50 connections the oldest one that answers nothing is closed."""
         others = [one for one in self.connections if isinstance(one, _Connection) and not one.transport.is_closing()]
         super().connection_made(transport)
         self.began = self.loop.time()
-        if len(others) >= 100:
+        if len(others) >= 50:
             waiting = [one for one in others if one.is_waiting]
             min(waiting, key=lambda one: one.began, default=self).transport.close()
         self._look_later()
@@ -530,7 +530,7 @@ class LivePage:
                 server_header=False,
                 timeout_graceful_shutdown=1,  # s,
                 http=_Connection,
-                backlog=64,  # so many connections are accepted before the oldest are closed
+                backlog=32,  # three times as many can be accepted before the oldest are closed
             )
         )
 
