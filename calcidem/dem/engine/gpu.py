@@ -1,7 +1,4 @@
-"""A GPU in the place of the processor: `gpu_steps` advances samples as `advance_steps` does.
-
-This version was shown on numba's CUDA simulator only; it has not been run on a GPU.
-"""
+"""A GPU in the place of the processor: `gpu_steps` advances samples as `advance_steps` does."""
 
 from types import ModuleType
 
