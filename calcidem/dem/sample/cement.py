@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
 from importlib.metadata import entry_points
-from itertools import chain
-from typing import Annotated, cast
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -468,10 +467,9 @@ def _circles(
     for _ in range(400):
         centres = generator.uniform(0.0, 1.0, (512, 2)) * box
         # The tree searches slightly too far; the exact test follows.
-        lists = tree.query_ball_point(centres, radius * (1.0 + 1e-9), return_sorted=True)
-        near = cast("list[list[int]]", lists)
-        found = np.fromiter(chain.from_iterable(near), dtype=np.int64)
-        circle = np.repeat(np.arange(len(centres)), [len(indices) for indices in near])
+        near = scipy.spatial.cKDTree(centres).sparse_distance_matrix(tree, radius * (1.0 + 1e-9), output_type="ndarray")
+        circle, found = near["i"], near["j"]
         inside = length(*(points[found] - centres[circle]).T) <= radius
-        held, number = np.unique(circle[inside], return_inverse=True)
-        yield centres[held], number, found[inside]
+        code = np.sort(circle[inside] * len(points) + found[inside])
+        held, number = np.unique(code // len(points), return_inverse=True)
+        yield centres[held], number, code % len(points)
