@@ -145,8 +145,7 @@ def _prepared_computation(
     if _version() != version:
         raise LaunchError(f"a worker has {_version()}, the program that stores the campaign has {version}")
     keep_freed_memory()
-    if configuration.run.gpu:
-        choose_gpu((own_rank() or 1) - 1)  # rank 0 computes nothing
+    gpu = choose_gpu((own_rank() or 1) - 1) if configuration.run.gpu else 0  # rank 0 computes nothing
     compilations = kernel_compilations(configuration, packing)
     if sys.platform == "win32":  # each process for itself
         for compile_kernel in compilations:
@@ -155,21 +154,19 @@ def _prepared_computation(
     with contextlib.ExitStack() as stack:
         others = []
         for number, compile_kernel in enumerate(compilations):
-            path = Path(tempfile.gettempdir()) / f"calcidem-kernel-{number}-{os.getuid()}.lock"
+            path = Path(tempfile.gettempdir()) / f"calcidem-kernel-{gpu}-{number}-{os.getuid()}.lock"
             file = stack.enter_context(path.open("w", encoding="ascii"))
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                others.append((file, compile_kernel))  # another process compiles it; continue with the next
+                others.append(file)  # another process compiles it, and proves it on this GPU; continue with the next
                 continue
             except OSError:
                 pass  # a file system without locks: each process for itself
             compile_kernel()
             file.close()  # and unlock it
-        for file, compile_kernel in others:
+        for file in others:
             fcntl.flock(file, fcntl.LOCK_SH)  # wait for it, and load the result from disk
-            if configuration.run.gpu:
-                compile_kernel()  # each process proves its own GPU
     return CellComputation(configuration, packing)
 
 

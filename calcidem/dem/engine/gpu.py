@@ -17,9 +17,13 @@ def refuse_missing_gpu() -> None:
     _card().refuse_missing()
 
 
-def choose_gpu(number: int) -> None:
-    """Use one of the visible GPUs in this thread: workers with successive numbers take turns. Errors as above."""
-    _card().choose(number)
+def choose_gpu(number: int) -> int:
+    """Use one of the visible GPUs in this thread, workers with successive numbers in turn; return the GPU's number.
+
+    Errors as above.
+    """
+    chosen: int = _card().choose(number)
+    return chosen
 
 
 def _card() -> ModuleType:

@@ -35,10 +35,12 @@ def refuse_missing() -> None:
         raise GpuError("run.gpu: no NVIDIA GPU with its driver was found: check nvidia-smi, or leave gpu out")
 
 
-def choose(number: int) -> None:
-    """Use one of the visible GPUs in this thread; `GpuError` if there is none."""
+def choose(number: int) -> int:
+    """Use one of the visible GPUs in this thread, and return its number; `GpuError` if there is none."""
     refuse_missing()
-    cuda.select_device(number % len(cuda.gpus))
+    chosen = number % len(cuda.gpus)
+    cuda.select_device(chosen)
+    return chosen
 
 
 class GpuSteps:
