@@ -54,8 +54,11 @@ def run(state, told, *kernel):
 """
 
 COMPARE = """
+import calcidem.dem.kernels.gpu.card as card_module
+
 choose_gpu(0)
-for features, precision, steps, skin in {cases}:
+for features, precision, steps, skin, bytes_of_a_block in {cases}:
+    card_module._shared_memory = lambda: bytes_of_a_block
     kernel = gpu_steps()
     card, is_renewed = run(*begin(features, precision, steps, skin), kernel.advance)
     processor, _ = run(*begin(features, precision, steps, skin))
@@ -93,8 +96,12 @@ def simulate(program: str) -> list[str]:
 
 
 # The samples leave a list with so small a skin, in mean radii, at different steps.
-FEW = '(LINEAR, "float64", 12, None), (BONDED, "float32", 24, 1e-2)'
-OTHERS = '(LINEAR, "float32", 24, None), (BONDED, "float64", 24, 1e-2), (GROUPED, "float32", 24, None)'
+# The motion of twelve disks takes 576 bytes in doubles.
+FEW = '(LINEAR, "float64", 12, None, 575), (BONDED, "float32", 24, 1e-2, 48000)'
+OTHERS = (
+    '(LINEAR, "float32", 24, None, 48000), (BONDED, "float64", 24, 1e-2, 48000), (GROUPED, "float32", 24, None, 0), '
+    '(LINEAR, "float64", 12, None, 576)'
+)
 
 
 @pytest.mark.slow
