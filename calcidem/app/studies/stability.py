@@ -172,7 +172,9 @@ def judge_scene(scene: Callable[[], tuple[Experiment, float]], seed: int) -> Jud
         (found,) = measure(experiment, content, [seed], lanes=1)
         if found.vs is None or found.reading is None:
             return Judgement(SceneVerdict.STOPPED, found.reason)
-        finer = replace(experiment, is_checked=False).with_wave(
+        # The reference is read however large its own error is.
+        read = replace(experiment.pick, largest_error=1.0)
+        finer = replace(experiment, is_checked=False, pick=read).with_wave(
             law="finite",
             precision="float64",
             step_fraction=found.check.step_fraction / 4.0,
