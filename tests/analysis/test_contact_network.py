@@ -46,6 +46,13 @@ def test_sand_alone() -> None:
     assert (found.network_components, found.network_largest_component, found.network_gap_contacts) == (0, 0, 3)
 
 
+def test_contacts_conduct_as_the_wave_has_energy_there() -> None:
+    """A cemented row whose middle has a twentieth of the energy: 1/1 + 20/1 + 1/1 beside 3/.01 of sand."""
+    found = network(energy=np.where(np.arange(len(PAIRS)) == 1, 0.05, 1.0)).features(bonded((0, 1), (1, 2), (2, 3)))
+    most = 1.0 / 22.0 + 1.0 / 3.0
+    assert found.network_conductance == pytest.approx((1.0 / 22.0 + 0.01 / 3.0) / most, rel=1e-6)
+
+
 def test_resistors_in_series_and_in_parallel() -> None:
     """Two rows of three contacts: that with two of three cemented has 1/1 + 1/1 + 1/.01, the bare one 3/.01."""
     found = network().features(bonded((0, 1), (1, 2), (6, 7)))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calcidem.analysis.dispersion import dispersion
+from calcidem.analysis.dispersion import _jackknife, dispersion
 
 FREQUENCY = 8000.0
 PLACES = np.linspace(0.012, 0.093, 10)
@@ -66,3 +66,10 @@ def test_one_sample_has_a_dispersion_without_errors() -> None:
     assert np.isnan(found.standard_error).all()
     assert np.isnan(found.long_wave_error)
     assert found.long_wave == pytest.approx(900.0, rel=3e-3)
+
+
+def test_the_jackknife_of_means_is_the_standard_error_of_the_mean() -> None:
+    """Each estimate leaves out one value: s / sqrt(n) in closed form."""
+    values = np.random.default_rng(0).normal(size=(12, 3))
+    left_out = (values.sum(axis=0) - values) / 11
+    assert _jackknife(left_out) == pytest.approx(values.std(axis=0, ddof=1) / np.sqrt(12), rel=1e-12)

@@ -54,6 +54,24 @@ def test_outcomes_are_counted_apart() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("outcomes", "counts"),
+    [
+        (["", "done", "unstable", "done"], (1, 0, 0)),  # a velocity of one seed is that of all
+        (["", "unstable", "", "unstable"], (0, 0, 1)),
+        (["", "", "", ""], (0, 1, 0)),
+    ],
+)
+def test_without_cement_all_seeds_are_one_cell(outcomes: list[str], counts: tuple[int, int, int]) -> None:
+    """The best outcome of any seed counts, once; other contents count each seed."""
+    vs = matrix([[200.0 if each == "done" else float("nan")] * 2 for each in outcomes], [0.0, 0.05])
+    found = count_outcomes(vs, vs.copy(data=np.array([[each, each] for each in outcomes])))
+    names = ("measured", "missing", "failed")
+    assert tuple(int(found[name].sel(content=0.0)) for name in names) == counts
+    of_seeds = outcomes.count("done"), outcomes.count(""), outcomes.count("unstable")
+    assert tuple(int(found[name].sel(content=0.05)) for name in names) == of_seeds
+
+
 def test_without_status_every_gap_counts_as_not_computed() -> None:
     """With no outcomes at hand nothing is called a failure."""
     counts = count_outcomes(matrix([[200.0, float("nan")]], [0.11, 5.0]))

@@ -78,6 +78,17 @@ def test_deviation_interval_approaches_that_of_chi_square_for_many_normal_values
     assert (interval.low / deviation, interval.high / deviation) == pytest.approx((low, high), rel=3e-3)
 
 
+def test_deviation_interval_of_a_sample_with_the_least_kurtosis() -> None:
+    """Of -1 and 1, k times each, the kurtosis is 1: 1 - (n - 3) / n is 3 / n in Bonett's equation 3."""
+    for k in (4, 50, 500):
+        n, z = 2 * k, 1.959963985
+        correction = n / (n - z)
+        error = correction * np.sqrt(3 / n / (n - 1))
+        expected = np.sqrt(n / (n - 1)) * np.sqrt(correction * np.exp([-z * error, z * error]))
+        interval = Interval.of_standard_deviation(np.repeat([-1.0, 1.0], k))
+        assert (interval.low, interval.high) == pytest.approx(tuple(expected), rel=1e-8)
+
+
 def test_prediction_interval_from_a_printed_quantile() -> None:
     """With 7 degrees of freedom the 97.5 % point of Student's t is 2.365 in printed tables."""
     half = 2.365 * np.sqrt(32 / 7) * np.sqrt(1 + 1 / 8)

@@ -8,9 +8,11 @@ from calcidem.analysis.velocity import (
     SOIL_DENSITY,
     damping_ratio,
     median_diameter_by_mass,
+    notes_on,
     small_strain_modulus,
     wavelengths,
 )
+from calcidem.ends import CellStatus
 
 
 def test_modulus_and_damping_ratio_are_those_of_the_paper() -> None:
@@ -35,3 +37,29 @@ def test_wavelengths() -> None:
     """200 m/s at 4 kHz are 50 mm: two wavelengths in 0.1 m, and 20 grains of 2.5 mm; without a velocity none."""
     assert wavelengths(200.0, 4e3, 0.1, 2.5e-3) == pytest.approx((2.0, 20.0), rel=1e-14)
     assert wavelengths(None, 4e3, 0.1, 2.5e-3) == (None, None)
+
+
+def test_advice_names_the_contents_that_it_is_about() -> None:
+    """Two failures of eight may bias a mean, one of sixteen may not; a wave of five grains is short, one of nine not."""
+    content = np.repeat([1.0, 2.0], [8, 16])
+    status = np.full(24, CellStatus.DONE, dtype=object)
+    status[[0, 1, 8]] = CellStatus.NO_ARRIVAL
+    vs = np.where(status == CellStatus.DONE, 500.0, np.nan)
+    columns = {
+        "content": content,
+        "status": status,
+        "vs": vs,
+        "pulse_effect": np.where(content == 1.0, 0.001, 0.03),
+        "wavelengths_on_path": np.where(content == 1.0, 1.5, 2.5),
+        "wavelength_over_d50": np.where(content == 1.0, 9.0, 5.0),
+        "broken_bonds": np.where(content == 1.0, 0, 1),
+    }
+    notes = notes_on(columns)
+    beginnings = [
+        *("At 1 % fewer than two wavelengths", "At 2 % a wavelength has fewer than 6 grains"),
+        *("At 2 % Vs depends on the pulse", "Cells in which the pulse broke bonds: 16;"),
+        *("Possible selection bias at 1 %:", "Cells without velocity: 3."),
+    ]
+    assert len(notes) == len(beginnings)
+    for note, beginning in zip(notes, beginnings, strict=True):
+        assert note.startswith(beginning)
