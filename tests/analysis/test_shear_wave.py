@@ -40,7 +40,7 @@ def test_wavelengths() -> None:
 
 
 def test_advice_names_the_contents_that_it_is_about() -> None:
-    """Two failures of eight may bias a mean, one of sixteen may not; a wave of five grains is short, one of nine not."""
+    """Two failures of eight may bias a mean, one of sixteen may not; five grains in a wave are few, nine are not."""
     content = np.repeat([1.0, 2.0], [8, 16])
     status = np.full(24, CellStatus.DONE, dtype=object)
     status[[0, 1, 8]] = CellStatus.NO_ARRIVAL
