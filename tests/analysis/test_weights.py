@@ -80,6 +80,12 @@ def test_more_noise_widens_the_interval() -> None:
     assert loud > 2 * quiet
 
 
+def test_an_interval_of_a_lower_level_lies_inside() -> None:
+    """Half of the replicates, a quarter on each side, lie within 95 % of them."""
+    half, most = (scan_ratio(*campaign(0.6, 200.0), level=level).best_ratio_interval for level in (0.5, 0.95))
+    assert most.low < half.low < half.high < most.high
+
+
 def test_samples_without_velocity_are_left_out_and_counted() -> None:
     """Gaps change nothing but the count, if the others are the same."""
     envelopes, velocity, seeds = campaign(0.6, 100.0)

@@ -332,6 +332,16 @@ def test_read_only_store_refuses_writes(store: Store, open_here: Callable[..., S
         reader.record_results([records.done(2, 5.0)])
 
 
+def test_a_database_that_refuses_writes_is_named(open_here: Callable[..., Store], store: Store) -> None:
+    """What SQLite and PostgreSQL say of a write that they do not allow becomes this error, with what to do."""
+    del store  # its database is there
+    writer = open_here()
+    forbid = "SET TRANSACTION READ ONLY" if writer.address.path is None else "PRAGMA query_only = 1"
+    with pytest.raises(ReadOnlyStoreError, match="permissions"), writer._writing() as session:
+        session.execute(text(forbid))
+        session.execute(text("DELETE FROM calcidem_schema"))
+
+
 def test_lease_is_granted_once_and_can_be_asked_for_again(store: Store) -> None:
     """Asking again for a held lease gives the same one; released, it is free for a new one."""
     assert store.acquire_lease() == ()
