@@ -336,9 +336,10 @@ def test_a_database_that_refuses_writes_is_named(open_here: Callable[..., Store]
     """What SQLite and PostgreSQL say of a write that they do not allow becomes this error, with what to do."""
     del store  # its database is there
     writer = open_here()
-    forbid = "SET TRANSACTION READ ONLY" if writer.address.path is None else "PRAGMA query_only = 1"
+    of_server = "SET SESSION CHARACTERISTICS AS TRANSACTION READ ONLY"
+    with writer._writing() as session:
+        session.execute(text(of_server if writer.address.path is None else "PRAGMA query_only = 1"))
     with pytest.raises(ReadOnlyStoreError, match="permissions"), writer._writing() as session:
-        session.execute(text(forbid))
         session.execute(text("DELETE FROM calcidem_schema"))
 
 
