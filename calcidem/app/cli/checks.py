@@ -36,15 +36,12 @@ def verify_command(
         typer.Option(min=0, metavar="SEED", help="Seed of their random choice."),
     ] = None,
     integrity: Annotated[
-        bool, typer.Option("--integrity", help="Compute nothing: let SQLite check the whole file.")
+        bool, typer.Option("--integrity", help="Only let SQLite check the whole file; exit code 1 if it is damaged.")
     ] = False,
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
-    """Compute random cells of a campaign again, on its own packing, and compare them with the stored ones.
-
-    Status, readings, step, cement and stored sections are compared. --integrity names the damage that SQLite finds in
-    the file; exit code 1 if there is any.
+    """Compute random cells again, on the stored packing, and compare status, readings, step, cement and sections.
 
     Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 not comparable,
     such as cells of another physics version.
@@ -127,7 +124,7 @@ def accuracy_command(
         list[str] | None,
         typer.Option(
             metavar="SETTING",
-            help="Only this setting beside the default, such as 'step_fraction 0.4'; may be repeated.",
+            help="Only this setting beside the default, such as 'step_fraction 0.4' (repeatable).",
         ),
     ] = None,
     db: JudgedDatabase = None,
@@ -136,8 +133,8 @@ def accuracy_command(
 ) -> None:
     """Measure error against run time of every numerical setting, on cells of the campaign.
 
-    A table has what the computation leaves out, why that is safe, and what it would cost. After a stop, the same
-    command with --out continues.
+    A table has what the computation leaves out, why that is safe, and its cost. After a stop, the same command with
+    --out continues.
     """
     from calcidem.app.config.reader import change_configuration, load_configuration
     from calcidem.app.studies.accuracy import accuracy, choose_settings
