@@ -35,7 +35,11 @@ _SIGNS = {
     r"\ba number of (\S+) or more\b": r"≥ \1",
     r"\binteger (in|of) (\S+) or more\b": r"integer ≥ \2",
     r"(,|;)( or)? leave (the key|it) out\b[^*]*$": "",
-    "^true or false$": "",
+    r"^(true or false|a file name|the name of a CSV file)$": "",
+    r"^a name that can be part of a file name, of ": "",
+    r" such as \[[^]]*\]": "",
+    r"\ba (?:number|ratio) between (\S+) and (\d[\d.]*\d)": r"[\1, \2]",
+    r" \(boundary_damping may be 1\)": "",
 }
 """Short forms of accepted values, for the page alone: a refusal says them in words."""
 

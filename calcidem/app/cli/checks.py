@@ -43,8 +43,8 @@ def verify_command(
 ) -> None:
     """Compute random cells again, on the stored packing, and compare status, readings, step, cement and sections.
 
-    Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 not comparable,
-    such as cells of another physics version.
+    Exit codes: 0 same bits; 3 same to rounding: counts, status and cement are equal, relative differences at most 1e-9;
+    1 different; 2 not comparable, such as another physics version.
     """
     from calcidem.app.campaign.opened import open_campaign
     from calcidem.app.cli.exit_codes import EXIT_ROUNDING

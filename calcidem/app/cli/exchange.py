@@ -96,13 +96,13 @@ def import_command(
         ),
     ] = None,
     timestep: Annotated[
-        int | None, typer.Option(min=0, help="Disks: snapshot of a LAMMPS dump; by default the last.")
+        int | None, typer.Option(min=0, help="Disks: snapshot of a LAMMPS dump, by default the last.")
     ] = None,
 ) -> None:
     """Read an exported campaign into a database (--db), or disks of another program into a file (--out).
 
-    Cells that the database already has are kept. Changed files and other packings are refused. The format of disks is
-    recognised by content. Left wall and floor become x = 0 and y = 0.
+    Existing cells are kept. Changed files and other packings are refused. The format of disks is recognised by content.
+    Left wall and floor become x = 0 and y = 0.
     """
     if (database is None) is (out is None):
         raise typer.BadParameter("give one of them: --db for an exported campaign, --out for disks of another program")
@@ -155,7 +155,7 @@ def merge_command(
     ] = None,
     campaign: CampaignName = None,
 ) -> None:
-    """Merge databases of one campaign, such as those of `calcidem run --part`, into one.
+    """Merge databases of one campaign, such as parts, into one.
 
     A done cell replaces any other. Different values of a done cell are refused unless --prefer chooses.
     """

@@ -101,7 +101,7 @@ class CampaignPlan:
         Root of all random numbers.
     until
         Relative half-widths of the 95 % intervals of mean and standard deviation: each content begins with `seeds`
-        seeds and gets more until its intervals are as narrow.
+        seeds and gets more until they are reached.
     most_seeds
         Most seeds of a content with `until`.
     """
@@ -281,9 +281,9 @@ class RunOptions:
     lanes
         Cells computed side by side.
     store_sections
-        Whether every cell's section is stored, about 10 kB each.
+        Whether sections are stored, about 10 kB a cell.
     static_speed
-        Whether the static speed of every cell is computed.
+        Whether static speeds are computed.
     gpu
         Whether NVIDIA GPUs propagate the waves; `lanes` of 32 use them best.
     time_limit
