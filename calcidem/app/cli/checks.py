@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 def verify_command(
     database: Database,
-    cells: Annotated[int, typer.Option(min=1, help="Number of cells to compute again.")] = 4,
+    cells: Annotated[int, typer.Option(min=1, help="Cells to compute again.")] = 4,
     choice: Annotated[
         int | None,
         typer.Option(min=0, metavar="SEED", help="Seed of their random choice."),
@@ -119,7 +119,7 @@ def _verification_line(verification: "Verification") -> str:
 def accuracy_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     content: OnlyContents = None,
-    seeds: Annotated[int, typer.Option(min=1, max=SEEDS_AT_ONCE, help="Number of seeds to measure.")] = 4,
+    seeds: Annotated[int, typer.Option(min=1, max=SEEDS_AT_ONCE, help="Seeds to measure.")] = 4,
     only: Annotated[
         list[str] | None,
         typer.Option(
@@ -131,7 +131,7 @@ def accuracy_command(
     out: StudyFolder = None,
     layout: FormatOption = Format.TABLE,
 ) -> None:
-    """Measure error against run time of every numerical setting, on cells of the campaign.
+    """Measure error against run time of every numerical setting.
 
     A table has what the computation leaves out, why that is safe, and its cost. After a stop, the same command with
     --out continues.

@@ -110,7 +110,7 @@ def report_command(
         typer.Option(metavar="FILE.html", help="Page to write or replace; DB.html beside the database if not given."),
     ] = None,
     with_studies: Annotated[
-        bool, typer.Option("--with-studies", help="Run the frequency and damping studies and include them.")
+        bool, typer.Option("--with-studies", help="Compute and include studies of frequency and damping.")
     ] = False,
     files: Annotated[
         Path | None,

@@ -169,7 +169,7 @@ def sensitivity_command(
     ] = None,
     content: OnlyContents = None,
     campaign: CampaignName = None,
-    only_table: Annotated[bool, typer.Option("--only-table", help="Compute nothing; show what is stored.")] = False,
+    only_table: Annotated[bool, typer.Option("--only-table", help="Only show what is stored.")] = False,
     cores: StudyCores = 0,
 ) -> None:
     """Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs.
