@@ -124,13 +124,13 @@ for _peer, _turning, _turned in (
 ):
     for _friction, _speed, _tolerance, _reason in ((0.0, 1e-2, 1e-8, _ROUNDING), (0.5, 1e-4, _turning, _turned)):
         _compare(
-            _peer, f"280 disks, friction {_friction:g}, thrown at {_speed:g} m/s, calcidem finite",
+            _peer, f"280 disks, friction {_friction:g}, thrown at {_speed:g} m/s",
             lambda case=(_friction, _speed): _thrown_packing(*case), _tolerance, _reason,
         )  # type: ignore[misc]  # fmt: skip
     _compare(_peer, "head-on impact", lambda: impact_problem(0.0, oblique=False), 1e-10, _ROUNDING)
     _compare(_peer, "oblique impact, full sliding", lambda: impact_problem(0.05, oblique=True), 1e-10, _ROUNDING)
 _compare(
-    "LAMMPS", "280 disks, friction 0.5, thrown at 1e-05 m/s, calcidem linear", lambda: _thrown_packing(0.5, 1e-5), 3e-3,
+    "LAMMPS", "280 disks, friction 0.5, thrown at 1e-05 m/s, linear law", lambda: _thrown_packing(0.5, 1e-5), 3e-3,
     f"{_ARMS}; the linear law leaves out that loaded contacts turn", law="linear",
 )  # fmt: skip
 _compare("LAMMPS", "oblique impact with sticking", lambda: impact_problem(0.5, oblique=True), 0.1, _SCALED)

@@ -30,24 +30,21 @@ if TYPE_CHECKING:
 
 def verify_command(
     database: Database,
-    cells: Annotated[int, typer.Option(min=1, help="Number of cells to compute again.")] = 4,
+    cells: Annotated[int, typer.Option(min=1, help="Cells to compute again.")] = 4,
     choice: Annotated[
         int | None,
         typer.Option(min=0, metavar="SEED", help="Seed of their random choice."),
     ] = None,
     integrity: Annotated[
-        bool, typer.Option("--integrity", help="Compute nothing: let SQLite check the whole file.")
+        bool, typer.Option("--integrity", help="Only let SQLite check the whole file; exit code 1 if it is damaged.")
     ] = False,
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
-    """Compute random cells of a campaign again, on its own packing, and compare them with the stored ones.
+    """Compute random cells again, on the stored packing, and compare status, readings, step, cement and sections.
 
-    Status, readings, step, cement and stored sections are compared. --integrity names the damage that SQLite finds in
-    the file; exit code 1 if there is any.
-
-    Exit codes: 0 same bits; 3 same to rounding, all relative differences at most 1e-9; 1 different; 2 not comparable,
-    such as cells of another physics version.
+    Exit codes: 0 same bits; 3 same to rounding: counts, status and cement are equal, relative differences at most 1e-9;
+    1 different; 2 not comparable, such as another physics version.
     """
     from calcidem.app.campaign.opened import open_campaign
     from calcidem.app.cli.exit_codes import EXIT_ROUNDING
@@ -122,22 +119,22 @@ def _verification_line(verification: "Verification") -> str:
 def accuracy_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
     content: OnlyContents = None,
-    seeds: Annotated[int, typer.Option(min=1, max=SEEDS_AT_ONCE, help="Number of seeds to measure.")] = 4,
+    seeds: Annotated[int, typer.Option(min=1, max=SEEDS_AT_ONCE, help="Seeds to measure.")] = 4,
     only: Annotated[
         list[str] | None,
         typer.Option(
             metavar="SETTING",
-            help="Only this setting beside the default, such as 'step_fraction 0.4'; may be repeated.",
+            help="Only this setting beside the default, such as 'step_fraction 0.4' (repeatable).",
         ),
     ] = None,
     db: JudgedDatabase = None,
     out: StudyFolder = None,
     layout: FormatOption = Format.TABLE,
 ) -> None:
-    """Measure error against run time of every numerical setting, on cells of the campaign.
+    """Measure error against run time of every numerical setting.
 
-    A table has what the computation leaves out, why that is safe, and what it would cost. After a stop, the same
-    command with --out continues.
+    A table has what the computation leaves out, why that is safe, and its cost. After a stop, the same command with
+    --out continues.
     """
     from calcidem.app.config.reader import change_configuration, load_configuration
     from calcidem.app.studies.accuracy import accuracy, choose_settings

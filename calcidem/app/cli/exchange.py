@@ -36,10 +36,10 @@ def export_command(
     campaign: CampaignName = None,
     without: Annotated[
         list[_Array] | None,
-        typer.Option(help="Leave out these arrays, most of the NetCDF file; may be repeated."),
+        typer.Option(help="Leave out these arrays, most of the NetCDF file (repeatable)."),
     ] = None,
 ) -> None:
-    """Write a campaign to a NetCDF file, or one sample of it to a file.
+    """Write a campaign, or one sample of it, to a file.
 
     With --seed and --content: the sample with its contacts and cement for ParaView (.vtu), or the disks of its packing
     as CSV (x, y, radius in m).
@@ -83,9 +83,9 @@ def import_command(
     out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Disks: file to write for [packing].")] = None,
     unit: Annotated[str | None, typer.Option(help="Disks: unit of length, if the file has none.")] = None,
     columns: Annotated[str, typer.Option(help="Disks: names of the columns from the left: x,y,z,radius.")] = "",
-    types: Annotated[list[str] | None, typer.Option("--type", help="Disks: only this type; may be repeated.")] = None,
+    types: Annotated[list[str] | None, typer.Option("--type", help="Disks: only this type (repeatable).")] = None,
     plane: Annotated[
-        str | None, typer.Option(help="Disks: axes of the file that become x and y; by default those of their plane.")
+        str | None, typer.Option(help="Disks: axes that become x and y; by default those of their plane.")
     ] = None,
     walls: Annotated[
         tuple[float, float, float, float] | None,
@@ -96,13 +96,13 @@ def import_command(
         ),
     ] = None,
     timestep: Annotated[
-        int | None, typer.Option(min=0, help="Disks: snapshot of a LAMMPS dump; by default the last.")
+        int | None, typer.Option(min=0, help="Disks: snapshot of a LAMMPS dump, by default the last.")
     ] = None,
 ) -> None:
-    """Read an exported campaign into a database (--db), or disks of another program into a packing's file (--out).
+    """Read an exported campaign into a database (--db), or disks of another program into a file (--out).
 
-    Cells that the database already has are kept. Changed files and other packings are refused. The format of disks is
-    recognised by content. Left wall and floor become x = 0 and y = 0.
+    Existing cells are kept. Changed files and other packings are refused. The format of disks is recognised by content.
+    Left wall and floor become x = 0 and y = 0.
     """
     if (database is None) is (out is None):
         raise typer.BadParameter("give one of them: --db for an exported campaign, --out for disks of another program")
@@ -155,7 +155,7 @@ def merge_command(
     ] = None,
     campaign: CampaignName = None,
 ) -> None:
-    """Merge databases of one campaign, such as those of `calcidem run --part`, into one.
+    """Merge databases of one campaign, such as parts, into one.
 
     A done cell replaces any other. Different values of a done cell are refused unless --prefer chooses.
     """

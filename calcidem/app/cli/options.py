@@ -92,10 +92,10 @@ JudgedDatabase = Annotated[
 ]
 OnlyContents = Annotated[
     list[float] | None,
-    typer.Option("--content", parser=parse_percentage, metavar="PERCENT", help="Only this content; may be repeated."),
+    typer.Option("--content", parser=parse_percentage, metavar="PERCENT", help="Only this content (repeatable)."),
 ]
 OnlySeeds = Annotated[
-    list[int] | None, typer.Option("--seed", min=0, max=HIGHEST_SEED, help="Only this seed; may be repeated.")
+    list[int] | None, typer.Option("--seed", min=0, max=HIGHEST_SEED, help="Only this seed (repeatable).")
 ]
 Level = Annotated[
     float,

@@ -46,7 +46,7 @@ def status_command(
         float,
         typer.Option(
             parser=number_parser(0.1, 86400.0, "is not a number of seconds from 0.1 to 86400"),
-            help="Seconds between two refreshes with --watch.",
+            help="Seconds between refreshes with --watch.",
         ),
     ] = 2.0,
     half_width: Annotated[
@@ -55,7 +55,7 @@ def status_command(
             "--halfwidth",
             parser=number_parser(1e-6, 1e6, "is not a number above 0, from 1e-6 to 1e6"),
             metavar="M/S",
-            help="Also estimate the seeds and the time for 95 % intervals of the means with this half-width.",
+            help="Also estimate seeds and time for 95 % intervals of the means with this half-width.",
         ),
     ] = None,
     layout: FormatOption = Format.TABLE,
@@ -110,22 +110,22 @@ def report_command(
         typer.Option(metavar="FILE.html", help="Page to write or replace; DB.html beside the database if not given."),
     ] = None,
     with_studies: Annotated[
-        bool, typer.Option("--with-studies", help="Run the frequency and damping studies and include them.")
+        bool, typer.Option("--with-studies", help="Compute and include studies of frequency and damping.")
     ] = False,
     files: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder for all figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF)."),
+        typer.Option(metavar="DIR", help="Folder for figures (PNG, SVG, PDF), tables (CSV) and numbers (NetCDF)."),
     ] = None,
     figure: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Only this figure for --files, such as vs_range; may be repeated."),
+        typer.Option(metavar="NAME", help="Only this figure for --files, such as vs_range (repeatable)."),
     ] = None,
     measured: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.csv",
-            help="Laboratory velocities to compare, a row for each specimen or mean: content, Vs, and sd, samples, "
-            "confining stress; or G0 and density.",
+            help="Laboratory velocities, a row for each specimen or mean: content, Vs (or G0 and density), and sd, "
+            "samples, confining stress.",
         ),
     ] = None,
     campaign: CampaignName = None,
@@ -170,9 +170,9 @@ def serve_command(
     databases: Annotated[list[str], typer.Argument(metavar="DB...", help="SQLite files or database URLs.")],
     campaign: Annotated[
         list[str] | None,
-        typer.Option("--campaign", metavar="NAME", help="Campaigns of a database that has several; may be repeated."),
+        typer.Option("--campaign", metavar="NAME", help="Campaigns of a database that has several (repeatable)."),
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any that is free.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0 for any free one.")] = 0,
     host: Annotated[str, typer.Option(metavar="HOST", help="Address to listen on.")] = "127.0.0.1",
     wait: Annotated[
         bool, typer.Option("--wait", help="Wait for databases and campaigns that do not exist yet.")
@@ -209,7 +209,7 @@ def query_command(
     database: Database,
     content: OnlyContents = None,
     seed: OnlySeeds = None,
-    status: Annotated[list[CellStatus] | None, typer.Option(help="Only this status; may be repeated.")] = None,
+    status: Annotated[list[CellStatus] | None, typer.Option(help="Only this status (repeatable).")] = None,
     where: Annotated[str | None, typer.Option(help='Filter such as "vs > 1500 and clusters >= 40".')] = None,
     columns: Annotated[str | None, typer.Option(help='Columns, such as "seed,vs,steps", or "all".')] = None,
     sort: Annotated[str, typer.Option(help='Columns to sort by, such as "-vs,seed"; "-" means descending.')] = "",
@@ -218,11 +218,11 @@ def query_command(
     out: Annotated[Path | None, typer.Option(help="File to write; .csv, .json or .parquet choose the format.")] = None,
     features: Annotated[
         bool,
-        typer.Option("--features", help="Show correlations of path features with Vs instead."),
+        typer.Option("--features", help="Show correlations of features with Vs instead."),
     ] = False,
     campaign: CampaignName = None,
 ) -> None:
-    """Show the cells of a campaign that meet all given conditions.
+    """Show the cells that meet all conditions.
 
     --features gives Pearson's correlation within a content, its 95 % interval, p by exchanging seeds at random, and p
     corrected for the number of features.

@@ -36,8 +36,8 @@ def init_command(
     preset: Annotated[
         Preset | None,
         typer.Option(
-            help="quick (default): 6 contents x 4 seeds; paper: 17 x 116; both with a quiet pulse; paper-as-printed: "
-            "the same with the printed pulse of 5 m/s, on which its velocities depend."
+            help="quick (default): 6 contents x 4 seeds; paper: 17 x 116; paper-as-printed: the same with the printed "
+            "pulse of 5 m/s, on which its velocities depend."
         ),
     ] = None,
     full: Annotated[bool, typer.Option("--full", help="Include every key with its meaning.")] = False,
@@ -45,7 +45,7 @@ def init_command(
         str | None,
         typer.Option(
             metavar="SIZE",
-            help="Mean diameter of your own sand, such as 0.3mm; or d10,d50,d90 by mass, such as 0.2mm,0.3mm,0.4mm.",
+            help="Mean diameter of your own sand, such as 0.3mm, or d10,d50,d90 by mass: 0.2mm,0.3mm,0.4mm.",
         ),
     ] = None,
     grading: Annotated[
@@ -78,7 +78,7 @@ def init_command(
         typer.Option("--slurm", help="Also write its Slurm job, FILE.sbatch; a configuration that exists is kept."),
     ] = False,
 ) -> None:
-    """Write a configuration to start from: an example, or one for your own sand."""
+    """Write a configuration: an example, or one for your own sand."""
     if not file.name:
         raise typer.BadParameter(f"{file} is a folder or a device; give the name of a file")
     chosen = preset or next(iter(Preset))
@@ -156,12 +156,10 @@ def run_command(
     ] = None,
     ranks: Annotated[
         int | None,
-        typer.Option(
-            min=0, max=100_000, help="Number of MPI ranks (rank 0 only coordinates); 0: one per core, plus one."
-        ),
+        typer.Option(min=0, max=100_000, help="MPI ranks (rank 0 only coordinates); 0: one per core, plus one."),
     ] = None,
     dask: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Compute on the workers of the Dask scheduler there.")
+        str | None, typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler.")
     ] = None,
     gpu: Annotated[
         bool,
@@ -185,7 +183,7 @@ def run_command(
     with_report: Annotated[bool, typer.Option("--report", help="Also write the report.")] = False,
     retry: Annotated[
         list[_Retried] | None,
-        typer.Option(help="Also compute cells of this status again; may be repeated."),
+        typer.Option(help="Also compute cells of this status again (repeatable); quarantined: three runs died at it."),
     ] = None,
     check: Annotated[
         bool,
@@ -194,14 +192,10 @@ def run_command(
     serve: Annotated[bool, typer.Option("--serve", help="Show the run in the browser.")] = False,
     packing_only: Annotated[
         bool,
-        typer.Option("--packing-only", help="Only make the packing, cache it and report on it."),
+        typer.Option("--packing-only", help="Only make, cache and report on the packing."),
     ] = False,
 ) -> None:
-    """Compute a campaign, or its missing cells: after a stop, the same command continues.
-
-    Cells with the status failed, timed_out or quarantined (three runs died while computing them) are computed again
-    only with --retry.
-    """
+    """Compute a campaign, or its missing cells: after a stop, the same command continues."""
     overrides = {
         "database": database,
         "output": None if output is None else str(output),

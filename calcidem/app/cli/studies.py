@@ -52,10 +52,10 @@ def predict_command(
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
-    """Predict Vs of a sample from the campaign's own samples of its content, with an interval; nothing is simulated.
+    """Predict Vs of a sample, with an interval, from the campaign's samples of its content, without simulating it.
 
-    The feature is the conductance of the cement as a network (network_conductance). Leaving out each sample in turn
-    checks the intervals.
+    The feature is the conductance of the cement (network_conductance). Leaving out each sample in turn checks the
+    intervals.
     """
     from calcidem.app.campaign.opened import check_predictions, open_campaign
 
@@ -169,13 +169,12 @@ def sensitivity_command(
     ] = None,
     content: OnlyContents = None,
     campaign: CampaignName = None,
-    only_table: Annotated[bool, typer.Option("--only-table", help="Compute nothing; show what is stored.")] = False,
+    only_table: Annotated[bool, typer.Option("--only-table", help="Only show what is stored.")] = False,
     cores: StudyCores = 0,
 ) -> None:
     """Compute variants of a campaign with the same seeds, and show how each changes mean and scatter of Vs.
 
-    'frequency' or 'damping' instead of a plan computes samples of a stored campaign with other values; its database is
-    not written.
+    'frequency' or 'damping' computes samples of a stored campaign with other values; its database is not written.
     """
     from calcidem.app.studies.points import study_workers
     from calcidem.app.studies.sensitivity import compute_variants, read_variants, variant_table, vary_one
@@ -215,7 +214,7 @@ def calibrate_command(
             "--free",
             "--parameter",
             metavar="SECTION.KEY[=LOW:HIGH]",
-            help="Number to fit, in its range; may be repeated. Default: sand.wave_stiffness_factor, "
+            help="Number to fit, in its range (repeatable). Default: sand.wave_stiffness_factor, "
             "pattern.p_share, pattern.cluster_area.",
         ),
     ] = None,
@@ -226,7 +225,7 @@ def calibrate_command(
         typer.Option(
             parser=parse_percentage,
             metavar="PERCENT",
-            help="Content to predict and not to fit; may be repeated.",
+            help="Content to predict and not to fit (repeatable).",
         ),
     ] = None,
     tolerance: Annotated[

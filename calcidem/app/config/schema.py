@@ -94,16 +94,16 @@ class CampaignPlan:
     name
         Name of the campaign and its files.
     seeds
-        A number n for the seeds 1 to n, or a list.
+        Seeds of the cement patterns.
     contents
         Calcite contents, percent of the sand's mass.
     root_seed
         Root of all random numbers.
     until
         Relative half-widths of the 95 % intervals of mean and standard deviation: each content begins with `seeds`
-        seeds and gets more until its intervals are as narrow.
+        seeds and gets more until they are reached.
     most_seeds
-        Most seeds of a content then.
+        Most seeds of a content with `until`.
     """
 
     name: Annotated[str, Predicate(_is_file_name), "a name that can be part of a file name, of at most 200 bytes"] = (
@@ -178,7 +178,7 @@ class Calibration:
     Attributes
     ----------
     wave_stiffness_factor
-        Factor on the grains' modulus and the confining stress during the wave; 1 leaves the packing unchanged.
+        Factor on the grains' modulus and the confining stress during the wave.
     """
 
     wave_stiffness_factor: Annotated[Positive, "a positive factor, 1 for none"] = 1.0
@@ -241,8 +241,8 @@ class Excitation:
     Attributes
     ----------
     frequency
-        Excitation frequency: a number for all contents, Hz, or a table; Table 2 of the paper by default. ``"auto"``
-        chooses it for each content from the static stiffness of three samples: the path is 2.5 wavelengths.
+        Excitation frequency, Hz; Table 2 of the paper by default. ``"auto"`` chooses it for each content from the
+        static stiffness of three samples, so that the path is 2.5 wavelengths.
     """
 
     frequency: Annotated[
@@ -279,21 +279,21 @@ class RunOptions:
     Attributes
     ----------
     lanes
-        Cells computed side by side, 1 to 32; a power of two.
+        Cells computed side by side.
     store_sections
-        Whether every cell's section is stored, about 10 kB each.
+        Whether sections are stored, about 10 kB a cell.
     static_speed
-        Whether the static speed of every cell is computed.
+        Whether static speeds are computed.
     gpu
-        Whether NVIDIA GPUs propagate the waves, with the same bits; `lanes` of 32 use them best.
+        Whether NVIDIA GPUs propagate the waves; `lanes` of 32 use them best.
     time_limit
-        Largest time of a batch, s; no limit by default.
+        Largest time of a batch, s.
     output
         Folder for the database and the NetCDF file.
     database
         SQLite file or database URL; ``<output>/<name>.db`` by default, ``<output>/<name>-part-3-of-8.db`` for a part.
     part
-        Part of the cells to compute, of about equal effort; all by default. `calcidem merge` joins the databases.
+        Part of the cells to compute, of about equal effort. `calcidem merge` joins the databases.
     """
 
     lanes: Annotated[int, Predicate(LANE_COUNTS.__contains__), "1, 2, 4, 8, 16 or 32"] = 8

@@ -152,17 +152,19 @@ class CementRule:
     threshold
         Content above which clusters are added, percent (0.66 by Eq. 3 of the paper, 1 by its text).
     keep_p
-        True keeps the P contacts of the threshold at larger contents; False uses clusters alone.
+        Whether the P contacts of the threshold stay at larger contents; else there are clusters alone.
     p_share
         Calcite of a P contact over the value of Eq. 2.
     cluster_area
         Calcite of a cluster, m^2; None takes the sum of Eq. 2 over its contacts.
     p_patch_diameter
-        Diameter of the patches of P contacts, m; 0 for single contacts.
+        Diameter of the patches of P contacts, m.
     drawn_by
         Name of another package's pattern of P contacts: an entry point of the group ``calcidem.patterns``.
-    sand_density, calcite_density
-        Densities of grains and calcite, kg/m^3.
+    sand_density
+        Density of the grains, kg/m^3.
+    calcite_density
+        Density of calcite, kg/m^3.
     """
 
     p_diameter: Annotated[Positive, Unit("m")] = 1.06e-3

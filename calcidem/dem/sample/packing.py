@@ -38,7 +38,7 @@ class PackingRule:
     width, height
         Size of the box before compression, m.
     diameter
-        Smallest and largest diameter, m; uniformly distributed.
+        Diameters, uniformly distributed, m.
     porosity
         Porosity before compression, which determines the number of disks.
     expansion_steps
@@ -48,14 +48,14 @@ class PackingRule:
     stress
         Vertical stress on the lid, Pa.
     lateral_stress_ratio
-        Horizontal stress on the right side over that on the lid, held by a servo, too: 1 is isotropic, less is sheared.
-        Without it the sides stand, and the sample determines the ratio, as in an oedometer.
+        Horizontal stress on the right side over that on the lid, held by a servo, too: 1 is isotropic. Without it the
+        sides stand, and the sample determines the ratio, as in an oedometer.
     damping
         Local damping factor during packing.
     unbalanced_force_ratio
         Unbalanced-force ratio that defines rest.
     most_steps
-        Largest number of time steps.
+        Most time steps.
     """
 
     width: Annotated[Positive, Unit("m")] = 0.1

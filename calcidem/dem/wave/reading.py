@@ -44,9 +44,9 @@ class PickRule:
     Attributes
     ----------
     method
-        Reading that becomes Vs, see `Reading`.
+        Reading that becomes Vs.
     smoothing
-        Half-width of the window in which cubics are fitted to the signals before their peaks are read, over the period.
+        Half-width, over the period, of the window in which cubics are fitted to the signals to read their peaks.
     largest_error
         Relative standard error above which a velocity is refused.
     """

@@ -29,7 +29,7 @@ class WaveRule:
         v0 of ``v(t) = v0 (1 - cos 2 pi f t)``, m/s.
     transmitter
         ``wall``: the band of the left wall moves and drives the disks by friction. ``driven``: the disks at this band
-        have a prescribed motion without rotation, see `experiment.driven_disks`.
+        have a prescribed motion without rotation.
     transmitter_half_width, receiver_half_width
         Half-width of the band in the wall, m.
     band_friction
@@ -42,7 +42,7 @@ class WaveRule:
         Thickness of these layers, m.
     law
         Contact law. ``linear``: constant stiffnesses, so contacts neither slip nor open. ``finite``: Hertz and Coulomb
-        at displacements of any size. ``auto``: linear at contents where the check confirms it (`check`), else finite.
+        at displacements of any size. ``auto``: linear at contents where the check confirms it, else finite.
     precision
         Precision of the kernel's numbers.
     step_fraction
@@ -58,10 +58,10 @@ class WaveRule:
     unbalanced_force_ratio
         Ratio at which a sample has settled after bonds changed its forces.
     most_settling_steps
-        Largest number of time steps for settling.
+        Most time steps for settling.
     keep
-        Kernel features kept without need (`kernels.features.Features`), and ``whole_domain`` to keep disks that the
-        wave cannot reach (`experiment.domain_of`).
+        Kernel features kept without need (`kernels.features.Features`), and ``whole_domain`` for disks that the wave
+        cannot reach.
     """
 
     amplitude: Annotated[Positive, Unit("m/s")] = 1.0e-3
