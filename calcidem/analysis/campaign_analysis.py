@@ -23,10 +23,8 @@ from calcidem.analysis.correlation import (
     scan_ratio,
     seed_permutation_test,
 )
-from calcidem.analysis.dispersion import ContentDispersion, Dispersion, dispersion
 from calcidem.analysis.distribution import ContentDistribution, count_outcomes, describe_contents, name_outcomes
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
-from calcidem.analysis.measured import Target
 from calcidem.analysis.packing_graph import (
     FEATURES,
     NETWORK_FEATURES,
@@ -35,8 +33,16 @@ from calcidem.analysis.packing_graph import (
     describe_feature,
     packing_graph,
 )
-from calcidem.analysis.published import StageGrowth, growth_by_stage
-from calcidem.analysis.velocity import ErrorBudget, are_samples, error_budget, median_known
+from calcidem.analysis.published import StageGrowth, Target, growth_by_stage
+from calcidem.analysis.velocity import (
+    ContentDispersion,
+    Dispersion,
+    ErrorBudget,
+    are_samples,
+    dispersion,
+    error_budget,
+    median_known,
+)
 from calcidem.ends import CellStatus
 from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.records import CellResult, CementPattern, NetworkFeatures, PathFeatures

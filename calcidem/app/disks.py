@@ -17,8 +17,7 @@ from calcidem.dem.sample.judgement import (
     judge_porosity,
     overlapping_pairs,
 )
-from calcidem.dem.sample.packing import PackingFileError
-from calcidem.dem.sample.packing_file import FARTHEST, FEWEST_DISKS, refuse_deep_overlaps, write_disks_csv
+from calcidem.dem.sample.packing import FARTHEST, FEWEST_DISKS, PackingFileError, refuse_deep_overlaps, write_disks_csv
 from calcidem.input_file import InputFileError, as_text, read_input
 from calcidem.storage.files import write_atomically
 from calcidem.table import UNITS, Table, factor_of, parse_number, unit_in_name

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calcidem.analysis.dispersion import _jackknife, dispersion
+from calcidem.analysis.velocity import _jackknife, dispersion
 
 FREQUENCY = 8000.0
 PLACES = np.linspace(0.012, 0.093, 10)

@@ -3,9 +3,9 @@
 import numpy as np
 from matplotlib.colors import to_rgba
 
-from calcidem.analysis.dispersion import ContentDispersion, Dispersion
 from calcidem.analysis.figures.signals import draw_dispersion
 from calcidem.analysis.figures.style import VERMILION
+from calcidem.analysis.velocity import ContentDispersion, Dispersion
 
 
 def found(samples: int = 5) -> Dispersion:

@@ -25,12 +25,12 @@ from calcidem.app.studies.accuracy import (
     signal_convergence,
     unchecked,
 )
-from calcidem.app.studies.study import Cells, StudyResult
+from calcidem.app.studies.points import Cells, StudyResult
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.reading import WaveRule
 from calcidem.storage.errors import OutputRefusedError
 
 pytestmark = pytest.mark.slow

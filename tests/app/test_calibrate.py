@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.analysis.measured import Target
+from calcidem.analysis.published import Target
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.reader import read_configuration, read_targets
 from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation, FrequencyTable

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from calcidem.sweep.batch import Batch, BatchOutcome
-from calcidem.sweep.group_commit import GroupCommit
+from calcidem.sweep.run import GroupCommit
 from calcidem.sweep.schedule import Progress
 
 

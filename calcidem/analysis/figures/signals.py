@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
-from calcidem.analysis.dispersion import ContentDispersion
 from calcidem.analysis.figures.style import (
     BLACK,
     BLUE,
@@ -26,6 +25,7 @@ from calcidem.analysis.figures.style import (
     new_figure,
     pick_evenly,
 )
+from calcidem.analysis.velocity import ContentDispersion
 from calcidem.storage.errors import UnknownCellError
 from calcidem.storage.records import CellResult
 

@@ -9,6 +9,20 @@ from calcidem.storage.records import CampaignRecord
 if TYPE_CHECKING:
     from calcidem.storage.sql.store import Store  # which the ranks do not need
 
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, distribution, version
+from pathlib import Path
+
+from calcidem.storage.records import RunRecord
+from calcidem.sweep.ranks import mpi_library_version
+from calcidem.version import __version__
+
 
 def physics_version(record: CampaignRecord) -> object:
     """`PHYSICS_VERSION` of the program that computed a stored campaign."""
@@ -50,3 +64,73 @@ def choose_campaign(store: "Store", configuration: Configuration) -> bool:
                 f"Set campaign.name to '{record.name}', or give another database.",
             )
     return False
+
+
+def describe_run(ranks: int) -> RunRecord:
+    """Provenance of a run that begins now, on rank 0 of this number of ranks."""
+    commit, dirty = source_commit()
+    return RunRecord(
+        versions=library_versions(),
+        host=platform.node(),
+        cpu=_cpu_model(),
+        ranks=ranks,
+        launch_line=" ".join(sys.argv),
+        started=datetime.now(UTC),
+        mpi_library=mpi_library_version() if ranks > 1 else None,
+        git_commit=commit,
+        git_dirty=dirty,
+        slurm_job_id=os.environ.get("SLURM_JOB_ID"),
+    )
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of Python, of the packages on which numbers and files depend, and of the C library if known."""
+    versions = {"python": platform.python_version(), "calcidem": __version__}
+    for name in ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy"):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = ""
+    return versions | ({"libc": " ".join(platform.libc_ver())} if any(platform.libc_ver()) else {})
+
+
+def _cpu_model() -> str:
+    """Model name of the processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.machine()
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, platform.machine())
+
+
+def source_commit() -> tuple[str | None, bool | None]:
+    """Commit of the running source, and whether it was changed; None if unknown, as for most wheels."""
+    root = Path(__file__).parents[3]
+    git = shutil.which("git")
+    if not (root / ".git").exists():
+        return _installed_commit()
+    if git is None:
+        return None, None
+    try:
+        commit = _ask(git, root, "rev-parse", "HEAD")
+        return commit, bool(_ask(git, root, "status", "--porcelain", "--untracked-files=no"))
+    except (OSError, subprocess.SubprocessError):
+        return None, None
+
+
+def _installed_commit() -> tuple[str | None, bool | None]:
+    """Commit that pip installed from a repository, as recorded by pip (PEP 610); None for other installations."""
+    try:
+        noted = distribution("calcidem").read_text("direct_url.json")
+    except PackageNotFoundError:
+        return None, None
+    commit = json.loads(noted or "{}").get("vcs_info", {}).get("commit_id")
+    return commit, False if commit else None
+
+
+def _ask(git: str, root: Path, *arguments: str) -> str:
+    """Output of a git command in a tree."""
+    command = [git, "-C", str(root), *arguments]
+    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=10)  # noqa: S603 - fixed arguments
+    return done.stdout.strip()

@@ -21,12 +21,18 @@ import pandas as pd
 import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_cells
-from calcidem.analysis.dispersion import Dispersion
 from calcidem.analysis.distribution import budget_dataset, describe_contents, name_outcomes, tabulate
 from calcidem.analysis.fits import FEWEST_ROWS, Prediction, VelocityPredictor, check_samples
 from calcidem.analysis.packing_graph import Feature, PackingGraph, installed_features
-from calcidem.analysis.velocity import BUDGET_QUANTITIES, NOTE_QUANTITIES, damping_ratio, notes_on, small_strain_modulus
-from calcidem.app.campaign.patterns import pattern_of, stored_experiment, with_patterns
+from calcidem.analysis.velocity import (
+    BUDGET_QUANTITIES,
+    NOTE_QUANTITIES,
+    Dispersion,
+    damping_ratio,
+    notes_on,
+    small_strain_modulus,
+)
+from calcidem.app.campaign.plan import pattern_of, stored_experiment, with_patterns
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.cement import CementCapacityError, CementKind
@@ -99,7 +105,7 @@ class Sample:
             raise ValueError(f"{file} ends with '{suffix}': give it one of the endings {', '.join(SUFFIXES)}")
         with write_atomically(file) as temporary:
             if suffix == ".csv":
-                from calcidem.dem.sample.packing_file import write_packing_csv  # noqa: PLC0415 - loads the engine
+                from calcidem.dem.sample.packing import write_packing_csv  # noqa: PLC0415 - loads the engine
 
                 write_packing_csv(self.packing, temporary)
             else:

@@ -273,7 +273,7 @@ def query_command(
 def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[RecordRows, str]:
     """Correlation of features of the selected cells with Vs within one content, and number of cells."""
     from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, feature_correlations
-    from calcidem.app.campaign.patterns import with_patterns
+    from calcidem.app.campaign.plan import with_patterns
     from calcidem.storage.sql.store import read_campaign
 
     with read_campaign(database, campaign_name) as store:
@@ -391,7 +391,7 @@ def show_command(
 
 def _cell_rows(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Meanings and values, with units, of the quantities of a cell that it has."""
-    from calcidem.app.report.wording import ABSENT, EXCEPTIONAL, decimal, readable_unit, significant
+    from calcidem.app.report.tables import ABSENT, EXCEPTIONAL, decimal, readable_unit, significant
     from calcidem.storage.records import QUANTITY_BY_NAME
 
     for name, value in row.items():

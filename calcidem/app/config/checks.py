@@ -15,7 +15,7 @@ from calcidem.dem.sample.judgement import expected_overlap, judge_disks, judge_s
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import DEEPEST_LISTENING, Experiment, driven_disks, listening_disks, wave_scene
 from calcidem.dem.wave.propagation import refuse_unfit_pulse, refuse_unfit_samples
-from calcidem.dem.wave.rule import FEWEST_SAMPLES, cutoff_frequency
+from calcidem.dem.wave.reading import FEWEST_SAMPLES, cutoff_frequency
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import Address
 

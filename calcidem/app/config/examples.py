@@ -28,10 +28,9 @@ from calcidem.dem.engine.fields import accepted_values, field_hints, quote, unit
 from calcidem.dem.engine.scene import Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.judgement import expected_overlap
-from calcidem.dem.sample.packing import PackingRule
-from calcidem.dem.sample.packing_file import checked_disks
+from calcidem.dem.sample.packing import PackingRule, checked_disks
 from calcidem.dem.wave.experiment import WAVELENGTHS
-from calcidem.dem.wave.rule import cutoff_frequency
+from calcidem.dem.wave.reading import cutoff_frequency
 from calcidem.input_file import read_input
 from calcidem.table import UNITS, Table, parse_number, unit_in_name, value_of
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.velocity import BUDGET_QUANTITIES
-from calcidem.app.campaign.patterns import with_patterns
+from calcidem.app.campaign.plan import with_patterns
 from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
 from calcidem.app.report.cell_data import (
     MOST_FULL_RECORDS,
@@ -26,8 +26,7 @@ from calcidem.app.report.cell_data import (
     numbers_or_none,
     packing_block,
 )
-from calcidem.app.report.tables import count_reasons
-from calcidem.app.report.wording import EXCEPTIONAL
+from calcidem.app.report.tables import EXCEPTIONAL, count_reasons
 from calcidem.dem.engine.scene import Sand
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError

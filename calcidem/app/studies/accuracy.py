@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 
 from calcidem.analysis.figures.style import BLACK, BLUE, GREY, VERMILION, apply_style, new_figure
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.study import (
+from calcidem.app.studies.points import (
     ROUNDS,
     Cells,
     CellsFound,
@@ -31,8 +31,7 @@ from calcidem.dem.engine.scene import Law
 from calcidem.dem.wave.check import cheapest_law
 from calcidem.dem.wave.experiment import Experiment, domain_of
 from calcidem.dem.wave.measurement import Measurement
-from calcidem.dem.wave.reading import smooth
-from calcidem.dem.wave.rule import WHOLE_DOMAIN, Pulse
+from calcidem.dem.wave.reading import WHOLE_DOMAIN, Pulse, smooth
 from calcidem.storage.records import NORMAL_95
 
 DEFAULT = "default"

@@ -22,8 +22,7 @@ from calcidem.dem.engine.scene import Bonds, Cement, Installation, Preload, Sand
 from calcidem.dem.kernels.layout import Flags, Integers
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule, excitation_frequency
+from calcidem.dem.wave.reading import WHOLE_DOMAIN, PickRule, WaveRule, excitation_frequency
 from calcidem.dem.wave.section import clamp_of_strip
 
 TRANSMITTER, RECEIVER = 1, 4  # indices of the walls of `wave_scene`

@@ -27,9 +27,8 @@ from calcidem.dem.wave.experiment import (
     station_disks,
     wave_scene,
 )
-from calcidem.dem.wave.reading import is_settled, record_duration
+from calcidem.dem.wave.reading import FEWEST_SAMPLES, WHOLE_DOMAIN, Pulse, is_settled, record_duration
 from calcidem.dem.wave.recorder import Recorder, unbalanced_speed
-from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, Pulse
 from calcidem.dem.wave.section import Section
 
 

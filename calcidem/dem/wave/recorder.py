@@ -18,7 +18,7 @@ from calcidem.dem.engine.readout import look_undamped, net_forces, overlaps, wal
 from calcidem.dem.engine.stability import critical_time_step, hertz_tangent
 from calcidem.dem.kernels.layout import LISTENED, XY, Floats, Integers, Recording, X, Y
 from calcidem.dem.wave.experiment import RECEIVER, TRANSMITTER
-from calcidem.dem.wave.rule import Pulse
+from calcidem.dem.wave.reading import Pulse
 from calcidem.dem.wave.section import Counts, Section, quantise
 
 

@@ -20,7 +20,7 @@ from calcidem.app.cli.views import _vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import _velocity_remarks
-from calcidem.app.studies.study import Cells
+from calcidem.app.studies.points import Cells
 from calcidem.app.studies.verify import Agreement, _compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
