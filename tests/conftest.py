@@ -24,10 +24,9 @@ from calcidem.app.report.page import write_report
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.reading import WaveRule
+from calcidem.dem.wave.rule import WaveRule
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_json
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, RunRecord
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, RunRecord, canonical_json
 from calcidem.storage.sql.store import Store
 
 sys.path.append(str(Path(__file__).parent))  # marked_processes.py and others, which tests use

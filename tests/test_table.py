@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.input_file import InputFileError
-from calcidem.table import Table, factor_of, meaning_of, parse_number, unit_in_name, value_of
+from calcidem.input_file import InputFileError, Table, factor_of, meaning_of, parse_number, unit_in_name, value_of
 
 KNOWN = {"size": "size|d", "finer": "(percent)?finer"}
 

@@ -28,7 +28,7 @@ import numpy as np
 from rank import CELLS, Group, TimedSink, durations, moved, numbered, open_sink, real_outcomes
 
 from calcidem.app.campaign.launch import find_mpirun, launcher_options
-from calcidem.sweep.batch import BatchOutcome
+from calcidem.sweep.schedule import BatchOutcome
 
 HERE = Path(__file__).resolve().parent
 REAL = HERE.parents[1] / "docs" / "tutorial" / "quick.db"

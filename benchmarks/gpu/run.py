@@ -128,7 +128,7 @@ def batch_profile() -> list[str]:
     from calcidem.app.campaign.cells import CellComputation  # noqa: PLC0415
     from calcidem.app.campaign.packing import provide_packing  # noqa: PLC0415 - as above
     from calcidem.app.config.reader import change_configuration  # noqa: PLC0415
-    from calcidem.sweep.batch import Batch  # noqa: PLC0415
+    from calcidem.sweep.schedule import Batch  # noqa: PLC0415
 
     configuration = change_configuration(PAPER, {"run.gpu": True, "run.lanes": LANES})
     compute = CellComputation(configuration, provide_packing(configuration, None))

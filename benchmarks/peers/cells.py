@@ -17,9 +17,9 @@ from calcidem.dem.engine.assembly import lanes_of_bits
 from calcidem.dem.engine.leapfrog import run_in_place
 from calcidem.dem.kernels.layout import LISTENED, NORMAL, OVERLAP, SHEAR, Floats, Recording, X, Y
 from calcidem.dem.wave.experiment import TRANSMITTER, Experiment
-from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.reading import Law, Reading, read_section
-from calcidem.dem.wave.recorder import Recorder
+from calcidem.dem.wave.propagation import Recorder, prepare_recorder
+from calcidem.dem.wave.reading import Reading, read_section
+from calcidem.dem.wave.rule import Law
 from calcidem.dem.wave.section import quantise
 
 ROOT = Path(__file__).resolve().parents[2]

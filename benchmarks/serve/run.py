@@ -26,8 +26,7 @@ from chromium import Chromium, find_chromium, open_chromium
 from live_page import serve
 
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_hash
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, canonical_hash
 from calcidem.storage.sql.store import Store
 
 CONTENTS = tuple(place / 10 for place in range(100))

@@ -19,7 +19,8 @@ from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule
 from calcidem.dem.wave.experiment import Experiment, lane_bonds, wave_scene
-from calcidem.dem.wave.reading import Law, PickRule, WaveRule, cutoff_frequency
+from calcidem.dem.wave.reading import PickRule
+from calcidem.dem.wave.rule import Law, WaveRule, cutoff_frequency
 
 _RADIUS = 1.25e-3  # radius of the largest disks, m
 _DISKS_ACROSS, _DISKS_UP = 6, 10

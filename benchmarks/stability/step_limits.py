@@ -16,8 +16,7 @@ from calcidem.dem.engine.readout import energies
 from calcidem.dem.engine.scene import Law
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
+from calcidem.dem.wave.propagation import SAMPLES_PER_CHUNK, prepare_recorder
 
 _FACTORS = (0.99, 1.01, 1.05, 1.2, 2.0)  # step over the true limit
 

@@ -63,7 +63,7 @@ PHASES = {
     "lists of neighbours": ("calcidem.dem.engine.leapfrog.renew_assembly",),
     "drawing cement": ("calcidem.dem.wave.experiment.draw_cement",),
     "looks at the records": ("calcidem.dem.wave.propagation.is_settled",),
-    "guards": ("calcidem.dem.wave.recorder.problems_of",),
+    "guards": ("calcidem.dem.wave.propagation.problems_of",),
     "readings and their errors": ("calcidem.dem.wave.measurement.interpret",),
     "other work of the checks": ("calcidem.app.campaign.cells.check_content",),
     "other work of a batch": ("calcidem.app.campaign.cells.measure",),
@@ -145,7 +145,7 @@ def sample_costs(configuration: Path, content: float, lanes: int = 16) -> dict[s
     loaded = reader.change_configuration(reader.load_configuration(configuration, {}), values)
     compute = task.CellComputation(loaded, packing.kept_packing(loaded.packing_hash))
     seeds = loaded.campaign.seed_numbers
-    batch = importlib.import_module("calcidem.sweep.batch").Batch(0, tuple((seed, content) for seed in seeds))
+    batch = importlib.import_module("calcidem.sweep.schedule").Batch(0, tuple((seed, content) for seed in seeds))
     compute(batch, lambda: None)
     leapfrog, steps = importlib.import_module("calcidem.dem.engine.leapfrog"), []
     kernel = leapfrog.advance_steps

@@ -30,9 +30,16 @@ from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.packing import packing_record, provide_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_hash, canonical_json
 from calcidem.storage.netcdf import export_netcdf, import_netcdf
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult, NetworkFeatures, PathFeatures
+from calcidem.storage.records import (
+    CampaignRecord,
+    CellKey,
+    CellResult,
+    NetworkFeatures,
+    PathFeatures,
+    canonical_hash,
+    canonical_json,
+)
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 

@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
-from calcidem.dem.sample.judgement import (
+from calcidem.dem.sample.packing import (
     DEEP_OVERLAP,
     LARGEST_OVERLAP,
+    PackingFileError,
     deepest_overlap,
     judge_porosity,
     overlapping_pairs,
 )
-from calcidem.dem.sample.packing import FARTHEST, FEWEST_DISKS, PackingFileError, refuse_deep_overlaps, write_disks_csv
-from calcidem.input_file import InputFileError, as_text, read_input
+from calcidem.dem.sample.packing_file import FARTHEST, FEWEST_DISKS, refuse_deep_overlaps, write_disks_csv
+from calcidem.input_file import UNITS, InputFileError, Table, as_text, factor_of, parse_number, read_input, unit_in_name
 from calcidem.storage.files import write_atomically
-from calcidem.table import UNITS, Table, factor_of, parse_number, unit_in_name
 
 _BEFORE, _CENTRE = "(?:ball)?(?:pos(?:ition)?|coord(?:inate)?|cent(?:er|re)|centroid|c)?", "cent(?:er|re)"
 
@@ -35,7 +35,7 @@ _KNOWN = {
     "type": "type|mat|matid|material|group|clumpid|species|particletype",
     "id": "id|ballid|particleidentifier",
 }
-"""Names of columns by their meaning, see `calcidem.table.meaning_of`."""
+"""Names of columns by their meaning, see `calcidem.input_file.meaning_of`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,8 +11,7 @@ from types import FrameType
 from typing import Any, Protocol, Self, TypeVar
 
 from calcidem.ends import CellStatus
-from calcidem.sweep.batch import Batch, BatchOutcome, CellT, Failure, ResultT
-from calcidem.sweep.schedule import EXIT_RESUMABLE
+from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, BatchOutcome, CellT, Failure, ResultT
 
 ResultT_co = TypeVar("ResultT_co", covariant=True)
 

@@ -9,8 +9,7 @@ from types import TracebackType
 from typing import Any, Generic, Protocol, Self, TypeAlias
 
 from calcidem.sweep.attempt import IS_INTERRUPTED, Compute, StopLevel, StopRequest
-from calcidem.sweep.batch import Batch, BatchOutcome, CellT, ResultT
-from calcidem.sweep.schedule import Progress, Schedule, SweepEnd, SweepState
+from calcidem.sweep.schedule import Batch, BatchOutcome, CellT, Progress, ResultT, Schedule, SweepEnd, SweepState
 from calcidem.sweep.workers import ThisProcess, Workers
 
 

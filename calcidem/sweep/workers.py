@@ -21,9 +21,8 @@ from typing import Any, Generic, TypeAlias
 
 from calcidem.ends import CellStatus
 from calcidem.sweep.attempt import Compute, SweepInterrupted, attempt
-from calcidem.sweep.batch import Batch, BatchOutcome, CellT, Failure
 from calcidem.sweep.ranks import available_cores, own_rank
-from calcidem.sweep.schedule import SweepError
+from calcidem.sweep.schedule import Batch, BatchOutcome, CellT, Failure, SweepError
 
 _Identity: TypeAlias = tuple[str, int, int, int | None]
 """Host, process, thread and MPI rank (None without MPI)."""

@@ -6,8 +6,14 @@ from matplotlib.patches import Circle, ConnectionPatch, Polygon, Rectangle
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.figures.registry import CampaignFigure
-from calcidem.analysis.figures.samples import COLOURS, draw_bands, draw_frame, draw_grains
-from calcidem.analysis.figures.signals import draw_signal_pair, load_arrival
+from calcidem.analysis.figures.samples import (
+    COLOURS,
+    draw_bands,
+    draw_frame,
+    draw_grains,
+    draw_signal_pair,
+    load_arrival,
+)
 from calcidem.analysis.figures.style import (
     BLACK,
     BLUE,

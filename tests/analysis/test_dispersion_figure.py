@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.colors import to_rgba
 
-from calcidem.analysis.figures.signals import draw_dispersion
+from calcidem.analysis.figures.samples import draw_dispersion
 from calcidem.analysis.figures.style import VERMILION
 from calcidem.analysis.velocity import ContentDispersion, Dispersion
 

@@ -29,8 +29,8 @@ from calcidem.analysis.figures.samples import (
     draw_cemented_samples,
     draw_measurement,
     draw_preferential_paths,
+    load_arrival,
 )
-from calcidem.analysis.figures.signals import load_arrival
 from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range, published_velocities
 from calcidem.app.campaign.opened import open_campaign
 

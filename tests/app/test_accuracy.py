@@ -30,7 +30,7 @@ from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.reading import WaveRule
+from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import OutputRefusedError
 
 pytestmark = pytest.mark.slow

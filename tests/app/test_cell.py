@@ -11,7 +11,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.records import EXACT_QUANTITIES
-from calcidem.sweep.batch import Batch, Cell
+from calcidem.sweep.schedule import Batch, Cell
 
 pytestmark = pytest.mark.slow
 

@@ -8,8 +8,7 @@ import pytest
 import calcidem
 from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.engine.gpu import refuse_missing_gpu
-from calcidem.dem.kernels.gpu import GpuError
+from calcidem.dem.kernels.gpu import GpuError, refuse_missing_gpu
 
 
 @pytest.fixture(autouse=True)

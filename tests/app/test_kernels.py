@@ -17,7 +17,7 @@ from calcidem.dem.engine.scene import Installation
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.reading import Law
+from calcidem.dem.wave.rule import Law
 
 
 class _EnoughSeen(Exception):  # noqa: N818 - an expected end of a measurement

@@ -34,10 +34,9 @@ from calcidem.app.config.presets import preset_packings, preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration, PackingDraw
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.storage.encoding import canonical_json
 from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.netcdf import import_netcdf
-from calcidem.storage.records import CampaignRecord
+from calcidem.storage.records import CampaignRecord, canonical_json
 from calcidem.storage.sql.store import Store
 
 TINY = Configuration(packing=PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3))

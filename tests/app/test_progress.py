@@ -22,8 +22,7 @@ import calcidem
 from calcidem.app.campaign.status import CampaignStatus, ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.dem.sample.packing import PackingStage
 from calcidem.ends import CellStatus
-from calcidem.sweep.batch import Batch, BatchOutcome, Failure
-from calcidem.sweep.schedule import SweepEnd, SweepState
+from calcidem.sweep.schedule import Batch, BatchOutcome, Failure, SweepEnd, SweepState
 
 if TYPE_CHECKING:
     from conftest import Workshop

@@ -26,8 +26,7 @@ from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.reading import Reading, describe_refusal, read_section
 from calcidem.dem.wave.section import Section, fitness
 from calcidem.ends import Verdict
-from calcidem.storage.encoding import canonical_json
-from calcidem.storage.records import CampaignRecord
+from calcidem.storage.records import CampaignRecord, canonical_json
 from calcidem.storage.sql.store import Store
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ from chromium import Chromium
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.report.page import write_report
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_hash
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, canonical_hash
 from calcidem.storage.sql.store import Store
 
 pytestmark = pytest.mark.full

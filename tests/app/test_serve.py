@@ -24,8 +24,7 @@ from calcidem.app.serve.address import PageAddress, page_beside_run
 from calcidem.app.serve.feed import CampaignFeed, CellColumns
 from calcidem.app.serve.server import Hub, LivePage, MovieMaker
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_hash
-from calcidem.storage.records import CampaignRecord, CellKey, CellResult
+from calcidem.storage.records import CampaignRecord, CellKey, CellResult, canonical_hash
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.ranks import available_cores
 

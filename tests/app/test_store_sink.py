@@ -15,13 +15,11 @@ from calcidem.app.campaign.run import StoreSink
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.schema import Configuration
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_hash
 from calcidem.storage.errors import StoreLockedError
-from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, PackedResult
+from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, PackedResult, canonical_hash
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.batch import Batch, BatchOutcome
-from calcidem.sweep.schedule import EXIT_RESUMABLE
+from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, BatchOutcome
 
 
 class OftenLockedStore(Store):

@@ -20,8 +20,8 @@ from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import CampaignPlan, Configuration, ConfigurationError, WantedIntervals
 from calcidem.ends import CellStatus
 from calcidem.storage.records import CellKey, CellResult, PackedResult
-from calcidem.sweep.batch import Batch, BatchOutcome, Cell, plan_batches
 from calcidem.sweep.run import run_sweep
+from calcidem.sweep.schedule import Batch, BatchOutcome, Cell, plan_batches
 
 if TYPE_CHECKING:
     from conftest import Workshop

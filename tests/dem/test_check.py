@@ -16,7 +16,8 @@ from calcidem.dem.wave.check import Check, check_content, kernels_of, with_check
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, interpret, measure
 from calcidem.dem.wave.propagation import prepare_recorder, send_waves
-from calcidem.dem.wave.reading import Law, PickRule, Verdict, WaveRule
+from calcidem.dem.wave.reading import PickRule, Verdict
+from calcidem.dem.wave.rule import Law, WaveRule
 from calcidem.dem.wave.section import Section
 from calcidem.ends import CellStatus
 

@@ -10,7 +10,7 @@ from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment, driven_disks
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.reading import WaveRule
+from calcidem.dem.wave.rule import WaveRule
 
 OVERLAP = 2e-3 * RADIUS
 SPACING = 2.0 * RADIUS - OVERLAP

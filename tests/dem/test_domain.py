@@ -13,9 +13,9 @@ from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment, domain_of, listening_disks, station_disks, wave_scene
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.reading import WHOLE_DOMAIN, Law, PickRule, WaveRule
-from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
+from calcidem.dem.wave.propagation import SAMPLES_PER_CHUNK, prepare_recorder
+from calcidem.dem.wave.reading import PickRule
+from calcidem.dem.wave.rule import WHOLE_DOMAIN, Law, WaveRule
 from calcidem.dem.wave.section import RESOLUTION, Counts
 from calcidem.ends import CellStatus
 

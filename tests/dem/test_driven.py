@@ -16,8 +16,8 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import Floats, Recording
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import driven_disks
-from calcidem.dem.wave.reading import WaveRule
-from calcidem.dem.wave.recorder import broken_bonds, cheap_limit, problems_of
+from calcidem.dem.wave.propagation import broken_bonds, cheap_limit, problems_of
+from calcidem.dem.wave.rule import WaveRule
 
 COUNT, STEPS = 40, 300
 FULL_KINDS: list[tuple[Law, Precision]] = [("linear", "float32"), ("finite", "float64"), ("finite", "float32")]

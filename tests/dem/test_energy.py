@@ -11,7 +11,7 @@ from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import wave_scene
-from calcidem.dem.wave.reading import WaveRule
+from calcidem.dem.wave.rule import WaveRule
 
 
 def imbalances(scene: Scene, features: Features, step: float, duration: float) -> tuple[float, float]:

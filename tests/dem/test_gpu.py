@@ -18,7 +18,7 @@ import numpy as np
 sys.path.insert(0, {folder!r})
 from scenes import BONDED, GROUPED, LINEAR, SOFT_CEMENT, jumble, throw
 
-from calcidem.dem.engine.gpu import choose_gpu, gpu_steps
+from calcidem.dem.kernels.gpu import choose_gpu, gpu_steps
 from calcidem.dem.engine.leapfrog import no_recording, run_in_place
 from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.gpu import GpuError

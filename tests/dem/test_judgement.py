@@ -7,8 +7,15 @@ import pytest
 
 from calcidem.dem.engine.scene import Preload, Sand
 from calcidem.dem.sample.compaction import make_packing
-from calcidem.dem.sample.judgement import _densest_cover, deepest_overlap, expected_overlap, judge_disks, judge_stress
-from calcidem.dem.sample.packing import Packing, PackingRule
+from calcidem.dem.sample.packing import (
+    Packing,
+    PackingRule,
+    _densest_cover,
+    deepest_overlap,
+    expected_overlap,
+    judge_disks,
+    judge_stress,
+)
 
 SMALL = 1.0e-3
 """Mean diameter, m."""

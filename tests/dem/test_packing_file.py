@@ -12,20 +12,9 @@ from calcidem.dem.engine.scene import Sand
 from calcidem.dem.engine.state import UnstableRunError
 from calcidem.dem.sample import compaction
 from calcidem.dem.sample.compaction import make_packing
-from calcidem.dem.sample.packing import (
-    FARTHEST,
-    LID,
-    Packing,
-    PackingError,
-    PackingFileError,
-    PackingRule,
-    _numbered_disks,
-    _read_disks,
-    packing_from_csv,
-    write_packing_csv,
-)
-from calcidem.input_file import InputFileError
-from calcidem.table import Table
+from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingFileError, PackingRule
+from calcidem.dem.sample.packing_file import FARTHEST, _numbered_disks, _read_disks, packing_from_csv, write_packing_csv
+from calcidem.input_file import InputFileError, Table
 
 RULE = PackingRule(width=0.02, height=0.03)
 SAND = Sand()

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calcidem.dem.wave.reading import EXCITATION, Pulse, cutoff_frequency, excitation_frequency
+from calcidem.dem.wave.rule import EXCITATION, Pulse, cutoff_frequency, excitation_frequency
 
 AMPLITUDES = st.floats(1e-9, 10.0)
 FREQUENCIES = st.floats(100.0, 1e6)

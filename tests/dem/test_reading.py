@@ -21,6 +21,7 @@ from waves import (
 )
 
 from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.wave.propagation import SAMPLES_PER_CHUNK
 from calcidem.dem.wave.reading import (
     PickRule,
     Reading,
@@ -33,7 +34,6 @@ from calcidem.dem.wave.reading import (
     record_duration,
     smooth,
 )
-from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
 from calcidem.dem.wave.section import Section, StripWave, clamp_of_strip, far_stations, fit_wave, fitness, waveform
 
 ANY_ERROR = PickRule(largest_error=1.0)

@@ -11,7 +11,8 @@ from waves import AMPLITUDE, FREQUENCY, section, total, wave
 
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import listening_disks, station_disks
-from calcidem.dem.wave.reading import Pulse, Reading, WaveRule, read_section
+from calcidem.dem.wave.reading import Reading, read_section
+from calcidem.dem.wave.rule import Pulse, WaveRule
 from calcidem.dem.wave.section import RESOLUTION, quantise
 
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.reading import Pulse
+from calcidem.dem.wave.rule import Pulse
 from calcidem.dem.wave.section import Section, quantise
 
 FREQUENCY, AMPLITUDE, DISTANCE = 5e3, 1e-3, 0.094

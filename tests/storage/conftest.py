@@ -12,7 +12,6 @@ import pytest
 from sqlalchemy import create_engine, text
 
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_hash, canonical_json
 from calcidem.storage.records import (
     CampaignRecord,
     CellKey,
@@ -24,6 +23,8 @@ from calcidem.storage.records import (
     PathFeatures,
     RecordedSection,
     RunRecord,
+    canonical_hash,
+    canonical_json,
 )
 from calcidem.storage.sql.store import Store
 

@@ -11,7 +11,7 @@ import pytest
 
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.ends import CellStatus
-from calcidem.storage import encoding
+from calcidem.storage import records
 from calcidem.storage.errors import QueryError, UnknownCampaignError, UnknownCellError
 from calcidem.storage.records import STATUS_CODES
 from calcidem.storage.sql.store import Store
@@ -121,7 +121,7 @@ def test_campaign_is_chosen_by_name(store: Store, records: "Records", address: s
         open_campaign(address, "third")
 
 
-@pytest.mark.parametrize("module", [encoding])
+@pytest.mark.parametrize("module", [records])
 def test_examples_of_the_documentation(module: ModuleType) -> None:
     """The examples in the docstrings give what they show."""
     result = doctest.testmod(module)

@@ -12,7 +12,6 @@ import pytest
 from sqlalchemy import text
 
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_json
 from calcidem.storage.errors import (
     CampaignMismatchError,
     InvalidRecordError,
@@ -22,7 +21,7 @@ from calcidem.storage.errors import (
     UnknownCampaignError,
     UnknownCellError,
 )
-from calcidem.storage.records import STORED_STATUSES, AttemptCount, CellKey
+from calcidem.storage.records import STORED_STATUSES, AttemptCount, CellKey, canonical_json
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 

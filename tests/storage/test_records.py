@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_hash, canonical_json, config_difference, pack_arrays, unpack_arrays
 from calcidem.storage.records import (
     CellKey,
     CellResult,
@@ -21,6 +20,11 @@ from calcidem.storage.records import (
     PathFeatures,
     RecordedSection,
     canonical_content,
+    canonical_hash,
+    canonical_json,
+    config_difference,
+    pack_arrays,
+    unpack_arrays,
 )
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import pytest
 from marked_processes import MarkedProcesses
 from places import CHECKOUT
 
-from calcidem.sweep.batch import Batch, BatchOutcome
+from calcidem.sweep.schedule import Batch, BatchOutcome
 
 PROGRAMS = Path(__file__).parent / "programs"
 CONTENTS = (0.0, 2.55, 9.0)

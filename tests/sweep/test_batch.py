@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calcidem.sweep.batch import Batch, plan_batches
+from calcidem.sweep.schedule import Batch, plan_batches
 
 CELLS = st.sets(st.tuples(st.integers(0, 40), st.sampled_from([0.0, 0.66, 5.0, 9.0])))
 

@@ -18,9 +18,8 @@ import pytest
 
 from calcidem.ends import CellStatus
 from calcidem.sweep.attempt import SweepInterrupted
-from calcidem.sweep.batch import Batch, plan_batches
 from calcidem.sweep.run import _Master, run_sweep
-from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE, Progress, SweepError, SweepState
+from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE, Batch, Progress, SweepError, SweepState, plan_batches
 from calcidem.sweep.workers import Workers
 
 if TYPE_CHECKING:

@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from calcidem.sweep.batch import Batch, BatchOutcome
 from calcidem.sweep.run import GroupCommit
-from calcidem.sweep.schedule import Progress
+from calcidem.sweep.schedule import Batch, BatchOutcome, Progress
 
 
 @dataclass

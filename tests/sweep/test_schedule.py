@@ -1,8 +1,7 @@
 import pytest
 
 from calcidem.ends import CellStatus
-from calcidem.sweep.batch import Batch, BatchOutcome, Failure
-from calcidem.sweep.schedule import Schedule
+from calcidem.sweep.schedule import Batch, BatchOutcome, Failure, Schedule
 
 
 def failed(batch: Batch[str], kind: CellStatus = CellStatus.FAILED) -> BatchOutcome[str, int]:

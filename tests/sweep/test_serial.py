@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calcidem.ends import CellStatus
-from calcidem.sweep.batch import Batch, plan_batches
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.schedule import SweepState
+from calcidem.sweep.schedule import Batch, SweepState, plan_batches
 
 if TYPE_CHECKING:
     from conftest import MemorySink
@@ -169,7 +168,7 @@ def test_a_serial_sweep_loads_no_mpi_library() -> None:
     """The package and a sweep in one process work where no MPI library is installed."""
     program = """
 import sys
-from calcidem.sweep.batch import Batch
+from calcidem.sweep.schedule import Batch
 from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
 
@@ -193,7 +192,7 @@ def test_a_second_urgent_signal_ends_the_process_at_once() -> None:
     """SIGTERM during a chunk that never asks, then SIGTERM again: the process ends with 75."""
     program = """
 import os, signal, threading, time
-from calcidem.sweep.batch import Batch
+from calcidem.sweep.schedule import Batch
 from calcidem.sweep.run import run_sweep
 
 class Sink:

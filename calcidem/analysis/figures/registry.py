@@ -8,8 +8,15 @@ from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, correlations
 from calcidem.analysis.figures.relations import draw_conductance, draw_correlations, draw_laws, draw_ratio_scan
-from calcidem.analysis.figures.samples import draw_cemented_samples, draw_measurement, draw_preferential_paths
-from calcidem.analysis.figures.signals import Arrival, draw_dispersion, draw_signals, load_arrival
+from calcidem.analysis.figures.samples import (
+    Arrival,
+    draw_cemented_samples,
+    draw_dispersion,
+    draw_measurement,
+    draw_preferential_paths,
+    draw_signals,
+    load_arrival,
+)
 from calcidem.analysis.figures.style import pick_evenly
 from calcidem.analysis.figures.velocities import (
     draw_histograms,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import ContentDistribution, Distribution, narrowing
-from calcidem.analysis.figures.signals import METHOD_STYLES
+from calcidem.analysis.figures.samples import METHOD_STYLES
 from calcidem.analysis.figures.style import (
     BLACK,
     BLUE,

@@ -20,8 +20,8 @@ from calcidem.app.campaign.plan import (
     stored_section,
 )
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
-from calcidem.dem.engine.gpu import choose_gpu
 from calcidem.dem.kernels.compiling import watch_compiling
+from calcidem.dem.kernels.gpu import choose_gpu
 from calcidem.dem.sample.cement import (
     GIVEN,
     CementOrdering,
@@ -33,8 +33,7 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import Check, check_content, kernels_of
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
-from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.recorder import SAMPLES_PER_CHUNK
+from calcidem.dem.wave.propagation import SAMPLES_PER_CHUNK, prepare_recorder
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_atomically
@@ -47,9 +46,8 @@ from calcidem.storage.records import (
     PackedResult,
     PathFeatures,
 )
-from calcidem.sweep.batch import Batch, Cell
 from calcidem.sweep.ranks import keep_freed_memory, own_rank
-from calcidem.sweep.schedule import LaunchError
+from calcidem.sweep.schedule import Batch, Cell, LaunchError
 from calcidem.version import __version__
 
 if sys.platform != "win32":

@@ -24,8 +24,7 @@ from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.run import RunView, prepared_store, read_own_status
 from calcidem.app.campaign.status import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.config.schema import Configuration
-from calcidem.storage.errors import StoreError
-from calcidem.storage.passwords import PASSWORDS_VARIABLE
+from calcidem.storage.errors import PASSWORDS_VARIABLE, StoreError
 from calcidem.storage.records import RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import STALE_AFTER

@@ -105,7 +105,7 @@ class Sample:
             raise ValueError(f"{file} ends with '{suffix}': give it one of the endings {', '.join(SUFFIXES)}")
         with write_atomically(file) as temporary:
             if suffix == ".csv":
-                from calcidem.dem.sample.packing import write_packing_csv  # noqa: PLC0415 - loads the engine
+                from calcidem.dem.sample.packing_file import write_packing_csv  # noqa: PLC0415 - the engine, which most commands do not need
 
                 write_packing_csv(self.packing, temporary)
             else:

@@ -16,7 +16,6 @@ from calcidem.app.config.presets import preset_packings
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.cement import RandomPurpose, random_generator
-from calcidem.dem.sample.judgement import refuse_changed
 from calcidem.dem.sample.packing import (
     PACKING_METHOD,
     WALL_NAMES,
@@ -24,12 +23,12 @@ from calcidem.dem.sample.packing import (
     PackingFileError,
     PackingReport,
     PackingStage,
+    refuse_changed,
 )
 from calcidem.input_file import MOST_BYTES, InputFileError, read_input
-from calcidem.storage.encoding import unpack_arrays
 from calcidem.storage.errors import DamagedStoreError, OutputRefusedError
 from calcidem.storage.files import write_atomically
-from calcidem.storage.records import PackingRecord
+from calcidem.storage.records import PackingRecord, unpack_arrays
 
 if TYPE_CHECKING:
     from calcidem.storage.sql.store import Store  # which the ranks do not need
@@ -185,7 +184,7 @@ def new_packing(
 ) -> Packing:
     """New packing of a configuration, without search in storage; see `provide_packing`."""
     from calcidem.dem.sample.compaction import make_packing  # noqa: PLC0415 - the engine, which most commands do not need
-    from calcidem.dem.sample.packing import packing_from_csv  # noqa: PLC0415 - as above
+    from calcidem.dem.sample.packing_file import packing_from_csv  # noqa: PLC0415 - the engine, which most commands do not need
 
     draw = configuration.packing_draw
     if draw.file is not None:

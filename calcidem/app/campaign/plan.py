@@ -18,7 +18,8 @@ from calcidem.dem.sample.cement import (
 )
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import WAVELENGTHS, Experiment
-from calcidem.dem.wave.reading import PickRule, Reading, WaveRule, read_section
+from calcidem.dem.wave.reading import PickRule, Reading, read_section
+from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.section import RESOLUTION, Section, clamp_of_strip
 from calcidem.ends import Verdict
 from calcidem.storage.errors import StoreError
@@ -31,7 +32,7 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.batch import Batch, BatchOutcome, Cell, plan_batches
+from calcidem.sweep.schedule import Batch, BatchOutcome, Cell, plan_batches
 
 if TYPE_CHECKING:
     from calcidem.storage.sql.store import Store  # which the ranks do not need

@@ -20,10 +20,12 @@ from calcidem.analysis.figures.samples import (
     draw_cemented_samples,
     draw_film,
     draw_preferential_paths,
+    draw_signals,
+    load_arrival,
     movie_writer,
+    read_arrival,
     write_movie,
 )
-from calcidem.analysis.figures.signals import draw_signals, load_arrival, read_arrival
 from calcidem.analysis.figures.style import MM, MS, drawn_in
 from calcidem.app.campaign.plan import section_of, section_reader, stored_section
 from calcidem.app.config.reader import read_targets

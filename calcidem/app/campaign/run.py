@@ -31,7 +31,7 @@ from calcidem.app.campaign.status import (
 )
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.engine.gpu import refuse_missing_gpu
+from calcidem.dem.kernels.gpu import refuse_missing_gpu
 from calcidem.dem.sample.cement import Pattern, give_patterns
 from calcidem.dem.sample.packing import Packing, PackingStage
 from calcidem.ends import DECIDED_BY_PHYSICS, CellStatus
@@ -47,12 +47,14 @@ from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 from calcidem.sweep.attempt import StopRequest, SweepInterrupted
-from calcidem.sweep.batch import Batch, BatchOutcome, Cell
 from calcidem.sweep.ranks import COMMAND_VARIABLE, keep_freed_memory, refuse_singletons
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import (
     EXIT_RESUMABLE,
     LOSSES_BEFORE_QUARANTINE,
+    Batch,
+    BatchOutcome,
+    Cell,
     LaunchError,
     SweepEnd,
     SweepState,

@@ -23,14 +23,12 @@ from calcidem.analysis.intervals import Interval
 from calcidem.analysis.velocity import BUDGET_QUANTITIES, ErrorBudget, are_samples, error_budget
 from calcidem.app.campaign.notices import listening, printable, tell
 from calcidem.ends import CellStatus
-from calcidem.storage.errors import StoreError
-from calcidem.storage.passwords import hide_passwords
+from calcidem.storage.errors import StoreError, hide_passwords
 from calcidem.storage.records import CellKey, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
-from calcidem.sweep.batch import Batch, BatchOutcome
 from calcidem.sweep.ranks import launcher
-from calcidem.sweep.schedule import Progress, SweepEnd, duration, pluralize
+from calcidem.sweep.schedule import Batch, BatchOutcome, Progress, SweepEnd, duration, pluralize
 
 if TYPE_CHECKING:
     from calcidem.dem.sample.packing import PackingStage  # which readers do not need

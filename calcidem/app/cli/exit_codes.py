@@ -25,8 +25,8 @@ from calcidem.storage.errors import (
     StoreError,
     StoreInterruptedError,
     StoreLockedError,
+    hide_passwords,
 )
-from calcidem.storage.passwords import hide_passwords
 from calcidem.sweep.schedule import EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepError
 from calcidem.version import __version__
 

@@ -18,7 +18,7 @@ from typer.core import TyperGroup
 
 from calcidem.app.campaign.notices import CampaignWarning, listening, printable
 from calcidem.app.cli.options import IS_QUIET, IS_VERBOSE, write_notice
-from calcidem.storage.passwords import keep_passwords_back
+from calcidem.storage.errors import keep_passwords_back
 from calcidem.sweep.ranks import THREAD_VARIABLES, launcher, whole_number
 from calcidem.version import __version__
 

@@ -22,12 +22,11 @@ from calcidem.app.cli.options import (
     parse_percentage,
     refuse_options,
 )
-from calcidem.app.cli.output import Format, FormatOption, tell_rows
-from calcidem.input_file import read_input
+from calcidem.app.cli.views import Format, FormatOption, tell_rows
+from calcidem.input_file import Table, read_input
 from calcidem.storage.records import P_CONTACT, CementPattern
 from calcidem.sweep.ranks import available_cores
 from calcidem.sweep.schedule import EXIT_ERROR
-from calcidem.table import Table
 
 if TYPE_CHECKING:
     from calcidem.app.studies.calibrate import FittedContent, FittedParameters
@@ -38,12 +37,8 @@ from importlib.resources import as_file, files
 from typing import TYPE_CHECKING
 
 from calcidem.app.campaign.notices import printable
-from calcidem.app.cli.options import (
-    DEFAULT_CONFIGURATION,
-    JudgedDatabase,
-    StudyFolder,
-)
-from calcidem.app.cli.output import tell_study
+from calcidem.app.cli.options import DEFAULT_CONFIGURATION, JudgedDatabase, StudyFolder
+from calcidem.app.cli.views import tell_study
 from calcidem.sweep.schedule import pluralize
 
 if TYPE_CHECKING:
@@ -139,7 +134,7 @@ def _tell_checks(
     content: float | None,
 ) -> None:
     """Tell how far to trust predictions: a table of all contents, or a sentence on one."""
-    from calcidem.app.cli.output import make_console, make_table
+    from calcidem.app.cli.views import make_console, make_table
 
     if not chosen:
         if content is None:

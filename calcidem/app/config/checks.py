@@ -11,11 +11,10 @@ import numpy as np
 from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
 from calcidem.dem.engine.fields import quote
 from calcidem.dem.sample.cement import UnknownPatternError, find_pattern
-from calcidem.dem.sample.judgement import expected_overlap, judge_disks, judge_stress
-from calcidem.dem.sample.packing import Packing
+from calcidem.dem.sample.packing import Packing, expected_overlap, judge_disks, judge_stress
 from calcidem.dem.wave.experiment import DEEPEST_LISTENING, Experiment, driven_disks, listening_disks, wave_scene
 from calcidem.dem.wave.propagation import refuse_unfit_pulse, refuse_unfit_samples
-from calcidem.dem.wave.reading import FEWEST_SAMPLES, cutoff_frequency
+from calcidem.dem.wave.rule import FEWEST_SAMPLES, cutoff_frequency
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import Address
 

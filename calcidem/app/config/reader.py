@@ -22,10 +22,9 @@ from calcidem.app.config.schema import (
     Problem,
 )
 from calcidem.dem.engine.fields import FieldError, Settings, field_hints, quote, similar
-from calcidem.dem.sample.packing import checked_disks
-from calcidem.input_file import read_input, read_text
+from calcidem.dem.sample.packing_file import checked_disks
+from calcidem.input_file import Table, meaning_of, parse_number, read_input, read_text, unit_in_name, value_of
 from calcidem.sweep.schedule import pluralize
-from calcidem.table import Table, meaning_of, parse_number, unit_in_name, value_of
 
 if TYPE_CHECKING:
     from calcidem.analysis.published import Target
@@ -234,7 +233,7 @@ KNOWN_COLUMNS = {
     "density": "(bulk|dry|total|wet)?density|rho|dichte",
     "specimen": "specimen|sample|test|id|name|no|nr|label|specimen(id|name|no)|sample(id|name|no)|probe",
 }
-"""English and German names of the columns by their meaning, see `calcidem.table.meaning_of`."""
+"""English and German names of the columns by their meaning, see `calcidem.input_file.meaning_of`."""
 
 _UNITS = {  # dimension, unit without one in the file, and what is accepted
     "content": ("percent", "%", "percent, from 0 to 100"),

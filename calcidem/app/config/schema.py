@@ -22,10 +22,10 @@ from calcidem.dem.kernels.features import LANE_COUNTS
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment, suitable_frequency
-from calcidem.dem.wave.reading import EXCITATION, PickRule, WaveRule
-from calcidem.storage.encoding import canonical_hash, canonical_json
+from calcidem.dem.wave.reading import PickRule
+from calcidem.dem.wave.rule import EXCITATION, WaveRule
 from calcidem.storage.errors import StoreError
-from calcidem.storage.records import LARGEST_SEED, CampaignRecord, canonical_content
+from calcidem.storage.records import LARGEST_SEED, CampaignRecord, canonical_content, canonical_hash, canonical_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
@@ -154,7 +154,7 @@ class PackingDraw:
     seed
         Seed of the random sizes and positions.
     file
-        CSV file of disks (`calcidem.dem.sample.packing`), relative to the configuration's folder.
+        CSV file of disks (`calcidem.dem.sample.packing_file`), relative to the configuration's folder.
     file_sha256
         SHA-256 of the file's content, 64 hexadecimal digits; the campaign's identity depends on the content, not the
         name.

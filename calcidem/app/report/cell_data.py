@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
-from calcidem.analysis.figures.signals import read_arrival
+from calcidem.analysis.figures.samples import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.plan import section_of, section_reader
 from calcidem.app.report.tables import EXCEPTIONAL, readable_unit

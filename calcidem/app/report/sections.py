@@ -25,8 +25,7 @@ from calcidem.analysis.published import (
 )
 from calcidem.analysis.velocity import median_diameter_by_mass
 from calcidem.app.report.tables import ABSENT, RESULT_TABLES, Table, decimal, significant, with_bounds
-from calcidem.storage.encoding import flat_parameters
-from calcidem.storage.records import RunRecord
+from calcidem.storage.records import RunRecord, flat_parameters
 from calcidem.sweep.schedule import duration
 
 Made = TypeVar("Made")

@@ -82,7 +82,7 @@ def page_beside_run(database: str | os.PathLike[str], campaign: str, say: Callab
     address = PageAddress.take()
     descriptor = address.listener.fileno()
     process = subprocess.Popen(
-        [sys.executable, "-m", "calcidem.app.serve"],
+        [sys.executable, "-m", "calcidem.app.serve.server"],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         pass_fds=[descriptor],

@@ -29,8 +29,7 @@ from calcidem.app.report.cell_data import (
 from calcidem.app.report.tables import EXCEPTIONAL, count_reasons
 from calcidem.dem.engine.scene import Sand
 from calcidem.ends import CellStatus
-from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError
-from calcidem.storage.passwords import hide_passwords
+from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError, hide_passwords
 from calcidem.storage.records import QUANTITY_BY_NAME
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign

@@ -49,10 +49,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from calcidem.app.serve.address import PageAddress
 from calcidem.app.serve.feed import CampaignFeed, Event
-from calcidem.storage.errors import StoreError, UnknownCellError
-from calcidem.storage.passwords import hide_passwords, keep_passwords_back
+from calcidem.storage.errors import StoreError, UnknownCellError, hide_passwords, keep_passwords_back
 from calcidem.storage.records import LARGEST_SEED, canonical_content, checked_seed
-from calcidem.sweep.ranks import available_cores
+from calcidem.sweep.ranks import available_cores, die_with_parent
 
 T = TypeVar("T")
 
@@ -146,7 +145,7 @@ _TIME_LIMIT = 600.0
 
 _PROGRAM = """
 import os, runpy, sys
-from calcidem.sweep.ranks import die_with_parent
+from calcidem.sweep.ranks import die_with_parent, die_with_parent
 parent = int(sys.argv.pop(1))
 if sys.platform == "linux":
     die_with_parent(parent)
@@ -558,3 +557,18 @@ class LivePage:
             closing = Thread(target=hub.close, daemon=True)
             closing.start()
             closing.join(1.0)  # s
+
+
+def _show_run() -> None:
+    """Serve the page until a signal, or the end of the parent process."""
+    if sys.platform == "linux":
+        die_with_parent()
+    os.nice(10)
+    told = json.load(sys.stdin)
+    address = PageAddress(socket.socket(fileno=told["descriptor"]), told["host"], told["token"])
+    LivePage([(told["database"], told["campaign"])], address).serve(wait=True)
+    os._exit(0)  # as in `calcidem serve`
+
+
+if __name__ == "__main__":
+    _show_run()

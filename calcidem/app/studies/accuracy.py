@@ -31,7 +31,8 @@ from calcidem.dem.engine.scene import Law
 from calcidem.dem.wave.check import cheapest_law
 from calcidem.dem.wave.experiment import Experiment, domain_of
 from calcidem.dem.wave.measurement import Measurement
-from calcidem.dem.wave.reading import WHOLE_DOMAIN, Pulse, smooth
+from calcidem.dem.wave.reading import smooth
+from calcidem.dem.wave.rule import WHOLE_DOMAIN, Pulse
 from calcidem.storage.records import NORMAL_95
 
 DEFAULT = "default"

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import correlate
 
-from calcidem.analysis.figures.signals import METHOD_STYLES, Arrival, draw_signal_pair
+from calcidem.analysis.figures.samples import METHOD_STYLES, Arrival, draw_signal_pair
 from calcidem.analysis.figures.style import apply_style, new_panel
 from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.portable import find_maxima, parabola_vertex

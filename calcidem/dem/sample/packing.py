@@ -3,23 +3,17 @@
 The module imports nothing of the engine, so packings can be read without it.
 """
 
-import csv
-from collections.abc import Callable, Iterator, Sequence
+import math
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval, Unit
 
 from calcidem.dem.engine.fields import NotNegative, Positive, checked, quote, require
-from calcidem.dem.engine.scene import Preload, Sand, Scene
+from calcidem.dem.engine.scene import Preload, Sand
 from calcidem.dem.kernels.layout import Floats, Integers
-from calcidem.dem.sample.compaction import OWN_DISKS, Cost, box_walls, press
-from calcidem.dem.sample.judgement import LARGEST_OVERLAP, overlapping_pairs
-from calcidem.input_file import MOST_BYTES, read_input
-from calcidem.table import Table, unit_in_name, value_of
 
 WALL_NAMES = ("left", "right", "floor", "lid")
 RIGHT, LID = WALL_NAMES.index("right"), WALL_NAMES.index("lid")
@@ -183,134 +177,171 @@ class PackingStage:
     """Estimated part of the work done; under the lid from the logarithm of the smallest ratio so far."""
 
 
-_CSV_COLUMNS = ("x", "y", "radius")
-_KNOWN = {"x": "x", "y": "y", "radius": "r|radius"}
-FEWEST_DISKS = 10
-FARTHEST = 1e30
-"""m; keeps distances of disks and their squares finite."""
+LARGEST_OVERLAP = 0.1
+"""Overlap over the smaller radius above which Hertz's law fails and imported disks are considered a mistake."""
+DEEP_OVERLAP = 0.07
+"""Overlap over the smaller radius above which a warning is given."""
 
 
-def write_packing_csv(packing: Packing, file: Path) -> None:
-    """Write the disks of a packing, see `write_disks_csv`."""
-    write_disks_csv(packing.x, packing.y, packing.radius, file)
+@dataclass(frozen=True, slots=True)
+class _Fault:
+    """Fault of a packing."""
+
+    key: str
+    """Key of ``[packing]`` at the start of the text."""
+    text: str
+    """Key, value, cause and remedy."""
+    refused: bool
+    """True refuses the packing; False only warns."""
 
 
-def write_disks_csv(x: Floats, y: Floats, radius: Floats, file: Path) -> None:
-    """Write disks: a header line, then x, y and radius (N,) of each in m, without loss of digits."""
-    with file.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(_CSV_COLUMNS)
-        writer.writerows(zip(x.tolist(), y.tolist(), radius.tolist(), strict=True))
+def expected_overlap(stress: float, diameter: float, sand: Sand) -> float:
+    """Return the overlap over the radius of a contact of equal disks under a force ``stress diameter``, N/m.
 
-
-def packing_from_csv(
-    file: Path,
-    sand: Sand,
-    rule: PackingRule,
-    raise_if_stopped: Callable[[], None] = lambda: None,
-    watch: Callable[[PackingStage], None] = lambda _: None,
-) -> Packing:
-    """Make a packing from the disks in a file.
-
-    The disks are checked and put into a box of the rule's width with the lid on the highest disk. They are relaxed
-    under the lid's stress like the last stage of `calcidem.dem.sample.compaction.make_packing`. A file has no contact
-    forces, and its positions balance another contact law at best. `PackingFileError` if the file cannot be read as
-    disks, or disks overlap or leave the box by more than a tenth of a radius; `PackingError` if they do not come to
-    rest.
+    By Hertz's law, ``F = h d^1.5``. The mean overlap of packings is 0.7 to 1.2 times this value.
 
     Parameters
     ----------
-    file
-        Table with a header line naming the columns x, y and radius, in m unless their names have a unit; floor and left
-        wall are at 0. Further columns and lines that begin with ``#`` are ignored.
+    stress
+        Pa.
+    diameter
+        m.
     sand
-        Material; the rule's friction of preparation replaces its own while the disks come to rest.
-    rule
-        Its width, stresses, damping and unbalanced-force ratio apply; the file determines sizes and porosity.
-    raise_if_stopped
-        Called every fraction of a second; may raise to end the work.
-    watch
-        Called as often with the progress.
+        Material of the disks, which have unit thickness.
     """
-    x, y, radius, _ = checked_disks(file, rule.width)
-    height = float(np.max(y + radius))
-    boxed = replace(rule, height=height)
-    slippery = replace(sand, friction=rule.friction_preparation)
-    cost = Cost(watch=watch, expansion_step=1)
-    scene = Scene(x, y, radius, slippery, box_walls(rule.width, height), damping=rule.damping)
-    return press(scene, None, boxed, cost, raise_if_stopped, OWN_DISKS)
+    radius = np.array([diameter / 2.0])
+    coefficient = float(sand.hertz_coefficient(radius, radius)[0])
+    return float(2.0 / diameter * (stress * diameter / coefficient) ** (2.0 / 3.0))
 
 
-def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Floats, Floats, str]:
-    """Return x, y, radius (N,) of the disks in a file, and its SHA-256; refuse deep overlaps of disks and walls.
+def judge_stress(stress: float, diameter: float, sand: Sand) -> _Fault | None:
+    """Return a fault if the stress would crush a planned packing.
 
-    Without a width, m, the rightmost disk touches the right wall. `PackingFileError` names the line; `InputFileError`
-    if the file cannot be read as text.
+    Parameters
+    ----------
+    stress
+        Stress on the lid, Pa.
+    diameter
+        Mean diameter, m.
+    sand
+        Their material.
     """
-    x, y, radius, lines, digest = _read_disks(file)
-    _check_walls(file, lines, x, y, radius, float(np.max(x + radius)) if width is None else width)
-    refuse_deep_overlaps(file, lines, x, y, radius)
-    return x, y, radius, digest
+    expected = expected_overlap(stress, diameter, sand)
+    if expected <= 0.05:  # above this mean the largest overlap is certainly too deep
+        return None
+    # The largest overlap was 1.9 to 3.9 times this in 19 packings of 390 disks, from 1e-3 to 0.3 of a radius.
+    cure = _softer(3.0 * expected, stress, sand)
+    text = (
+        f"stress = {stress:g}: presses disks of {diameter:.3g} m by {expected:.0%} of a radius into one another on "
+        f"average, too much for sand.shear_modulus = {sand.shear_modulus:g}; {cure}"
+    )
+    return _Fault("stress", text, refused=True)
 
 
-def _read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int], str]:
-    """Return x, y, radius (N,) and line of each disk in the file, and the file's SHA-256; as `checked_disks`."""
-    content = read_input(file, MOST_BYTES)
-    table = Table.read(content, file, _KNOWN, _CSV_COLUMNS)
-    rows = list(_numbered_disks(file, table))
-    if len(rows) < FEWEST_DISKS:
-        raise PackingFileError(f"{file} has {len(rows)} disks; give at least {FEWEST_DISKS}")
-    numbers, values = zip(*rows, strict=True)
-    x, y, radius = np.array(values).T
-    return x.copy(), y.copy(), radius.copy(), list(numbers), sha256(content).hexdigest()
+def judge_disks(packing: Packing, sand: Sand) -> tuple[_Fault, ...]:
+    """Return the faults of a packing at rest, the worst first.
 
-
-def _numbered_disks(file: Path, table: Table) -> Iterator[tuple[int, tuple[float, float, float]]]:
-    """Yield the line number and x, y, radius of each disk."""
-    columns = table.places(_KNOWN)
-    if missing := [name for name in _CSV_COLUMNS if name not in columns]:
-        raise PackingFileError(f"{file} has no column {', '.join(missing)}; its first line must name x, y and radius")
-    places = [(columns[name], unit_in_name(table.names[columns[name]], "length")[1] or "m") for name in _CSV_COLUMNS]
-    for number, row in table.rows:
-        try:
-            x, y, radius = (value_of(row[place], "length", unit) for place, unit in places)
-        except IndexError:
-            x = y = radius = np.nan
-        if np.isnan([x, y, radius]).any():
-            shown = ",".join(row)
-            shown = f"{shown[:80]}{'...' if len(shown) > 80 else ''}"
-            raise PackingFileError(f"{file}, line {number}: '{shown}' is not a disk; give three numbers in m")
-        if not (abs(x) <= FARTHEST and abs(y) <= FARTHEST and 1.0 / FARTHEST <= radius <= FARTHEST):
-            raise PackingFileError(
-                f"{file}, line {number}: x = {x:g}, y = {y:g}, radius = {radius:g}; give finite numbers and a positive "
-                f"radius, in m, up to {FARTHEST:g}"
-            )
-        yield number, (x, y, radius)
-
-
-def _check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats, width: float) -> None:
-    """Refuse disks that extend beyond the box."""
-    for wall, gap in (("left wall", x), ("right wall", width - x), ("floor", y)):
-        out = np.flatnonzero(gap < (1.0 - LARGEST_OVERLAP) * radius)
-        if len(out):
-            disk = out[0]
-            beyond = radius[disk] - gap[disk]
-            raise PackingFileError(
-                f"{file}, line {lines[disk]}: the disk at ({x[disk]:g}, {y[disk]:g}) m reaches {beyond:.3g} m beyond "
-                f"the {wall}; move the disks into 0 < x < {width:g} m, 0 < y, or change width"
-            )
-
-
-def refuse_deep_overlaps(file: Path, lines: Sequence[int], x: Floats, y: Floats, radius: Floats) -> None:
-    """Refuse disks that overlap by more than a tenth of a radius.
-
-    `PackingFileError` names the lines of a pair.
+    Parameters
+    ----------
+    packing
+        Generated or imported packing.
+    sand
+        Its material.
     """
-    pairs, overlap = overlapping_pairs(x, y, radius)
-    deep = np.flatnonzero(overlap > LARGEST_OVERLAP * radius[pairs].min(axis=1))
-    if len(deep):
-        first, second = sorted(lines[disk] for disk in pairs[deep[0]])
-        raise PackingFileError(
-            f"{file}, lines {first} and {second}: the disks overlap by {overlap[deep[0]]:.3g} m, more than a tenth of "
-            "a radius; move them apart, or make them smaller"
+    report, (left, right, floor, lid) = packing.report, packing.report.wall_stress
+    stress = max(left, right, floor, lid)
+    rim = np.minimum.reduce([packing.x, packing.width - packing.x, packing.y, packing.height - packing.y])
+    at_walls = float(np.max(1.0 - rim / packing.radius, initial=0.0))
+    deepest = max(deepest_overlap(packing.x, packing.y, packing.radius, packing.pairs), at_walls)
+    found = []
+    if deepest > DEEP_OVERLAP:
+        cause = f"stress of {stress:.3g} Pa on a wall, too high for sand.shear_modulus = {sand.shear_modulus:g}"
+        limit = f"Hertz's law holds up to {LARGEST_OVERLAP:.0%}"
+        text = f"stress: the largest overlap is {deepest:.1%} of a radius, {limit} ({cause}); "
+        found.append(_Fault("stress", text + _softer(deepest, lid, sand), refused=deepest > LARGEST_OVERLAP))
+    found += judge_porosity(report.porosity, packing.radius)
+    contacts = report.coordination_number_without_rattlers
+    too_many = contacts >= 6.0  # as many as in no planar graph (Euler)
+    if too_many or contacts < 3.0:  # with friction, isostatic
+        bound = "disks always have fewer than 6" if too_many else "3 are needed to resist shear"
+        text = f"porosity: each disk has {contacts:.2f} contacts without rattlers; {bound}; "
+        cure = "lower the stress" if too_many else "lower packing.porosity or packing.friction_preparation"
+        found.append(_Fault("porosity", text + cure, refused=too_many))
+    return tuple(sorted(found, key=lambda fault: not fault.refused))
+
+
+def judge_porosity(porosity: float, radius: Floats) -> tuple[_Fault, ...]:
+    """Return the faults of a porosity for disks of these radii (N,)."""
+    densest = 1.0 - _densest_cover(float(radius.min() / radius.max()))
+    if porosity < densest:
+        text = (
+            f"porosity: {porosity:.3f} is below {densest:.3f}, the least of disks of these sizes that do not overlap; "
+            "lower the stress, raise sand.shear_modulus, or check the sizes"
         )
+        return (_Fault("porosity", text, refused=True),)
+    if porosity > 0.3:
+        text = f"porosity: {porosity:.3f} is above 0.3; loose disks hardly carry load; lower packing.porosity"
+        return (_Fault("porosity", text, refused=False),)
+    return ()
+
+
+def _densest_cover(ratio: float) -> float:
+    """Return an upper bound of the area fraction of disks without overlap, radii from ``ratio`` to 1.
+
+    Florian (1960), Ausfuellung der Ebene durch Kreise, Rend. Circ. Mat. Palermo 9, 300, doi:10.1007/BF02851249. For
+    equal disks it is ``pi / sqrt(12)``, the hexagonal lattice.
+    """
+    squared = ratio * ratio
+    angle = math.asin(ratio / (1.0 + ratio))
+    return (math.pi * squared + 2.0 * (1.0 - squared) * angle) / (2.0 * ratio * math.sqrt(1.0 + 2.0 * ratio))
+
+
+def deepest_overlap(x: Floats, y: Floats, radius: Floats, pairs: Integers) -> float:
+    """Return the largest overlap of pairs (C, 2) of disks (N,), over the smaller radius; 0 without any."""
+    first, second = np.asarray(pairs).T
+    distance = np.hypot(x[second] - x[first], y[second] - y[first])
+    overlap = (radius[first] + radius[second] - distance) / np.minimum(radius[first], radius[second])
+    return float(overlap.max(initial=0.0))
+
+
+def overlapping_pairs(x: Floats, y: Floats, radius: Floats) -> tuple[Integers, Floats]:
+    """Return the overlapping pairs (C, 2) of disks (N,), and their overlaps (C,), m."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - what only reads stored disks does not wait for SciPy
+
+    centres = np.column_stack([x, y])
+    pairs = cKDTree(centres).query_pairs(2.0 * float(radius.max()), output_type="ndarray")
+    overlap = radius[pairs].sum(axis=1) - np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
+    return pairs[overlap > 0.0], overlap[overlap > 0.0]
+
+
+def refuse_changed(packing: Packing) -> None:
+    """Refuse a stored packing whose disks do not lie in its box, or do not touch as its pairs and its report say.
+
+    `ValueError` names the contradiction.
+    """
+    x, y, radius, (pairs, shear) = packing.x, packing.y, packing.radius, (packing.pairs, packing.preload.shear)
+    count, contacts = len(radius), len(shear)
+    if (x.shape, y.shape, pairs.shape, shear.shape) != ((count,), (count,), (contacts, 2), (contacts,)):
+        raise ValueError("its arrays differ in length")
+    rim = np.minimum.reduce([x, packing.width - x, y, packing.height - y])
+    if not ((rim >= (1.0 - LARGEST_OVERLAP) * radius) & (radius > 0.0) & np.isfinite(rim + radius)).all():
+        raise ValueError("a disk has no size or is not in the box")
+    if not np.isfinite(shear).all():
+        raise ValueError("a force is not finite")
+    touching, overlap = overlapping_pairs(x, y, radius)
+    stated, found = (np.sort(listed, axis=1) @ [count, 1] for listed in (pairs, touching))
+    differ = np.stack(np.divmod(np.setxor1d(stated, found), count), axis=1)
+    gap = radius[differ].sum(axis=1) - np.hypot(*(values[differ[:, 0]] - values[differ[:, 1]] for values in (x, y)))
+    if (np.abs(gap) > 1e-12 * radius.max()).any():  # a disk just touches another, or not
+        raise ValueError(f"{contacts} pairs are said to touch, and {len(touching)} do")
+    if not np.isclose(overlap.mean(), packing.report.mean_overlap, rtol=1e-8, atol=1e-13 * radius.max()):
+        raise ValueError(f"its mean overlap is {overlap.mean():g} m, not {packing.report.mean_overlap:g} m")
+
+
+def _softer(deepest: float, stress: float, sand: Sand) -> str:
+    """Propose a stress and a modulus for an overlap of 5 % of the radius; it scales with (stress / modulus)^(2/3)."""
+    factor = (deepest / 0.05) ** 1.5
+    return (
+        f"packing.stress = {stress / factor:.2g} Pa or sand.shear_modulus = {sand.shear_modulus * factor:.2g} Pa gives "
+        "about 5%"
+    )

@@ -22,7 +22,8 @@ from calcidem.dem.engine.scene import Bonds, Cement, Installation, Preload, Sand
 from calcidem.dem.kernels.layout import Flags, Integers
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.reading import WHOLE_DOMAIN, PickRule, WaveRule, excitation_frequency
+from calcidem.dem.wave.reading import PickRule
+from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule, excitation_frequency
 from calcidem.dem.wave.section import clamp_of_strip
 
 TRANSMITTER, RECEIVER = 1, 4  # indices of the walls of `wave_scene`
@@ -217,7 +218,7 @@ class Experiment:
     of an experiment and a content, percent, that returns the frequency in Hz and is called once for each content.
     """
     gpu: bool = False
-    """Propagate waves on a GPU, with the same bits (`calcidem.dem.engine.gpu`)."""
+    """Propagate waves on a GPU, with the same bits (`calcidem.dem.kernels.gpu`)."""
     _kept: dict[tuple[Callable[..., Any], tuple[Any, ...]], Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:

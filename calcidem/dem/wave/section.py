@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from calcidem.dem.engine.portable import cosine_and_sine, exponential
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.reading import Pulse
+from calcidem.dem.wave.rule import Pulse
 
 RESOLUTION = 2.0**-20
 """Resolution of recorded velocities over the amplitude of the pulse: 1e-3 of the weakest accepted arrival."""

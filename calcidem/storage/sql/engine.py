@@ -24,9 +24,10 @@ from calcidem.storage.errors import (
     StoreInterruptedError,
     StoreLockedError,
     StoreUnavailableError,
+    hide_passwords,
+    with_passwords,
 )
 from calcidem.storage.files import can_lock, is_network_filesystem
-from calcidem.storage.passwords import hide_passwords, with_passwords
 
 _BUSY_TIMEOUT_SECONDS = 30.0
 _WRITES = "calcidem_writes"

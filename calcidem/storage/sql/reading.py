@@ -15,7 +15,6 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import unpack_arrays
 from calcidem.storage.errors import (
     ForeignDatabaseError,
     QueryError,
@@ -34,6 +33,7 @@ from calcidem.storage.records import (
     CellResult,
     PackingRecord,
     RunRecord,
+    unpack_arrays,
 )
 from calcidem.storage.sql.engine import Address, Connections, find_damage, refuse_damaged, was_left_open
 from calcidem.storage.sql.lease import Lease, replace_database

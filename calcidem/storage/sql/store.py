@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from sqlalchemy import ColumnElement, Connection, Table, and_, delete, insert, or_, select, tuple_, update
 
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import pack_arrays
 from calcidem.storage.errors import ReadOnlyStoreError, StoreError, UnknownCampaignError, UnknownCellError
 from calcidem.storage.records import (
     AttemptCount,
@@ -25,6 +24,7 @@ from calcidem.storage.records import (
     PackingRecord,
     RunRecord,
     as_utc,
+    pack_arrays,
 )
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import Lease

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.dem.sample.packing import _read_disks
+from calcidem.dem.sample.packing_file import _read_disks
 from calcidem.storage.errors import ForeignDatabaseError
 from calcidem.storage.netcdf import export_netcdf
 

@@ -15,9 +15,9 @@ from calcidem.app.campaign.plan import with_patterns
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.storage.encoding import canonical_json
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.netcdf import export_netcdf, import_netcdf
+from calcidem.storage.records import canonical_json
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 

@@ -13,9 +13,8 @@ from calcidem.app.campaign.merge import MergeConflictError, merge_databases
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import packing_record, stored_packing
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_hash, canonical_json
 from calcidem.storage.errors import CampaignMismatchError, ForeignDatabaseError
-from calcidem.storage.records import CellKey, CellResult
+from calcidem.storage.records import CellKey, CellResult, canonical_hash, canonical_json
 from calcidem.storage.sql.store import Store
 
 

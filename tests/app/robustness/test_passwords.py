@@ -13,8 +13,7 @@ import pytest
 import xarray as xr
 from sqlalchemy import create_engine, text
 
-from calcidem.storage.errors import StoreError
-from calcidem.storage.passwords import PASSWORDS_VARIABLE, hide_passwords, keep_passwords_back, with_passwords
+from calcidem.storage.errors import PASSWORDS_VARIABLE, StoreError, hide_passwords, keep_passwords_back, with_passwords
 from calcidem.storage.records import RunRecord
 from calcidem.storage.sql.engine import Address
 

@@ -25,7 +25,8 @@ from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
-from calcidem.dem.wave.reading import Law, PickRule, WaveRule
+from calcidem.dem.wave.reading import PickRule
+from calcidem.dem.wave.rule import Law, WaveRule
 from calcidem.ends import CellStatus
 
 SEEDS = (1, 2, 3)

@@ -9,8 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from calcidem.ends import CellStatus
-from calcidem.storage.encoding import canonical_hash
-from calcidem.storage.records import CampaignRecord, CellResult, RecordedSection
+from calcidem.storage.records import CampaignRecord, CellResult, RecordedSection, canonical_hash
 from calcidem.storage.sql.store import Store
 
 SAMPLES = 1000  # about 24 kB of noise, so that a write takes many pages

@@ -20,7 +20,7 @@ from calcidem.app.campaign import run as campaign
 from calcidem.app.campaign.cells import CellComputation
 from calcidem.app.campaign.run import StoreSink
 from calcidem.app.cli.main import main
-from calcidem.sweep.batch import Batch, BatchOutcome
+from calcidem.sweep.schedule import Batch, BatchOutcome
 
 FAULT, VICTIM, MOMENT = (os.environ.get(name, "") for name in ("FAULT", "VICTIM", "MOMENT"))
 FOLDER = Path(os.environ["FAULT_FOLDER"])
