@@ -46,7 +46,7 @@ ALLOWED = {
     ("storage/store.py", "read_text"): "of /proc",
     ("storage/store.py", "read_bytes"): "of /proc",
     ("app/campaign/preview.py", "read_text"): "of /proc",
-    ("app/campaign/identity.py", "read_text"): "of /proc, and of the installed distribution",
+    ("app/campaign/provenance.py", "read_text"): "of /proc, and of the installed distribution",
     ("app/campaign/packing.py", "read_bytes"): "of the package",
     ("app/campaign/opened.py", "open_dataset"): "of the package",
     ("app/config/examples.py", "read_text"): "of the package",

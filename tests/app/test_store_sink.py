@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.app.campaign.identity import describe_run
 from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.plan import batches_of
+from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.run import StoreSink
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.schema import Configuration

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from calcidem.app.campaign.identity import describe_run
 from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.plan import SeedDemand
+from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import CampaignPlan, Configuration, ConfigurationError, WantedIntervals

@@ -104,7 +104,7 @@ def main() -> None:
 def _show_version(wanted: bool) -> None:
     """Write the version, with the commit if known, and end."""
     if wanted:
-        from calcidem.app.campaign.identity import source_commit
+        from calcidem.app.campaign.provenance import source_commit
 
         commit, changed = source_commit()
         told = f" (commit {commit[:12]}{', changed' if changed else ''})" if commit else ""
