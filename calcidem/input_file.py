@@ -1,4 +1,8 @@
-"""The one door for what a user names: regular files of limited size, also unpacked; a refusal says cause and remedy."""
+"""The one door for what a user names, regular files of limited size, also unpacked; and the one reader of tables.
+
+Tables may have any separator, decimal commas, comments, encodings, and units in names or at numbers. A refusal says
+cause and remedy.
+"""
 
 import csv
 import gzip

@@ -1,4 +1,4 @@
-"""The printed numbers of the study this project reproduces, as data.
+"""Printed numbers of the study this project reproduces, as data; comparison of a campaign with laboratory velocities.
 
 "Sand Stiffness Variability Induced by Stochastic Distributions of Calcite Precipitates: A Monte Carlo-DEM
 Study", Tables 1 to 4 and section 3.2.1. `published.toml` in this folder has them as printed;

@@ -1,4 +1,9 @@
-"""Errors of velocities, quantities derived from a shear-wave velocity, and advice about those of a campaign."""
+"""Errors of velocities, quantities derived from a shear-wave velocity, dispersion, and advice about a campaign.
+
+Phase velocity over frequency comes from the space-time sections of many samples of one content. One sample contains
+one to three wavelengths, so its spectrum over frequency and wavenumber is broad. The mean spectrum of many samples
+gives the dispersion of the content and its long-wave speed.
+"""
 
 import math
 from collections.abc import Mapping

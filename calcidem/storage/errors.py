@@ -1,4 +1,4 @@
-"""Errors of the store: each has cause and remedy."""
+"""Errors of the store, each with cause and remedy; passwords of databases are hidden in all shown or stored text."""
 
 import json
 import os

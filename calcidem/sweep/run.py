@@ -1,4 +1,4 @@
-"""`run_sweep`: compute all batches and store their outcomes."""
+"""`run_sweep`: compute all batches; a separate thread stores outcomes in groups, so no worker waits for the disk."""
 
 import time
 from collections import deque

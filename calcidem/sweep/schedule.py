@@ -1,4 +1,4 @@
-"""Decisions about the next batch and about each outcome, without communication; end and progress of a sweep."""
+"""Batches of cells, decisions about the next one and about each outcome, without communication; end of a sweep."""
 
 import traceback
 from collections import defaultdict, deque

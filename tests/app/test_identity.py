@@ -9,6 +9,7 @@ import netCDF4
 import numpy as np
 import pytest
 
+from calcidem.app.campaign import plan
 from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import packing_record, stored_packing

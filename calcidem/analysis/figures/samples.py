@@ -1,4 +1,4 @@
-"""Pictures of samples: cement, transmission of the wave, preferential paths, and the wave as moving pictures."""
+"""Pictures of samples: signals, dispersion, cement, transmission of the wave, preferential paths; moving pictures."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,9 @@
-"""Cells that a run computes: batches, parts of a campaign, and seeds until intervals are narrow enough."""
+"""What a run computes: batches, parts of a campaign, seeds until intervals are narrow enough; and what is stored of it.
+
+The stored campaign must be the expected one, with cells of this program's physics. Cement and sections are converted
+between store and simulation; cement that is not stored is drawn again. No kernel is loaded, so that stored cells can be
+read and drawn without.
+"""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace

@@ -1,4 +1,4 @@
-"""Vary and fit: ``calcidem predict``, ``sensitivity`` and ``calibrate``."""
+"""Check the method (``verify``, ``accuracy``, ``stability``), vary and fit (``predict``, ``sensitivity``, ``calibrate``)."""
 
 from collections.abc import Iterator
 from itertools import combinations

@@ -1,4 +1,4 @@
-"""Texts and tables for the terminal: of a run, and of the status of a campaign."""
+"""Overviews on a terminal, and results as tables for people, or as JSON, CSV and Parquet for programs."""
 
 import math
 import os

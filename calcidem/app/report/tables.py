@@ -1,4 +1,7 @@
-"""Tables of results: velocities, outcomes, growth, features, laws, numerical error and run time; numbers as text."""
+"""Tables of results: velocities, outcomes, growth, features, laws, numerical error and run time; numbers as text.
+
+Loads no library of analysis.
+"""
 
 import math
 from collections import Counter

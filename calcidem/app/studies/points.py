@@ -1,4 +1,7 @@
-"""Points of a study: configurations with other values of named parameters, each a campaign of one database."""
+"""Points of a study: configurations with other values of named parameters, each a campaign of one database.
+
+Studies also share cells measured with one experiment after another, deviations, and the result in all forms.
+"""
 
 import json
 import math

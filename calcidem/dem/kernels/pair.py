@@ -1,4 +1,9 @@
-"""Force between two disks, on lane vectors."""
+"""Force between two disks, on lane vectors: how a pair reads its constants and disks, and adds forces to them.
+
+For many samples a vector holds one pair of each sample. Constants are shared, and a disk is a row of lanes. For one
+sample a vector holds `ABREAST` pairs, a *bundle* (see `layout.Pairs`). Then constants are vectors, and disks are
+scattered records. Forces are added pair by pair in the order of the list, so sums have the same bits.
+"""
 
 from typing import NamedTuple
 

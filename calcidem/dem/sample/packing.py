@@ -1,6 +1,8 @@
-"""Data of a packing: its rule, the result, and the progress of `calcidem.dem.sample.compaction`.
+"""Data of a packing: its rule, the result, and the progress of `calcidem.dem.sample.compaction`; and its plausibility.
 
-The module imports nothing of the engine, so packings can be read without it.
+A packing of any origin is judged before a wave is transmitted. The contact law holds for overlaps much smaller than the
+radii, which limits stress over modulus. Geometry bounds the density and the number of neighbours. The module imports
+nothing of the engine but its data, so packings can be read without it.
 """
 
 import math

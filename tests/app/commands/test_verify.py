@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from places import SMALL_PACKING
 
+from calcidem.app.campaign import plan
 from calcidem.app.campaign.cells import cell_result
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import _cached_name
