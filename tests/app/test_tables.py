@@ -5,7 +5,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from calcidem.app.cli.views import make_table
+from calcidem.app.cli.output import make_table
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 120])

@@ -10,8 +10,8 @@ import xarray as xr
 
 from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.cli.output import Format, tell_rows
 from calcidem.app.cli.results import as_rows
-from calcidem.app.cli.views import Format, tell_rows
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
 from calcidem.storage.netcdf import export_netcdf, import_netcdf

@@ -28,7 +28,7 @@ from calcidem.app.cli.options import (
     parse_percentage,
     progress_bar,
 )
-from calcidem.app.cli.views import Format, FormatOption, RecordRows, WholeTable, tell_rows
+from calcidem.app.cli.output import Format, FormatOption, RecordRows, WholeTable, tell_rows
 from calcidem.ends import CellStatus, Verdict
 from calcidem.storage.errors import QueryError
 from calcidem.storage.store import Selection
@@ -82,7 +82,8 @@ def _show_status(
     statuses: "Iterator[CampaignStatus]", half_width: float | None, layout: Format, *, one_per_line: bool
 ) -> None:
     """Show each status of a campaign, on a terminal replacing the former one."""
-    from calcidem.app.cli.views import PLAIN_WIDTH, status_as_json, status_view
+    from calcidem.app.cli.output import PLAIN_WIDTH
+    from calcidem.app.cli.views import status_as_json, status_view
 
     if layout is not Format.TABLE:
         for found in statuses:
@@ -365,7 +366,7 @@ def show_command(
         store.cell(seed=seed, content=content)  # raises an error if there is none
         (row,) = as_rows(store.table(tuple(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,))))
     if layout is Format.TABLE:
-        from calcidem.app.cli.views import make_console, make_table
+        from calcidem.app.cli.output import make_console, make_table
 
         table = make_table(f"Seed {seed} at {content:g} %.", "quantity", "value")
         for meaning, value in _cell_rows(row):

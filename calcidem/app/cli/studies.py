@@ -1,4 +1,4 @@
-"""Check the method (``verify``, ``accuracy``, ``stability``), vary and fit (``predict``, ``sensitivity``, ``calibrate``)."""
+"""Check the method (``verify``, ``accuracy``, ``stability``); vary and fit (``predict``, ``sensitivity``, ...)."""
 
 from collections.abc import Iterator
 from itertools import combinations
@@ -22,7 +22,7 @@ from calcidem.app.cli.options import (
     parse_percentage,
     refuse_options,
 )
-from calcidem.app.cli.views import Format, FormatOption, tell_rows
+from calcidem.app.cli.output import Format, FormatOption, tell_rows
 from calcidem.input_file import Table, read_input
 from calcidem.storage.records import P_CONTACT, CementPattern
 from calcidem.sweep.ranks import available_cores
@@ -38,7 +38,7 @@ from typing import TYPE_CHECKING
 
 from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.options import DEFAULT_CONFIGURATION, JudgedDatabase, StudyFolder
-from calcidem.app.cli.views import tell_study
+from calcidem.app.cli.output import tell_study
 from calcidem.sweep.schedule import pluralize
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ def _tell_checks(
     content: float | None,
 ) -> None:
     """Tell how far to trust predictions: a table of all contents, or a sentence on one."""
-    from calcidem.app.cli.views import make_console, make_table
+    from calcidem.app.cli.output import make_console, make_table
 
     if not chosen:
         if content is None:

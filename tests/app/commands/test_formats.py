@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from calcidem.app.cli.main import PANELS, _build_application, command_function
-from calcidem.app.cli.views import Format, _as_csv, _as_parquet, _flat
+from calcidem.app.cli.output import Format, _as_csv, _as_parquet, _flat
 
 Invoke = Callable[..., str]
 

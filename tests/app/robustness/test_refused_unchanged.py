@@ -18,7 +18,7 @@ from calcidem.app.campaign.packing import packing_record
 from calcidem.app.campaign.preview import preview_lines
 from calcidem.app.campaign.run import CampaignRun
 from calcidem.app.cli.exit_codes import _exit_code_of, tell_error
-from calcidem.app.cli.views import Format, tell_rows
+from calcidem.app.cli.output import Format, tell_rows
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.schema import Configuration, RunOptions
 from calcidem.dem.engine.fields import FieldError, Problem
