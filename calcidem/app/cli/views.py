@@ -40,11 +40,6 @@ if TYPE_CHECKING:  # the status needs no configuration and no packing
     from calcidem.app.config.schema import Configuration
     from calcidem.dem.sample.packing import Packing
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    pass
-
 
 class TerminalView:
     """A `calcidem.app.campaign.run.RunView` on the terminal, or in the log, of this process.
