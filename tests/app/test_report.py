@@ -30,16 +30,8 @@ from calcidem.app.report.sections import (
     _published_table,
     make_or_explain,
 )
-from calcidem.app.report.tables import (
-    ABSENT,
-    Table,
-    _growth_table,
-    _outcome_table,
-    _velocity_table,
-    decimal,
-    probability,
-    significant,
-)
+from calcidem.app.report.tables import _growth_table, _outcome_table, _velocity_table, probability
+from calcidem.app.report.wording import ABSENT, Table, decimal, significant
 from calcidem.app.studies.sensitivity import run_studies
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError

@@ -391,7 +391,7 @@ def show_command(
 
 def _cell_rows(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Meanings and values, with units, of the quantities of a cell that it has."""
-    from calcidem.app.report.tables import ABSENT, EXCEPTIONAL, decimal, readable_unit, significant
+    from calcidem.app.report.wording import ABSENT, EXCEPTIONAL, decimal, readable_unit, significant
     from calcidem.storage.records import QUANTITY_BY_NAME
 
     for name, value in row.items():

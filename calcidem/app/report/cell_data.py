@@ -15,7 +15,7 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample
 from calcidem.analysis.figures.samples import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.plan import section_of, section_reader
-from calcidem.app.report.tables import EXCEPTIONAL, readable_unit
+from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
 from calcidem.dem.wave.reading import Reading
 from calcidem.ends import Verdict
 from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, QUANTITY_BY_NAME, CellResult, RecordedSection

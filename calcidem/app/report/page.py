@@ -26,7 +26,7 @@ from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.plan import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
-from calcidem.app.report.tables import ABSENT, Table, decimal
+from calcidem.app.report.wording import ABSENT, Table, decimal
 from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically

@@ -24,7 +24,8 @@ from calcidem.analysis.published import (
     root_mean_square_misfit,
 )
 from calcidem.analysis.velocity import median_diameter_by_mass
-from calcidem.app.report.tables import ABSENT, RESULT_TABLES, Table, decimal, significant, with_bounds
+from calcidem.app.report.tables import RESULT_TABLES
+from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
 from calcidem.storage.records import RunRecord, flat_parameters
 from calcidem.sweep.schedule import duration
 

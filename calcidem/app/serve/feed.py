@@ -26,7 +26,8 @@ from calcidem.app.report.cell_data import (
     numbers_or_none,
     packing_block,
 )
-from calcidem.app.report.tables import EXCEPTIONAL, count_reasons
+from calcidem.app.report.tables import count_reasons
+from calcidem.app.report.wording import EXCEPTIONAL
 from calcidem.dem.engine.scene import Sand
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError, hide_passwords

@@ -25,7 +25,7 @@ from calcidem.app.campaign.plan import stored_experiment
 from calcidem.app.campaign.run import run
 from calcidem.app.config.reader import parse_file, read_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
-from calcidem.app.report.tables import ABSENT
+from calcidem.app.report.wording import ABSENT
 from calcidem.app.studies.points import Cells, StudyResult, markdown_table, number
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.check import check_content, with_check
