@@ -49,7 +49,7 @@ law = "linear"
 [run]
 lanes = 2
 """
-"""About 280 disks; with so small a step a batch takes up to a second, so that a run can be interrupted half-way.
+"""About 280 disks; with so small a step a batch takes a quarter of a second, so that a run can be interrupted half-way.
 
 One law needs two kernels, where each process would compile or load three.
 """
@@ -92,7 +92,7 @@ class Workshop(MarkedProcesses):
         wave: str = "",
         name: str = "c.toml",
         *,
-        step: float = 0.05,
+        step: float = 0.2,
     ) -> None:
         """Write the configuration of a small campaign."""
         text = SMALL.format(seeds=_toml(seeds), contents=_toml(contents), wave=wave, step=step)
@@ -199,7 +199,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Give a cache folder that holds the small packing, so that every run computes on the same disks."""
     folder = tmp_path_factory.mktemp("cache")
     configuration = folder / "c.toml"
-    configuration.write_text(SMALL.format(seeds=SEEDS, contents=list(CONTENTS), wave="", step=0.05), encoding="utf-8")
+    configuration.write_text(SMALL.format(seeds=SEEDS, contents=list(CONTENTS), wave="", step=0.2), encoding="utf-8")
     packing_hash = load_configuration(configuration).packing_hash
     shutil.copy(SMALL_PACKING, folder / _cached_name(packing_hash))
     return folder
