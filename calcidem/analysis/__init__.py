@@ -3,13 +3,12 @@
 All functions take records, plain arrays or xarray and return frozen records or xarray. None reads a database or
 simulates, so the same code serves a campaign, a published table and other data. Import from the modules:
 
-- `velocity`: errors of velocities, modulus and wavelengths, advice;
+- `velocity`: errors of velocities, modulus and wavelengths, advice, phase velocity over frequency;
 - `distribution`: counts of cells, moments, normality and intervals of Vs at each content; `intervals`, seeds needed;
 - `contact_graph`: preferential path, C_d and C_d,n;
 - `packing_graph`: contact graph of a stored packing, the features of path and network;
 - `campaign_analysis`: all products of a campaign;
 - `correlation`: Pearson and Spearman, over all contents, within one and at each; the best ratio of the contact weights;
 - `fits`: Vs = a C^b + c with intervals, leave-one-seed-out error; Vs of samples that were not simulated;
-- `dispersion`: phase velocity over frequency;
-- `measured`: comparison with laboratory velocities; `published`: the reproduced study's tables and stages of growth.
+- `published`: the reproduced study's tables and stages of growth; comparison with laboratory velocities.
 """

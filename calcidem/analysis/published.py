@@ -27,6 +27,26 @@ STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 
 has other bounds (0.66, 2.55 and 6 %), which do not give these rates; see docs/reproduction/published_check.py.
 """
 
+PUBLISHED_KEYS = {
+    "packing.width": "box_width",
+    "packing.height": "box_height",
+    "packing.porosity": "porosity",
+    "packing.stress": "confining_stress",
+    "sand.shear_modulus": "sand_shear_modulus",
+    "sand.poisson_ratio": "sand_poisson_ratio",
+    "sand.density": "sand_density",
+    "sand.friction": "friction",
+    "cement.bond_modulus": "bond_effective_modulus",
+    "cement.tensile_strength": "bond_tensile_strength",
+    "cement.cohesion": "bond_cohesion",
+    "pattern.calcite_density": "calcite_density",
+    "pattern.cluster_diameter": "cluster_size",
+    "wave.amplitude": "pulse_velocity",
+    "wave.damping": "local_damping",
+    "wave.band_friction": "wall_friction",
+}
+"""Published parameter of each configuration key."""
+
 
 @dataclass(frozen=True, slots=True)
 class StageGrowth:
@@ -171,27 +191,6 @@ def published_study() -> PublishedStudy:
             for row in data["laws"]
         ),
     )
-
-
-PUBLISHED_KEYS = {
-    "packing.width": "box_width",
-    "packing.height": "box_height",
-    "packing.porosity": "porosity",
-    "packing.stress": "confining_stress",
-    "sand.shear_modulus": "sand_shear_modulus",
-    "sand.poisson_ratio": "sand_poisson_ratio",
-    "sand.density": "sand_density",
-    "sand.friction": "friction",
-    "cement.bond_modulus": "bond_effective_modulus",
-    "cement.tensile_strength": "bond_tensile_strength",
-    "cement.cohesion": "bond_cohesion",
-    "pattern.calcite_density": "calcite_density",
-    "pattern.cluster_diameter": "cluster_size",
-    "wave.amplitude": "pulse_velocity",
-    "wave.damping": "local_damping",
-    "wave.band_friction": "wall_friction",
-}
-"""Published parameter of each configuration key."""
 
 
 def _with_intervals(row: dict[str, Any]) -> dict[str, Any]:

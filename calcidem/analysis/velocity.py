@@ -6,7 +6,7 @@ gives the dispersion of the content and its long-wave speed.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -19,8 +19,6 @@ from calcidem.storage.records import MOST_PULSE_EFFECT, depends_on_pulse
 
 if TYPE_CHECKING:
     import xarray as xr  # its import would delay a rank by half a second
-
-from collections.abc import Sequence
 
 BUDGET_QUANTITIES = ("vs", "reading_error", "numerical_error", "pulse_effect", "vs_error")
 """Quantities of each cell that `error_budget` needs, besides its content."""

@@ -5,7 +5,6 @@ NULL in the database, never NaN. The outcome of a cell is its `CellStatus`. What
 canonical JSON with a hash, or compressed arrays.
 """
 
-import hashlib
 import io
 import json
 import math
@@ -25,19 +24,6 @@ from calcidem.ends import CellStatus
 from calcidem.input_file import zip_members
 from calcidem.storage.errors import DAMAGE_REMEDY, CampaignMismatchError, DamagedStoreError, hide_passwords
 from calcidem.storage.quantity import Along, Bound, Quantity, Record
-
-
-def canonical_json(config: Mapping[str, Any]) -> str:
-    """Return JSON text that is the same for equal configurations: keys sorted, no spaces, shortest floats.
-
-    `ValueError` for NaN and infinity.
-    """
-    return json.dumps(config, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-
-
-def canonical_hash(config: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of `canonical_json`, as 64 hexadecimal digits."""
-    return hashlib.sha256(canonical_json(config).encode()).hexdigest()
 
 
 def config_difference(stored: str, given: str, *, shared_only: bool = False) -> list[str]:
@@ -69,44 +55,6 @@ def flat_parameters(config: Mapping[str, Any], prefix: str = "") -> dict[str, An
         else:
             flat[f"{prefix}{key}"] = value
     return flat
-
-
-def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Compress named arrays into the bytes of a NumPy ``.npz`` file.
-
-    Any later reader can open this format: ``numpy.load(io.BytesIO(blob))``. It is that of `numpy.savez_compressed`,
-    except for the level of compression, which that function does not offer.
-    """
-    buffer = io.BytesIO()
-    # For cement patterns the usual level of zlib, 6, takes four times as long and saves 4 % of the bytes.
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, array in arrays.items():
-            file = io.BytesIO()  # members written piece by piece take longer
-            np.lib.format.write_array(file, array, allow_pickle=False)
-            member = zipfile.ZipInfo(f"{name}.npy")  # which has no time of its own
-            archive.writestr(member, file.getvalue(), zipfile.ZIP_DEFLATED, 1)
-    return buffer.getvalue()
-
-
-def unpack_arrays(blob: bytes) -> dict[str, NDArray[Any]]:
-    """Inverse of `pack_arrays`; the arrays are read-only. `ValueError` for other or damaged bytes."""
-    arrays: dict[str, NDArray[Any]] = {}
-    for name, content in zip_members(blob).items():  # as `numpy.load` reads them
-        start = 10 + int.from_bytes(content[8:10], "little")  # version 1: the header's length is before the header
-        shape, is_fortran, dtype = _read_header(content[:start])
-        values = np.frombuffer(content, dtype, offset=start)
-        arrays[name.removesuffix(".npy")] = values.reshape(shape, order="F" if is_fortran else "C")
-    return arrays
-
-
-@lru_cache(1024)  # cached, since parsing takes longest and most cells have the same headers
-def _read_header(header: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order and type in the header of an ``.npy`` file of version 1."""
-    file = io.BytesIO(header)
-    if np.lib.format.read_magic(file) != (1, 0):
-        raise ValueError("no array that `pack_arrays` wrote")
-    found: tuple[tuple[int, ...], bool, np.dtype[Any]] = np.lib.format.read_array_header_1_0(file)
-    return found
 
 
 P_CONTACT = 1
@@ -732,3 +680,54 @@ class CampaignRecord:
             "Give the old values to continue it, or a new database or campaign name for the new ones; seeds and "
             "contents may differ.",
         )
+
+
+def canonical_json(config: Mapping[str, Any]) -> str:
+    """Return JSON text that is the same for equal configurations: keys sorted, no spaces, shortest floats.
+
+    `ValueError` for NaN and infinity.
+    """
+    return json.dumps(config, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def canonical_hash(config: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of `canonical_json`, as 64 hexadecimal digits."""
+    return sha256(canonical_json(config).encode()).hexdigest()
+
+
+def pack_arrays(arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Compress named arrays into the bytes of a NumPy ``.npz`` file.
+
+    Any later reader can open this format: ``numpy.load(io.BytesIO(blob))``. It is that of `numpy.savez_compressed`,
+    except for the level of compression, which that function does not offer.
+    """
+    buffer = io.BytesIO()
+    # For cement patterns the usual level of zlib, 6, takes four times as long and saves 4 % of the bytes.
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, array in arrays.items():
+            file = io.BytesIO()  # members written piece by piece take longer
+            np.lib.format.write_array(file, array, allow_pickle=False)
+            member = zipfile.ZipInfo(f"{name}.npy")  # which has no time of its own
+            archive.writestr(member, file.getvalue(), zipfile.ZIP_DEFLATED, 1)
+    return buffer.getvalue()
+
+
+def unpack_arrays(blob: bytes) -> dict[str, NDArray[Any]]:
+    """Inverse of `pack_arrays`; the arrays are read-only. `ValueError` for other or damaged bytes."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for name, content in zip_members(blob).items():  # as `numpy.load` reads them
+        start = 10 + int.from_bytes(content[8:10], "little")  # version 1: the header's length is before the header
+        shape, is_fortran, dtype = _read_header(content[:start])
+        values = np.frombuffer(content, dtype, offset=start)
+        arrays[name.removesuffix(".npy")] = values.reshape(shape, order="F" if is_fortran else "C")
+    return arrays
+
+
+@lru_cache(1024)  # cached, since parsing takes longest and most cells have the same headers
+def _read_header(header: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and type in the header of an ``.npy`` file of version 1."""
+    file = io.BytesIO(header)
+    if np.lib.format.read_magic(file) != (1, 0):
+        raise ValueError("no array that `pack_arrays` wrote")
+    found: tuple[tuple[int, ...], bool, np.dtype[Any]] = np.lib.format.read_array_header_1_0(file)
+    return found

@@ -84,9 +84,8 @@ class GroupCommit(Generic[CellT]):
     def _begin(self) -> None:
         """Let the thread store marks and waiting outcomes after the previous group."""
         if self._waiting or self._marks:
-            self._next_begin = (
-                time.monotonic() + 0.1
-            )  # s; a transaction costs as much as the rows of two or three batches
+            # 0.1 s: a transaction costs as much as the rows of two or three batches.
+            self._next_begin = time.monotonic() + 0.1
             group, self._waiting = self._waiting, []
             marks, self._marks = self._marks, []
             self._groups.append((self._thread.submit(_store_all, self._sink, marks, group), group))
@@ -176,7 +175,7 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     progress = progress or Progress()
     with nullcontext(stop_request) if stop_request is not None else StopRequest() as stop:
         master = _Master(schedule, sink, progress, stop, more)
-        here = IS_INTERRUPTED.set(master.go_on_here) if executor is None else None
+        here = IS_INTERRUPTED.set(master.has_to_end) if executor is None else None
         try:
             workers: Workers[CellT] = Workers(executor or ThisProcess(), compute, time_limit, silence_floor)
             progress.on_start(schedule.batches, workers=workers.count)
@@ -189,18 +188,9 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
 
 
 class _Master:
-    """Hands out batches and stores their outcomes.
+    """Hands out batches of a schedule, and stores and shows their outcomes, until all are final or it has to end.
 
-    Attributes
-    ----------
-    schedule
-        Batches still to be handed out.
-    sink, progress
-        Receivers of the outcomes for storage and display.
-    stop_request
-        Signals received so far.
-    more
-        Returns further batches for final outcomes.
+    ``more`` returns further batches for final outcomes.
     """
 
     def __init__(
@@ -210,7 +200,7 @@ class _Master:
         self._stop_request, self._more = stop_request, more
         self._next_heartbeat = 0.0
 
-    def go_on_here(self) -> bool:
+    def has_to_end(self) -> bool:
         """Send a heartbeat while this process computes; return whether it has to end at once."""
         self._beat()
         return self._stop_request.hurry()

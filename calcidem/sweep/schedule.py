@@ -1,4 +1,7 @@
-"""Batches of cells, decisions about the next one and about each outcome, without communication; end of a sweep."""
+"""Batches of cells, decisions about the next one and about each outcome, without communication.
+
+Also what a sweep shows and how it ends: progress, states, exit codes and errors, and durations and counts in words.
+"""
 
 import traceback
 from collections import defaultdict, deque
@@ -8,6 +11,22 @@ from enum import StrEnum
 from typing import Any, Generic, Self, TypeAlias, TypeVar
 
 from calcidem.ends import CellStatus
+
+LOSSES_BEFORE_QUARANTINE = 3
+"""Number of times that a run died while a cell was computed, after which the cell is not tried again."""
+
+
+EXIT_COMPLETE = 0
+"""All cells have outcomes."""
+
+
+EXIT_ERROR = 1
+"""Error that the same command would meet again."""
+
+
+EXIT_RESUMABLE = 75
+"""Stopped early with all finished cells stored; the same command continues (EX_TEMPFAIL of sysexits.h)."""
+
 
 CellT = TypeVar("CellT", bound=Hashable)
 
@@ -164,10 +183,6 @@ class BatchOutcome(Generic[CellT, ResultT]):
             )
 
 
-LOSSES_BEFORE_QUARANTINE = 3
-"""Number of times that a run died while a cell was computed, after which the cell is not tried again."""
-
-
 @dataclass(slots=True)
 class Tally:
     """Counts of a sweep so far."""
@@ -239,16 +254,6 @@ class Schedule(Generic[CellT]):
         if kind is not None:
             setattr(self.tally, kind.value, getattr(self.tally, kind.value) + cells)
         return outcome
-
-
-EXIT_COMPLETE = 0
-"""All cells have outcomes."""
-
-EXIT_ERROR = 1
-"""Error that the same command would meet again."""
-
-EXIT_RESUMABLE = 75
-"""Stopped early with all finished cells stored; the same command continues (EX_TEMPFAIL of sysexits.h)."""
 
 
 class SweepError(Exception):

@@ -1,4 +1,4 @@
-"""The workers of a sweep: those of any `concurrent.futures.Executor`, or this process.
+"""Workers of `concurrent.futures`, or this process, that compute batches; a worker that is silent too long is given up.
 
 An executor does not report the number or names of its workers. So each outcome names its worker, and more batches are
 submitted than there are known workers. A new worker computes one of these and counts from its first outcome.

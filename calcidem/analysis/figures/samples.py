@@ -44,6 +44,10 @@ from calcidem.analysis.velocity import ContentDispersion
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
 from calcidem.storage.records import C_CONTACT, P_CONTACT, CellResult, PackingRecord
 
+COLOURS = {"sand grain": "#d3e0ea", "grain in a C cluster": "#f6c667", "P contact": BLUE, "C contact": "#a63603"}
+"""Colour of each part of a sample, by its name in the legend; grains and cement differ in brightness."""
+
+
 METHOD_STYLES = {
     "peak": ("peak to peak", VERMILION, "v"),
     "first_arrival": ("first arrival", GREEN, "o"),
@@ -223,9 +227,6 @@ def _draw_content_dispersion(axes: Axes, shown: ContentDispersion) -> None:
     axes.set_xlim(0.0, (found.frequency[-1] + 0.5 * (found.frequency[-1] - found.frequency[-2])) * KHZ)
     axes.set_title(f"{shown.content:g} % ({found.samples} sample{'s' * (found.samples != 1)})")
 
-
-COLOURS = {"sand grain": "#d3e0ea", "grain in a C cluster": "#f6c667", "P contact": BLUE, "C contact": "#a63603"}
-"""Colour of each part of a sample, by its name in the legend; grains and cement differ in brightness."""
 
 _RING: dict[str, Any] = {"markerfacecolor": "white", "markeredgecolor": PURPLE, "markeredgewidth": 1.3}
 """Look of an uncemented contact on a path."""

@@ -1,4 +1,4 @@
-"""Cells between simulation and store: their computation by a worker, and records of cement and sections."""
+"""Cells between simulation and store: their computation by a worker, as records."""
 
 import contextlib
 import json

@@ -26,25 +26,17 @@ from calcidem.dem.wave.reading import PickRule, Reading, read_section
 from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.section import RESOLUTION, Section, clamp_of_strip
 from calcidem.ends import Verdict
-from calcidem.storage.errors import StoreError
+from calcidem.storage.errors import CampaignMismatchError, StoreError
 from calcidem.storage.records import (
+    CampaignRecord,
     CellResult,
     CementPattern,
     PackedResult,
     RecordedSection,
     canonical_content,
 )
-from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.schedule import Batch, BatchOutcome, Cell, plan_batches
-
-if TYPE_CHECKING:
-    from calcidem.storage.sql.store import Store  # which the ranks do not need
-
-from typing import TYPE_CHECKING
-
-from calcidem.storage.errors import CampaignMismatchError
-from calcidem.storage.records import CampaignRecord
 
 if TYPE_CHECKING:
     from calcidem.storage.sql.store import Store  # which the ranks do not need
@@ -219,7 +211,7 @@ class SeedDemand:
         return found if found > count else 0
 
     @classmethod
-    def of_store(cls, store: Store, plan: CampaignPlan) -> Self:
+    def of_store(cls, store: "Store", plan: CampaignPlan) -> Self:
         """Keep the velocities of cells with an outcome, for the contents of a plan."""
         wanted = Selection(contents=plan.contents)
         pending = {(key.seed, key.content) for key in store.pending(contents=plan.contents)}

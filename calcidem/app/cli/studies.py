@@ -1,6 +1,9 @@
-"""Check the method (``verify``, ``accuracy``, ``stability``); vary and fit (``predict``, ``sensitivity``, ...)."""
+"""Vary and fit (``predict``, ``sensitivity``, ``calibrate``), check the method (``verify``, ``accuracy``, ...)."""
 
+import math
+from collections import Counter
 from collections.abc import Iterator
+from importlib.resources import as_file, files
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,41 +11,32 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from calcidem.app.campaign.notices import tell
+from calcidem.app.campaign.notices import printable, tell
 from calcidem.app.cli.options import (
+    DEFAULT_CONFIGURATION,
     HIGHEST_SEED,
     SEEDS_AT_ONCE,
     CampaignName,
     ConfigurationFile,
     Database,
+    JudgedDatabase,
     Level,
     OnlyContents,
     StudyCores,
+    StudyFolder,
     number_parser,
     parse_percentage,
     refuse_options,
 )
-from calcidem.app.cli.output import Format, FormatOption, tell_rows
+from calcidem.app.cli.output import Format, FormatOption, tell_rows, tell_study
 from calcidem.input_file import Table, read_input
 from calcidem.storage.records import P_CONTACT, CementPattern
 from calcidem.sweep.ranks import available_cores
-from calcidem.sweep.schedule import EXIT_ERROR
-
-if TYPE_CHECKING:
-    from calcidem.app.studies.calibrate import FittedContent, FittedParameters
-
-import math
-from collections import Counter
-from importlib.resources import as_file, files
-from typing import TYPE_CHECKING
-
-from calcidem.app.campaign.notices import printable
-from calcidem.app.cli.options import DEFAULT_CONFIGURATION, JudgedDatabase, StudyFolder
-from calcidem.app.cli.output import tell_study
-from calcidem.sweep.schedule import pluralize
+from calcidem.sweep.schedule import EXIT_ERROR, pluralize
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign
+    from calcidem.app.studies.calibrate import FittedContent, FittedParameters
     from calcidem.app.studies.verify import Verification
 
 

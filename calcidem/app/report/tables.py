@@ -1,4 +1,4 @@
-"""Tables of results: velocities, outcomes, growth, features, laws, numerical error and run time; numbers as text."""
+"""Tables of results: velocities, outcomes, growth, features, laws, numerical error and run time."""
 
 import math
 from collections import Counter

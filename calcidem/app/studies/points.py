@@ -1,6 +1,7 @@
 """Points of a study: configurations with other values of named parameters, each a campaign of one database.
 
-Studies also share cells measured with one experiment after another, deviations, and the result in all forms.
+Studies also share cells measured with one experiment after another, deviations, the result in all forms and former
+results, values written into a configuration, and their processes.
 """
 
 import json
@@ -201,12 +202,12 @@ class Cells:
         found: dict[str, CellsFound] = {}
         times: dict[str, list[float]] = {}
         first = next(iter(experiments))
-        for number in range(rounds):
+        for turn in range(rounds):
             for name, experiment in experiments.items():
                 # An experiment that takes three times as long as the first is timed only once.
-                if number and (name not in times or times[name][0] > 3.0 * times[first][0]):
+                if turn and (name not in times or times[name][0] > 3.0 * times[first][0]):
                     continue
-                if not number:
+                if not turn:
                     self.progress(f"{content:g} %: {name}")
                 try:
                     found[name], seconds = self.measure_and_time(experiment, content)

@@ -70,7 +70,7 @@ class Motion(NamedTuple):
 class Pairs(NamedTuple):
     """Pairs of disks that touch or may touch, sorted by (first, second) with first < second.
 
-    For one sample the kernel may use *bundles* of eight pairs (`engine.bundles`). Shapes are then (B, 8) instead of
+    For one sample the kernel may use *bundles* of eight pairs (`engine.leapfrog`). Shapes are then (B, 8) instead of
     (M,) and (B, K, 8) instead of (M, K). Bit l belongs to the pair in place l. ``start`` has the first bundle of each
     block of disks, and a disk is given by the row where its record begins. A record has four numbers (`records`).
     Displacements, velocities, origins and sums of forces are records, (4 N, 1), as are three constants of `Grains`:

@@ -94,46 +94,6 @@ def components(features: Features, pair: int, table: Vector, field: Vector) -> t
     )
 
 
-@inline
-def push_apart(
-    features: Features,
-    pair: int,
-    level: int,
-    force: tuple[Vector, Vector, Vector, Vector],
-    system: System,
-) -> None:
-    """Add the force of a pair, as `pair.pair_force` returns it, to its two disks."""
-    x, y, first_moment, second_moment = force
-    pairs, front = system.pairs, system.front
-    if features.bundled:
-        _store_records(front, 0, (-x, -y, first_moment))
-        _store_records(front, ABREAST, (x, y, second_moment))
-        for lane in range(ABREAST):
-            _add_record(front, level, scalar(pairs.first, (pair, lane)), lane)
-            _add_record(front, level, scalar(pairs.second, (pair, lane)), ABREAST + lane)
-    else:
-        add_force(features, scalar(pairs.first, (pair,)), level, (-x, -y, first_moment), front)
-        add_force(features, scalar(pairs.second, (pair,)), level, (x, y, second_moment), front)
-
-
-@inline
-def _store_records(front: Front, begin: int, columns: tuple[Vector, Vector, Vector]) -> None:
-    """Write the forces of a bundle's pairs on their first or second disks as records."""
-    a, b, c, d = columns_to_records(columns[0], columns[1], columns[2])
-    place = RECORD * begin
-    store_run(front.parts, place, a)
-    store_run(front.parts, place + 2 * RECORD, b)
-    store_run(front.parts, place + 4 * RECORD, c)
-    store_run(front.parts, place + 6 * RECORD, d)
-
-
-@inline
-def _add_record(front: Front, level: int, begin: int, place: int) -> None:
-    """Add one of those records to the sum of the forces on the disk whose records begin at ``begin``."""
-    slot = ((level << front.slot_bits) * RECORD) + (begin & ((RECORD << front.slot_bits) - 1))
-    store_run(front.force, slot, load_run(front.force, slot, RECORD) + load_run(front.parts, RECORD * place, RECORD))
-
-
 class Geometry(NamedTuple):
     """A contact at the present positions."""
 
@@ -434,3 +394,43 @@ def _add_breakage_loss(
         normal, _ = hertz_normal(overlap, constant(features, pairs.hertz, (pair,)))
         lost = lost - 0.4 * normal * overlap
     add_energy(features, CONTACT_LOSS, select(broken, lost, 0.0), watch)
+
+
+@inline
+def push_apart(
+    features: Features,
+    pair: int,
+    level: int,
+    force: tuple[Vector, Vector, Vector, Vector],
+    system: System,
+) -> None:
+    """Add the force of a pair, as `pair_force` returns it, to its two disks."""
+    x, y, first_moment, second_moment = force
+    pairs, front = system.pairs, system.front
+    if features.bundled:
+        _store_records(front, 0, (-x, -y, first_moment))
+        _store_records(front, ABREAST, (x, y, second_moment))
+        for lane in range(ABREAST):
+            _add_record(front, level, scalar(pairs.first, (pair, lane)), lane)
+            _add_record(front, level, scalar(pairs.second, (pair, lane)), ABREAST + lane)
+    else:
+        add_force(features, scalar(pairs.first, (pair,)), level, (-x, -y, first_moment), front)
+        add_force(features, scalar(pairs.second, (pair,)), level, (x, y, second_moment), front)
+
+
+@inline
+def _store_records(front: Front, begin: int, columns: tuple[Vector, Vector, Vector]) -> None:
+    """Write the forces of a bundle's pairs on their first or second disks as records."""
+    a, b, c, d = columns_to_records(columns[0], columns[1], columns[2])
+    place = RECORD * begin
+    store_run(front.parts, place, a)
+    store_run(front.parts, place + 2 * RECORD, b)
+    store_run(front.parts, place + 4 * RECORD, c)
+    store_run(front.parts, place + 6 * RECORD, d)
+
+
+@inline
+def _add_record(front: Front, level: int, begin: int, place: int) -> None:
+    """Add one of those records to the sum of the forces on the disk whose records begin at ``begin``."""
+    slot = ((level << front.slot_bits) * RECORD) + (begin & ((RECORD << front.slot_bits) - 1))
+    store_run(front.force, slot, load_run(front.force, slot, RECORD) + load_run(front.parts, RECORD * place, RECORD))

@@ -26,6 +26,16 @@ from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule, excitation_frequency
 from calcidem.dem.wave.section import clamp_of_strip
 
+WAVELENGTHS = 2.5
+"""Path over wavelength: with fewer wavelengths the near field disturbs, with many more little propagates."""
+
+
+_Found = TypeVar("_Found")
+
+
+_Arguments = TypeVarTuple("_Arguments")
+
+
 TRANSMITTER, RECEIVER = 1, 4  # indices of the walls of `wave_scene`
 DEEPEST_LISTENING = 0.3
 """Largest listening depth over box width; beyond it, velocities in a lattice are over 10 % high (docs/velocity.md)."""
@@ -179,13 +189,6 @@ def driven_disks(packing: Packing, rule: WaveRule) -> Integers:
     cure = "no disk touches the transmitter: make it wider"
     require(len(found) > 0, "transmitter_half_width", rule.transmitter_half_width, cure)
     return found
-
-
-WAVELENGTHS = 2.5
-"""Path over wavelength: with fewer wavelengths the near field disturbs, with many more little propagates."""
-
-_Found = TypeVar("_Found")
-_Arguments = TypeVarTuple("_Arguments")
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,8 @@ in their cement and are computed side by side.
 
 Signals are recorded until they suffice or a guard ends them. The guards check each chunk of the record for causes of
 unreliable results. In an unstable explicit scheme velocities grow by a constant factor per step. 1 % above the limit
-they double in three steps, so an instability between two checks exceeds every bound at the second.
+they double in three steps, so an instability between two checks exceeds every bound at the second. What suits no sample
+is refused before the first step.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,117 +40,6 @@ from calcidem.dem.wave.experiment import (
 from calcidem.dem.wave.reading import is_settled, record_duration
 from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, Pulse
 from calcidem.dem.wave.section import Counts, Section, quantise
-
-
-def problems_of(state: State, amplitude: float, overlap: float, breakable: float = 0.0) -> list[str]:
-    """Problem of each lane; empty for lanes without one.
-
-    Parameters
-    ----------
-    state
-        State to check; all lanes together cost about as much as one.
-    amplitude
-        Amplitude of the pulse, m/s; nothing moves much faster in a sample that was at rest.
-    overlap
-        Mean overlap of the contacts at the start, m.
-    breakable
-        Largest permitted share of broken bonds.
-    """
-    problems = [""] * state.features.lanes
-    # Comparisons with NaN are false, so the valid case is tested.
-    # Waves stay below about five times the amplitude.
-    for lane in np.flatnonzero(~(_largest_translation(state.motion.velocity) <= 30.0 * amplitude)).tolist():
-        speed = np.abs(state.motion.velocity[:, :2, lane]).max(axis=1)
-        # The place identifies the disk, since the computed disks are renumbered.
-        disk = int(state.assembly.order[int(np.argmax(speed))])
-        place = f"({state.scene.x[disk]:.5g}, {state.scene.y[disk]:.5g}) m"
-        problems[lane] = f"the disk at {place} moves at {speed.max():.3g} m/s after {state.steps} steps"
-    if state.features.linear:
-        return problems
-    broken = broken_bonds(state)
-    if broken.any():
-        bonds = np.count_nonzero(lanes_of_bits(state.assembly.pairs.cemented, state.features.lanes), axis=0)
-        for lane in np.flatnonzero(broken > breakable * bonds).tolist():
-            problem = f"{broken[lane]} bonds broke within {state.steps} steps: the pulse changes the sample; "
-            problems[lane] = problems[lane] or problem + "lower amplitude"
-    # Below a tenth of the mean overlap stiffness changes stay within the margin of the step.
-    motion = _largest_translation(state.motion.displacement)
-    noticed = (motion > 0.1 * overlap) & (state.time_step > cheap_limit(state))
-    if not noticed.any():
-        return problems
-    # Hertz contacts stiffen under load.
-    limit = critical_time_step(state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
-    for lane in np.flatnonzero(noticed & (state.time_step > limit)).tolist():
-        problems[lane] = problems[lane] or (
-            f"the step of {state.time_step[lane]:.3g} s is above the stability limit of the pressed contacts "
-            f"after {state.steps} steps, {limit[lane]:.3g} s: lower step_fraction or amplitude"
-        )
-    return problems
-
-
-def broken_bonds(state: State) -> Integers:
-    """(L,) number of broken bonds; zero if the kernel breaks none."""
-    pairs, lanes = state.assembly.pairs, state.features.lanes
-    if not state.features.breakage or not (pairs.cemented ^ pairs.intact).any():
-        return np.zeros(lanes, dtype=np.int64)
-    return np.asarray(np.count_nonzero(lanes_of_bits(pairs.cemented ^ pairs.intact, lanes), axis=0))
-
-
-def _largest_translation(field: Floats) -> Floats:
-    """(L,) largest absolute value of the translations in each lane; NaN if one of them is NaN."""
-    # All components including rotation are reduced at once: a long contiguous row is much faster.
-    translations: Floats = np.abs(field).max(axis=0)[:2]
-    both: Floats = translations.max(axis=0)
-    return both
-
-
-def unbalanced_speed(state: State, amplitude: float) -> Floats:
-    """(L,) rms speed of the disks by unbalanced forces alone, over the amplitude of the pulse.
-
-    A disk with the net force F oscillates with about ``F / (m omega)``. Omega follows from the limit ``2 / omega`` of
-    the Hertz contacts; bonds are far stiffer, but do not affect disks without a bond. The linear law assumes a
-    balanced reference state. `ValueError` if the speed exceeds 0.001.
-    """
-    lanes = state.features.lanes
-    if state.features.linear:
-        return np.zeros(lanes)
-    # Without bonds all lanes have the same limit.
-    pressed = replace(state.features, lanes=1, bonds=False, breakage=False, linear_group=False)
-    swing = float(critical_time_step(state.scene, state.assembly, pressed)[0]) / 2.0
-    speed, ahead = np.empty(lanes), look_undamped(state)
-    for lane in range(lanes):
-        force = length(*net_forces(state, lane, ahead)[:, :2].T)
-        speed[lane] = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * swing
-    require(
-        bool(np.all(speed <= 1e-3 * amplitude)),
-        "amplitude",
-        amplitude,
-        f"unbalanced forces of the packing alone move its disks at {speed.max():.3g} m/s, more than "
-        '0.001 of the pulse: choose a stronger pulse, law = "linear", or a packing with a '
-        "smaller unbalanced_force_ratio",
-    )
-    return speed / amplitude
-
-
-def cheap_limit(state: State) -> Floats:
-    """Lower bound (L,) of the present stability limit, s, at a tenth of its cost.
-
-    To the initial matrices of `stability.critical_time_step` each Hertz contact adds at most its own largest
-    eigenvalue, ``max(k_n, 3 k_s)``. If stiff bonds limit the step, this is negligible at any load.
-    """
-    pairs, wall_pairs, grains = state.assembly.pairs, state.assembly.wall_pairs, state.assembly.grains
-    normal = np.zeros((len(grains.radius), state.features.lanes))
-    pressed, leaning = (
-        hertz_tangent(pairs.hertz, overlaps(state)),
-        hertz_tangent(wall_pairs.hertz, wall_overlaps(state)),
-    )
-    for disk, stiffness in ((pairs.first, pressed), (pairs.second, pressed), (wall_pairs.disk, leaning)):
-        np.add.at(normal, disk, stiffness)
-    share = 2.0 * max(1.0, 3.0 * state.scene.sand.shear_ratio) * grains.inverse_mass * (1.0 + grains.damping)
-    added = (share.astype(float)[:, None] * normal).max(axis=0)
-    at_start = 2.0 / state.critical_time_step
-    return np.asarray(2.0 / np.sqrt(at_start * at_start + added))
-
 
 SAMPLES_PER_CHUNK = 20  # samples between two checks of the section: half a period of the pulse
 
@@ -194,7 +84,7 @@ class Recorder:
         self.broken = broken_bonds(self.state)
 
     def run(self, stop_when: Callable[[Section], bool], raise_if_stopped: Callable[[], None]) -> list[Section]:
-        """Sections of all samples, in their order; see `propagation.send_waves`."""
+        """Sections of all samples, in their order; see `send_waves`."""
         overlap = float(np.mean(np.maximum(overlaps(self.state), 0.0)))
         ended: dict[int, Section] = {}
         while len(ended) < self.samples:
@@ -528,3 +418,113 @@ def film_wave(
         watch(len(times), -(-samples // stride))
     scene = recorder.state.scene
     return _WaveFilm(scene.x, scene.y, scene.radius, np.array(times), np.array(velocity), recorder.section_of(0))
+
+
+def problems_of(state: State, amplitude: float, overlap: float, breakable: float = 0.0) -> list[str]:
+    """Problem of each lane; empty for lanes without one.
+
+    Parameters
+    ----------
+    state
+        State to check; all lanes together cost about as much as one.
+    amplitude
+        Amplitude of the pulse, m/s; nothing moves much faster in a sample that was at rest.
+    overlap
+        Mean overlap of the contacts at the start, m.
+    breakable
+        Largest permitted share of broken bonds.
+    """
+    problems = [""] * state.features.lanes
+    # Comparisons with NaN are false, so the valid case is tested.
+    # Waves stay below about five times the amplitude.
+    for lane in np.flatnonzero(~(_largest_translation(state.motion.velocity) <= 30.0 * amplitude)).tolist():
+        speed = np.abs(state.motion.velocity[:, :2, lane]).max(axis=1)
+        # The place identifies the disk, since the computed disks are renumbered.
+        disk = int(state.assembly.order[int(np.argmax(speed))])
+        place = f"({state.scene.x[disk]:.5g}, {state.scene.y[disk]:.5g}) m"
+        problems[lane] = f"the disk at {place} moves at {speed.max():.3g} m/s after {state.steps} steps"
+    if state.features.linear:
+        return problems
+    broken = broken_bonds(state)
+    if broken.any():
+        bonds = np.count_nonzero(lanes_of_bits(state.assembly.pairs.cemented, state.features.lanes), axis=0)
+        for lane in np.flatnonzero(broken > breakable * bonds).tolist():
+            problem = f"{broken[lane]} bonds broke within {state.steps} steps: the pulse changes the sample; "
+            problems[lane] = problems[lane] or problem + "lower amplitude"
+    # Below a tenth of the mean overlap stiffness changes stay within the margin of the step.
+    motion = _largest_translation(state.motion.displacement)
+    noticed = (motion > 0.1 * overlap) & (state.time_step > cheap_limit(state))
+    if not noticed.any():
+        return problems
+    # Hertz contacts stiffen under load.
+    limit = critical_time_step(state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
+    for lane in np.flatnonzero(noticed & (state.time_step > limit)).tolist():
+        problems[lane] = problems[lane] or (
+            f"the step of {state.time_step[lane]:.3g} s is above the stability limit of the pressed contacts "
+            f"after {state.steps} steps, {limit[lane]:.3g} s: lower step_fraction or amplitude"
+        )
+    return problems
+
+
+def broken_bonds(state: State) -> Integers:
+    """(L,) number of broken bonds; zero if the kernel breaks none."""
+    pairs, lanes = state.assembly.pairs, state.features.lanes
+    if not state.features.breakage or not (pairs.cemented ^ pairs.intact).any():
+        return np.zeros(lanes, dtype=np.int64)
+    return np.asarray(np.count_nonzero(lanes_of_bits(pairs.cemented ^ pairs.intact, lanes), axis=0))
+
+
+def _largest_translation(field: Floats) -> Floats:
+    """(L,) largest absolute value of the translations in each lane; NaN if one of them is NaN."""
+    # All components including rotation are reduced at once: a long contiguous row is much faster.
+    translations: Floats = np.abs(field).max(axis=0)[:2]
+    both: Floats = translations.max(axis=0)
+    return both
+
+
+def unbalanced_speed(state: State, amplitude: float) -> Floats:
+    """(L,) rms speed of the disks by unbalanced forces alone, over the amplitude of the pulse.
+
+    A disk with the net force F oscillates with about ``F / (m omega)``. Omega follows from the limit ``2 / omega`` of
+    the Hertz contacts; bonds are far stiffer, but do not affect disks without a bond. The linear law assumes a
+    balanced reference state. `ValueError` if the speed exceeds 0.001.
+    """
+    lanes = state.features.lanes
+    if state.features.linear:
+        return np.zeros(lanes)
+    # Without bonds all lanes have the same limit.
+    pressed = replace(state.features, lanes=1, bonds=False, breakage=False, linear_group=False)
+    swing = float(critical_time_step(state.scene, state.assembly, pressed)[0]) / 2.0
+    speed, ahead = np.empty(lanes), look_undamped(state)
+    for lane in range(lanes):
+        force = length(*net_forces(state, lane, ahead)[:, :2].T)
+        speed[lane] = float(np.sqrt(np.mean((force / state.scene.mass) ** 2))) * swing
+    require(
+        bool(np.all(speed <= 1e-3 * amplitude)),
+        "amplitude",
+        amplitude,
+        f"unbalanced forces of the packing alone move its disks at {speed.max():.3g} m/s, more than "
+        '0.001 of the pulse: choose a stronger pulse, law = "linear", or a packing with a '
+        "smaller unbalanced_force_ratio",
+    )
+    return speed / amplitude
+
+
+def cheap_limit(state: State) -> Floats:
+    """Lower bound (L,) of the present stability limit, s, at a tenth of its cost.
+
+    To the initial matrices of `stability.critical_time_step` each Hertz contact adds at most its own largest
+    eigenvalue, ``max(k_n, 3 k_s)``. If stiff bonds limit the step, this is negligible at any load.
+    """
+    pairs, wall_pairs, grains = state.assembly.pairs, state.assembly.wall_pairs, state.assembly.grains
+    normal = np.zeros((len(grains.radius), state.features.lanes))
+    pressed, leaning = (
+        hertz_tangent(pairs.hertz, overlaps(state)),
+        hertz_tangent(wall_pairs.hertz, wall_overlaps(state)),
+    )
+    for disk, stiffness in ((pairs.first, pressed), (pairs.second, pressed), (wall_pairs.disk, leaning)):
+        np.add.at(normal, disk, stiffness)
+    share = 2.0 * max(1.0, 3.0 * state.scene.sand.shear_ratio) * grains.inverse_mass * (1.0 + grains.damping)
+    added = (share.astype(float)[:, None] * normal).max(axis=0)
+    at_start = 2.0 / state.critical_time_step
+    return np.asarray(2.0 / np.sqrt(at_start * at_start + added))

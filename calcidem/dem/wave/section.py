@@ -66,7 +66,7 @@ class Section:
     steps: int = 0
     """Time steps of this sample."""
     unbalanced_speed: float = 0.0
-    """See `recorder.unbalanced_speed`."""
+    """See `propagation.unbalanced_speed`."""
     broken_bonds: int = 0
     """Number of bonds that broke."""
     remaining_speed: float = math.inf

@@ -215,7 +215,7 @@ def _share_disks(features: Features, step: int, dt: Vector, system: System, plan
 
 @inline
 def _add_pair(features: Features, disk: int, code: int, force: Floats, front: Front) -> None:
-    """Add the force of a pair to one of its disks, as `ends.push_apart` does."""
+    """Add the force of a pair to one of its disks, as `pair.push_apart` does."""
     pair, is_second = code >> 1, code & 1
     x, y = load(force, (pair, 0), features.lanes), load(force, (pair, 1), features.lanes)
     moment = load(force, (pair, 2 + is_second), features.lanes)
