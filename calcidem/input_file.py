@@ -1,4 +1,4 @@
-"""The one door for what a user names, regular files of limited size, also unpacked; and the one reader of tables.
+"""The one door for files that a user names, regular and of limited size, also unpacked; the one reader of tables.
 
 Tables may have any separator, decimal commas, comments, encodings, and units in names or at numbers. A refusal says
 cause and remedy.

@@ -68,7 +68,7 @@ LONG = (
     "calcidem.app.campaign.plots.CampaignAnalysis",
     "calcidem.app.report.page.CampaignAnalysis",
     "calcidem.app.studies.sensitivity.send_waves",
-    "calcidem.app.studies.points.ProcessPoolExecutor",
+    "calcidem.app.studies.study.ProcessPoolExecutor",
     "calcidem.app.studies.verify.measure",
     "calcidem.dem.wave.check.send_waves",
     "calcidem.dem.wave.measurement.send_waves",

@@ -21,8 +21,8 @@ from own_scenes import OwnScene
 from step_limits import Limits, detections, endurance
 
 from calcidem.analysis.figures.style import apply_style, letter_panels, new_figure, save
-from calcidem.app.studies.points import markdown_table
 from calcidem.app.studies.stability import VERDICT_COLOURS, Judgement, SceneVerdict, count_verdicts
+from calcidem.app.studies.study import markdown_table
 
 Scene = Extreme | Packed | OwnScene
 Judged = Mapping[str, Sequence[tuple[Scene, Judgement]]]

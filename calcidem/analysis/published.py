@@ -1,4 +1,4 @@
-"""Printed numbers of the study this project reproduces, as data; comparison of a campaign with laboratory velocities.
+"""The printed numbers of the study this project reproduces, as data.
 
 "Sand Stiffness Variability Induced by Stochastic Distributions of Calcite Precipitates: A Monte Carlo-DEM
 Study", Tables 1 to 4 and section 3.2.1. `published.toml` in this folder has them as printed;
@@ -7,7 +7,7 @@ docs/reproduction/published_check.py checks their consistency.
 
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -18,9 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from calcidem.analysis.contact_graph import ContactWeights
-from calcidem.analysis.distribution import ContentDistribution, Distribution
 from calcidem.analysis.intervals import Interval
-from calcidem.storage.records import NORMAL_95
 
 STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 9.0)}
 """First and last content of each stage, percent, whose end points give the printed growth rates. The text of the paper
@@ -196,127 +194,3 @@ def published_study() -> PublishedStudy:
 def _with_intervals(row: dict[str, Any]) -> dict[str, Any]:
     """Convert pairs of numbers in a row to intervals."""
     return {name: Interval(*value) if isinstance(value, list) else value for name, value in row.items()}
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """Laboratory measurement of one specimen, or of several of one content."""
-
-    content: float
-    """Percent."""
-    vs: float
-    """Mean, m/s."""
-    sd: float | None = None
-    """Standard deviation between samples, m/s; None if unknown or not to be fitted."""
-    samples: int | None = None
-    """Number of samples of both, 1 for a specimen; None if they count as exact."""
-    stress: float | None = None
-    """Confining stress, Pa; None if unknown."""
-
-
-def group_specimens(measured: Sequence[Target]) -> tuple[tuple[Target, tuple[Target, ...]], ...]:
-    """Join measurements of one confining stress and one content; return those of each group after their mean.
-
-    Specimens are joined if their contents differ by at most a tenth of the lowest and 0.1 %.
-    """
-    groups: list[list[Target]] = []
-    for row in sorted(measured, key=lambda row: (row.stress or 0.0, row.content)):
-        first = groups[-1][0] if groups else None
-        reach = 0.0 if first is None else 1e-6  # percent: contents are parsed from text
-        if first is not None and first.samples == row.samples == 1:
-            reach = 0.1 * first.content + 0.1
-        if first is not None and row.stress == first.stress and row.content <= first.content + reach:
-            groups[-1].append(row)
-        else:
-            groups.append([row])
-    return tuple((_joined(rows), tuple(rows)) for rows in groups)
-
-
-def _joined(rows: Sequence[Target]) -> Target:
-    """Mean and standard deviation of all samples of some measurements."""
-    if len(rows) == 1 and rows[0].samples != 1:
-        return rows[0]
-    count = np.array([row.samples or 1 for row in rows])
-    content, vs, sd = np.array([(row.content, row.vs, row.sd or 0.0) for row in rows]).T
-    total, mean = int(count.sum()), float((count * vs).sum() / count.sum())
-    squares = float(((count - 1) * sd**2 + count * (vs - mean) ** 2).sum())
-    scatter = math.sqrt(squares / (total - 1)) if squares else None  # one specimen has none
-    return Target(round(float((count * content).sum() / total), 3), mean, scatter, total, rows[0].stress)
-
-
-@dataclass(frozen=True, slots=True)
-class _Misfit:
-    """Comparison of a campaign with measurements at one content."""
-
-    measured: Target
-    """Measurement, the mean of a group."""
-    mean: float
-    standard_deviation: float
-    """Values of the campaign there, m/s, interpolated linearly between its contents; NaN if there is one sample."""
-    interpolated: bool
-    """True if the campaign lacks the content itself."""
-    difference: float
-    """Relative difference of the mean from the measured one."""
-    standard_errors: float
-    """Difference of both means over its standard error; NaN without scatter."""
-    deviation_ratio: float
-    """Standard deviation over the measured one; NaN if the latter is unknown."""
-    outside: int
-    compared: int
-    """Measured values outside the interval of 95 % of new samples at their own content, and all with such an interval.
-    """
-
-
-def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Target]) -> tuple[_Misfit, ...]:
-    """Compare a campaign with measured velocities by groups, except those outside the range of its contents.
-
-    The distributions are in order of content; contents without a velocity do not count.
-    """
-    rows = [row for row in distributions if row.vs.n]
-    contents = np.array([row.content for row in rows])
-    columns = np.array([_compared_numbers(row.vs) for row in rows])
-    inside = [row for row in measured if rows and is_covered(row, contents[0], contents[-1])]
-    found = []
-    for target, members in group_specimens(inside):
-        here = [float(np.interp(target.content, contents, column)) for column in columns.T[:3]]
-        mean, deviation, error = here
-        scatter = deviation if target.sd is None else target.sd
-        of_target = 0.0 if target.samples is None else scatter / math.sqrt(target.samples)
-        both = math.hypot(*(0.0 if math.isnan(part) else part for part in (error, of_target)))
-        of_new = [[np.interp(row.content, contents, column) for column in columns.T[3:]] for row in members]
-        found.append(
-            _Misfit(
-                measured=target,
-                mean=mean,
-                standard_deviation=deviation or math.nan,
-                interpolated=bool(np.min(np.abs(contents - target.content)) > 1e-6),
-                difference=mean / target.vs - 1.0,
-                standard_errors=(mean - target.vs) / both if both else math.nan,
-                deviation_ratio=deviation / target.sd if deviation and target.sd else math.nan,
-                outside=sum(row.vs < low or row.vs > high for row, (low, high) in zip(members, of_new, strict=True)),
-                compared=sum(low <= high for low, high in of_new),
-            )
-        )
-    return tuple(sorted(found, key=lambda one: one.measured.content))
-
-
-def _compared_numbers(vs: Distribution) -> tuple[float, ...]:
-    """Mean, standard deviation, standard error of the mean, and interval of 95 % of new samples.
-
-    The one sample without cement has only the error of its velocity.
-    """
-    if vs.n == 1:
-        interval, half = vs.mean_interval, 0.5 * (vs.mean_interval.high - vs.mean_interval.low)
-        return vs.mean, 0.0, half / NORMAL_95, interval.low, interval.high
-    interval, error = vs.prediction_interval, vs.standard_deviation / math.sqrt(vs.n)
-    return vs.mean, vs.standard_deviation, error, interval.low, interval.high
-
-
-def is_covered(row: Target, lowest: float, highest: float) -> bool:
-    """Whether a measurement lies within a range of contents, percent."""
-    return lowest - 1e-6 <= row.content <= highest + 1e-6
-
-
-def root_mean_square_misfit(found: Sequence[_Misfit]) -> float:
-    """Root mean square of the relative differences of the means; NaN if there are none."""
-    return float(np.sqrt(np.mean([one.difference**2 for one in found]))) if found else math.nan

@@ -632,7 +632,7 @@ class CampaignRecord:
     name: str
     """Unique name within the store."""
     config: str
-    """The whole physical configuration as canonical JSON text (`calcidem.storage.records.canonical_json`)."""
+    """The whole physical configuration as canonical JSON text (`canonical_json`)."""
     contents: tuple[float, ...]
     """Planned contents [%], ascending."""
     seeds: tuple[int, ...]

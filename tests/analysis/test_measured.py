@@ -9,7 +9,7 @@ import xarray as xr
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import velocities
-from calcidem.analysis.published import Target, group_specimens, misfits, root_mean_square_misfit
+from calcidem.analysis.measured import Target, group_specimens, misfits, root_mean_square_misfit
 from calcidem.app.report.sections import _measured_table
 
 VS = xr.DataArray(

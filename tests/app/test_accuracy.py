@@ -25,7 +25,7 @@ from calcidem.app.studies.accuracy import (
     signal_convergence,
     unchecked,
 )
-from calcidem.app.studies.points import Cells, StudyResult
+from calcidem.app.studies.study import Cells, StudyResult
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment

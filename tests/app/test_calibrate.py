@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.analysis.published import Target
+from calcidem.analysis.measured import Target
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.reader import read_configuration, read_targets
 from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
-from calcidem.app.studies.points import (
+from calcidem.app.studies.study import (
     ParameterRange,
     point_of_study,
     point_velocities,

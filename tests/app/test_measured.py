@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.analysis.published import Target
+from calcidem.analysis.measured import Target
 from calcidem.app.config.reader import read_targets
 from calcidem.app.config.schema import ConfigurationError
 from calcidem.app.report import page

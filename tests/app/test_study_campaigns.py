@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.points import point_of_study, point_velocities, with_values
+from calcidem.app.studies.study import point_of_study, point_velocities, with_values
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 
 PROGRAM = """
 import multiprocessing, time
-from calcidem.app.studies.points import study_workers
+from calcidem.app.studies.study import study_workers
 
 if __name__ == "__main__":
     with study_workers(2) as executor:

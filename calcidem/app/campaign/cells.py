@@ -15,10 +15,7 @@ import numpy as np
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.velocity import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.packing import cache_folder, packing_record
-from calcidem.app.campaign.plan import (
-    pattern_of,
-    stored_section,
-)
+from calcidem.app.campaign.patterns import pattern_of, stored_section
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
 from calcidem.dem.kernels.gpu import choose_gpu

@@ -184,7 +184,7 @@ def new_packing(
 ) -> Packing:
     """New packing of a configuration, without search in storage; see `provide_packing`."""
     from calcidem.dem.sample.compaction import make_packing  # noqa: PLC0415 - the engine, which most commands do not need
-    from calcidem.dem.sample.packing_file import packing_from_csv  # noqa: PLC0415 - the engine, which most commands do not need
+    from calcidem.dem.sample.packing_file import packing_from_csv  # noqa: PLC0415 - as above
 
     draw = configuration.packing_draw
     if draw.file is not None:

@@ -1,87 +1,17 @@
-"""What a run computes: batches, parts of a campaign, seeds until intervals are narrow enough; and what is stored of it.
+"""Cells that a run computes: batches, parts of a campaign, and seeds until intervals are narrow enough."""
 
-The stored campaign must be the expected one, with cells of this program's physics. Cement and sections are converted
-between store and simulation; cement that is not stored is drawn again. No kernel is loaded, so that stored cells can be
-read and drawn without.
-"""
-
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
-from functools import lru_cache
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 
-from calcidem.app.campaign.packing import stored_packing
-from calcidem.app.config.schema import PHYSICS_VERSION, CampaignPlan, Configuration
-from calcidem.dem.sample.cement import (
-    CementCapacityError,
-    PlacedCement,
-    UnknownPatternError,
-)
-from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import WAVELENGTHS, Experiment
-from calcidem.dem.wave.reading import PickRule, Reading, read_section
-from calcidem.dem.wave.rule import WaveRule
-from calcidem.dem.wave.section import RESOLUTION, Section, clamp_of_strip
-from calcidem.ends import Verdict
-from calcidem.storage.errors import CampaignMismatchError, StoreError
-from calcidem.storage.records import (
-    CampaignRecord,
-    CellResult,
-    CementPattern,
-    PackedResult,
-    RecordedSection,
-    canonical_content,
-)
+from calcidem.app.config.schema import CampaignPlan, Configuration
+from calcidem.dem.wave.experiment import WAVELENGTHS
+from calcidem.storage.records import PackedResult, canonical_content
+from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.schedule import Batch, BatchOutcome, Cell, plan_batches
-
-if TYPE_CHECKING:
-    from calcidem.storage.sql.store import Store  # which the ranks do not need
-
-
-def physics_version(record: CampaignRecord) -> object:
-    """`PHYSICS_VERSION` of the program that computed a stored campaign."""
-    return record.parameters.get("physics_version", "unknown")
-
-
-def refuse_other_physics(record: CampaignRecord, configuration: Configuration | None = None) -> None:
-    """Raise `CampaignMismatchError` unless a campaign was computed with this program's `PHYSICS_VERSION`.
-
-    If a configuration is given, the physics must be the same, too.
-    """
-    stored = physics_version(record)
-    if stored != PHYSICS_VERSION:
-        raise CampaignMismatchError(
-            f"The campaign '{record.name}' was computed with physics version {stored}, this calcidem has version "
-            f"{PHYSICS_VERSION}: the same cells get other bits.",
-            "Its results can be read, reported and exported as before. Use the calcidem that computed it for more "
-            "cells or to verify it, or begin a new database.",
-        )
-    if configuration is not None:
-        record.refuse_other(configuration.record())
-
-
-def choose_campaign(store: "Store", configuration: Configuration) -> bool:
-    """Choose the configuration's campaign in a store; return whether the store has it.
-
-    `CampaignMismatchError` if it has another campaign of that name, or this campaign under another name.
-    """
-    name = configuration.campaign.name
-    for record in store.campaigns():
-        if record.name == name:
-            refuse_other_physics(record, configuration)
-            store.use_campaign(name)
-            return True
-    for record in store.campaigns():
-        if record.hash == configuration.hash:
-            raise CampaignMismatchError(
-                f"campaign.name = '{name}': the database has this campaign under the name '{record.name}'.",
-                f"Set campaign.name to '{record.name}', or give another database.",
-            )
-    return False
 
 
 def planned_batches(configuration: Configuration) -> tuple[Batch[Cell], ...]:
@@ -211,7 +141,7 @@ class SeedDemand:
         return found if found > count else 0
 
     @classmethod
-    def of_store(cls, store: "Store", plan: CampaignPlan) -> Self:
+    def of_store(cls, store: Store, plan: CampaignPlan) -> Self:
         """Keep the velocities of cells with an outcome, for the contents of a plan."""
         wanted = Selection(contents=plan.contents)
         pending = {(key.seed, key.content) for key in store.pending(contents=plan.contents)}
@@ -220,85 +150,3 @@ class SeedDemand:
         return cls(
             plan, {cell: vs for cell, vs in zip(cells, columns["vs"].tolist(), strict=True) if cell not in pending}
         )
-
-
-def stored_experiment(store: "Store", packing_index: int = 0) -> Experiment:
-    """Experiment of the cells of a packing, as `calcidem.Campaign.experiment`, for modules that `Campaign` imports."""
-    packing = stored_packing(store.packing(packing_index))
-    return Configuration.from_physics(store.record.parameters).experiment(packing)
-
-
-def with_patterns(store: "Store", outcomes: Iterable[CellResult]) -> Iterator[CellResult]:
-    """Yield outcomes of a store; cement that is not stored is drawn again from the seed.
-
-    An outcome has no cement if it was never drawn, or would differ now: with another physics version, or without the
-    stored packing.
-    """
-    same_physics = physics_version(store.record) == PHYSICS_VERSION
-    experiment = lru_cache(lambda index: stored_experiment(store, index))
-    # Cells are sorted by seed; without cement all seeds are the same sample, here that of seed 0.
-    ordering = lru_cache(2)(lambda index, seed: experiment(index).ordering(seed))
-    for outcome in outcomes:
-        if not same_physics or outcome.cement is not None or outcome.bonded_contacts is None:
-            yield outcome
-            continue
-        try:
-            seed = outcome.key.seed if outcome.key.content else 0
-            cement = ordering(outcome.packing_index, seed).at(outcome.key.content)
-        except (StoreError, CementCapacityError, UnknownPatternError):
-            yield outcome
-            continue
-        drawn = cement.content_reached, cement.p_contacts, cement.c_contacts, cement.clusters
-        known = outcome.content_reached, outcome.p_contacts, outcome.c_contacts, outcome.clusters
-        packing = experiment(outcome.packing_index).packing
-        yield replace(outcome, cement=pattern_of(packing, cement)) if drawn == known else outcome
-
-
-def pattern_of(packing: Packing, cement: PlacedCement) -> CementPattern:
-    """Record of the cement for the store."""
-    contacts = packing.pairs[cement.bonded].astype(np.int32)
-    return CementPattern(contacts, cement.kind[cement.bonded], cement.centres.astype(float))
-
-
-def stored_section(section: Section) -> RecordedSection:
-    """Record of a section for the store."""
-    return RecordedSection(
-        sampling_interval=section.sampling_interval,
-        start_time=section.start_time,
-        pulse_frequency=section.frequency,
-        resolution=section.amplitude * RESOLUTION,
-        places=np.array(section.places),
-        across=section.across,
-        along=section.along,
-    )
-
-
-def section_of(stored: RecordedSection) -> Section:
-    """Section from a record, with the same bits as recorded."""
-    return Section(
-        sampling_interval=stored.sampling_interval,
-        start_time=stored.start_time,
-        frequency=stored.pulse_frequency,
-        amplitude=stored.resolution / RESOLUTION,
-        places=tuple(stored.places.tolist()),
-        across=stored.across,
-        along=stored.along,
-    )
-
-
-def section_reader(store: "Store") -> Callable[[CellResult], Reading | Verdict]:
-    """Return a function that reads the stored section of a cell again, with the configuration of its campaign.
-
-    It raises a `ValueError` without a section, and takes each packing from the store once.
-    """
-    wave, pick = (store.record.parameters.get(name, {}) for name in ("wave", "pick"))
-    rule = PickRule(**{field.name: pick[field.name] for field in fields(PickRule) if field.name in pick})
-    layers = 2.0 * wave.get("boundary_thickness", WaveRule().boundary_thickness)
-    clamp = lru_cache(lambda index: clamp_of_strip(store.packing(index).height - layers))
-
-    def read(cell: CellResult) -> Reading | Verdict:
-        if cell.section is None:
-            raise ValueError(f"cell = {cell.key}: no section is stored")
-        return read_section(section_of(cell.section), clamp(cell.packing_index), rule)
-
-    return read

@@ -1,1 +1,1 @@
-"""The command line: a module for each group of commands, each the function `<name>_command`."""
+"""The command line: a module for each group of commands; a command is a function `<name>_command`."""

@@ -52,7 +52,7 @@ PANELS = {
 }
 """Short help of each command."""
 
-_MODULES = dict(zip(PANELS, ("run", "results", "exchange", "studies", "studies"), strict=True))
+_MODULES = dict(zip(PANELS, ("run", "results", "exchange", "studies", "checks"), strict=True))
 """Module of the commands of each panel."""
 
 _COMMON_OPTIONS: dict[str, Any] = {

@@ -21,7 +21,7 @@ from calcidem.app.campaign.notices import printable
 from calcidem.sweep.ranks import launcher
 
 if TYPE_CHECKING:
-    from calcidem.app.studies.points import StudyResult
+    from calcidem.app.studies.study import StudyResult
 
 
 Format = StrEnum("Format", ["TABLE", "JSON", "CSV", "PARQUET"])

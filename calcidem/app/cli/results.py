@@ -273,7 +273,7 @@ def query_command(
 def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[RecordRows, str]:
     """Correlation of features of the selected cells with Vs within one content, and number of cells."""
     from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, feature_correlations
-    from calcidem.app.campaign.plan import with_patterns
+    from calcidem.app.campaign.patterns import with_patterns
     from calcidem.storage.sql.store import read_campaign
 
     with read_campaign(database, campaign_name) as store:

@@ -27,7 +27,7 @@ from calcidem.input_file import Table, meaning_of, parse_number, read_input, rea
 from calcidem.sweep.schedule import pluralize
 
 if TYPE_CHECKING:
-    from calcidem.analysis.published import Target
+    from calcidem.analysis.measured import Target
 
 
 def load_configuration(path: str | os.PathLike[str], overrides: Mapping[str, Any] | None = None) -> Configuration:
@@ -252,7 +252,7 @@ def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> "t
     specimens. G0 and density give the velocity if the table has none. `ConfigurationError` with all problems: missing
     columns, invalid numbers, fractions or km/s without a unit; `InputFileError` if it cannot be read as text.
     """
-    from calcidem.analysis.published import Target  # noqa: PLC0415 - statistics, which runs do not need
+    from calcidem.analysis.measured import Target  # noqa: PLC0415 - statistics, which runs do not need
 
     table = Table.read(read_input(file, 1_000_000), file, KNOWN_COLUMNS, ("content",))  # bytes; no laboratory has more
     columns, meanings = table.places(KNOWN_COLUMNS), [meaning_of(name, KNOWN_COLUMNS) for name in table.names]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
 from calcidem.analysis.figures.samples import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.app.campaign.plan import section_of, section_reader
+from calcidem.app.campaign.patterns import section_of, section_reader
 from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
 from calcidem.dem.wave.reading import Reading
 from calcidem.ends import Verdict

@@ -19,11 +19,11 @@ from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
 from calcidem.analysis.figures.style import render, save
 from calcidem.analysis.figures.velocities import STUDY_FIGURES
+from calcidem.analysis.measured import Target
 from calcidem.analysis.packing_graph import installed_features
-from calcidem.analysis.published import Target
 from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
 from calcidem.app.campaign.notices import tell
-from calcidem.app.campaign.plan import with_patterns
+from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.wording import ABSENT, Table, decimal

@@ -15,14 +15,8 @@ from scipy import stats
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.figures.velocities import published_velocities
-from calcidem.analysis.published import (
-    PUBLISHED_KEYS,
-    PublishedVelocity,
-    is_covered,
-    misfits,
-    published_study,
-    root_mean_square_misfit,
-)
+from calcidem.analysis.measured import is_covered, misfits, root_mean_square_misfit
+from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
 from calcidem.analysis.velocity import median_diameter_by_mass
 from calcidem.app.report.tables import RESULT_TABLES
 from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds

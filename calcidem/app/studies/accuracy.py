@@ -16,7 +16,7 @@ from pydantic import TypeAdapter
 
 from calcidem.analysis.figures.style import BLACK, BLUE, GREY, VERMILION, apply_style, new_figure
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.points import (
+from calcidem.app.studies.study import (
     ROUNDS,
     Cells,
     CellsFound,

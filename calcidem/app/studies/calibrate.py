@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.optimize import lsq_linear
 
-from calcidem.analysis.published import Target
+from calcidem.analysis.measured import Target
 from calcidem.app.config.checks import check_against_packing, cross_check
 from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
-from calcidem.app.studies.points import ParameterRange, check_ranges, point_of_study, point_velocities, with_values
+from calcidem.app.studies.study import ParameterRange, check_ranges, point_of_study, point_velocities, with_values
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 

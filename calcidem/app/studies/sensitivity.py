@@ -21,12 +21,12 @@ from calcidem.analysis.distribution import Change, paired_changes
 from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.analysis.published import published_study
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.plan import stored_experiment
+from calcidem.app.campaign.patterns import stored_experiment
 from calcidem.app.campaign.run import run
 from calcidem.app.config.reader import parse_file, read_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
 from calcidem.app.report.wording import ABSENT
-from calcidem.app.studies.points import Cells, StudyResult, markdown_table, number
+from calcidem.app.studies.study import Cells, StudyResult, markdown_table, number
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.check import check_content, with_check
 from calcidem.dem.wave.experiment import Experiment

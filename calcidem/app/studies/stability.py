@@ -30,7 +30,7 @@ from calcidem.analysis.figures.style import (
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.points import StudyResult, markdown_table, read_former, signal_distance
+from calcidem.app.studies.study import StudyResult, markdown_table, read_former, signal_distance
 from calcidem.dem.engine.scene import Sand
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import PATTERNS

@@ -1,4 +1,4 @@
-"""Data of a packing: its rule, the result, and the progress of `calcidem.dem.sample.compaction`; and its plausibility.
+"""Data of a packing: its rule, result and plausibility, and the progress of `calcidem.dem.sample.compaction`.
 
 A packing of any origin is judged before a wave is transmitted. The contact law holds for overlaps much smaller than the
 radii, which limits stress over modulus. Geometry bounds the density and the number of neighbours. The module imports

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from places import SMALL_PACKING
 
-from calcidem.app.campaign import plan
+from calcidem.app.campaign import identity
 from calcidem.app.campaign.cells import cell_result
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import _cached_name
@@ -20,7 +20,7 @@ from calcidem.app.cli.views import _vs_table
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import _velocity_remarks
-from calcidem.app.studies.points import Cells
+from calcidem.app.studies.study import Cells
 from calcidem.app.studies.verify import Agreement, _compare_outcomes, random_cells, verify
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
@@ -150,7 +150,7 @@ def test_another_version_of_the_physics_is_refused(
     small: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What another version of the physics computed is not compared: the message names both versions."""
-    monkeypatch.setattr(plan, "PHYSICS_VERSION", 99)
+    monkeypatch.setattr(identity, "PHYSICS_VERSION", 99)
     with pytest.raises(
         CampaignMismatchError, match=f"physics version {PHYSICS_VERSION}, this .* version 99"
     ) as refused:

@@ -1,7 +1,7 @@
-"""Points of a study: configurations with other values of named parameters, each a campaign of one database.
+"""What studies share: their points, the cells that they measure, and their result in all forms.
 
-Studies also share cells measured with one experiment after another, deviations, the result in all forms and former
-results, values written into a configuration, and their processes.
+A point is a configuration with other values of named parameters, a campaign of one database. Cells are measured with
+one experiment after another. Values are written into a configuration, and processes are started for all points.
 """
 
 import json
@@ -28,8 +28,8 @@ from pydantic import TypeAdapter
 from scipy.interpolate import CubicSpline
 
 from calcidem.analysis.figures.style import save
+from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.packing import provide_packing, stored_packing
-from calcidem.app.campaign.plan import refuse_other_physics
 from calcidem.app.campaign.run import run
 from calcidem.app.config.checks import check_against_packing, cross_check
 from calcidem.app.config.reader import read_configuration
