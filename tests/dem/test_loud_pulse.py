@@ -133,9 +133,8 @@ def test_unbalanced_forces_move_disks_at_force_over_mass_and_frequency() -> None
 def test_what_a_loud_pulse_makes_heard_does_not_depend_on_disks_out_of_reach() -> None:
     """At 5 m/s, too, damping layers let nothing through: with the same step, the signal is that of all disks."""
     scenes = [experiment(boundary_thickness=0.022, keep=keep) for keep in ((), (WHOLE_DOMAIN,))]
-    limit = prepared(
-        scenes[1]
-    ).state.critical_time_step  # that of the part is 1.4e-6 longer, which moves signals by 3e-5
+    # That of the part is 1.4e-6 longer, which moves signals by 3e-5.
+    limit = prepared(scenes[1]).state.critical_time_step
     part, whole = (recorded(given, 0.4, limit) for given in scenes)
     assert np.abs(whole.received).max() > 1e-3 * LOUD
     np.testing.assert_allclose(part.across, whole.across, rtol=0.0, atol=2.0)  # steps of 1e-6
