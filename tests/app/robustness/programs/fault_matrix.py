@@ -53,7 +53,7 @@ time_limit = {time_limit}
 SEEDS = 4
 
 NO_LIMIT = 1000.0
-"""Seconds; a batch takes a tenth of one."""
+"""Seconds; a batch takes a quarter of one."""
 
 TIGHT = 6.0
 """Time limit, s, where a worker is to be given up: the run is cut off 5 s after twice of it."""
@@ -149,7 +149,7 @@ class Trial(MarkedProcesses):
 
     MARK = "FAULT_FOLDER"
     STEP = 0.1
-    """Fraction of the critical step, so small that a batch takes a tenth of a second and is met by a signal."""
+    """Fraction of the critical step, so small that a batch takes a quarter of a second and is met by a signal."""
 
     def __init__(self, folder: Path, cache: Path, seeds: int = SEEDS) -> None:
         self.folder = folder
