@@ -359,6 +359,22 @@ def test_forerunners_do_not_end_a_record() -> None:
     )
 
 
+def test_a_wave_that_fits_badly_ends_its_record_when_nothing_as_large_can_come() -> None:
+    """Stations that are early and late by turns fit no wave well: the record goes on, but not until its longest end."""
+
+    def motion(part: float, time: Floats) -> Floats:
+        return guided(2.5, HELD)(part, time + 0.4 * (-1.0) ** PARTS.index(part))
+
+    given = section(motion)
+    found = read(given)
+    assert found.wave.error > 0.15
+    largest = np.abs(given.received).max()
+    assert not is_settled(given, CLAMP, 1.01 * largest)
+    assert is_settled(given, CLAMP, 0.99 * largest)
+    needed = int(record_duration(DISTANCE, found.wave.velocity, FREQUENCY) / given.sampling_interval)
+    assert not is_settled(given.until(needed - 10), CLAMP, 0.0)  # a slower wave than the present one may be fitted yet
+
+
 @pytest.mark.parametrize("travel", [0.5, 1.5])
 def test_the_fit_needs_no_pick(travel: float) -> None:
     """A receiver that moves the other way has no peak, and the stations have their wave."""

@@ -27,8 +27,8 @@ _FINER = 2  # patterns that are computed with finer settings
 _LANES = 4  # both senses of these
 _ALLOWED = 0.01  # rms difference of the velocities above which a cheaper law or longer step is not taken
 _HALVINGS = 3
-_STUDENT = 2.2
-"""Student's t over the normal quantile, both at 95 %, for the rms of `_FINER` differences (4.30 / 1.96)."""
+_STUDENT = {_FINER: 2.2, PATTERNS: 1.18}
+"""Student's t over the normal quantile, both at 95 %, for the rms of so many differences (4.30 and 2.31 over 1.96)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +50,8 @@ class Check:
     pulse_effect: float | None
     """Of both velocities, by the strength of the pulse: from the difference of its two senses."""
     side_error: float | None
-    """Of the effective velocity, by the side from which the wave comes: root mean square difference of both
-    sides over the root of 2.
+    """Of the effective velocity, by the side from which the wave comes: 1.18 times the root mean square difference of
+    both sides over the root of 2.
     """
 
 
@@ -112,9 +112,9 @@ def check_content(
         step *= 0.5
     mirrored = experiment.once(_from_other_side).with_wave(law=law, step_fraction=step)
     errors = (
-        _STUDENT * numerical,
-        _STUDENT / math.sqrt(2.0) * _apart(forth, back, experiment),
-        _by_side(here, sections(mirrored, usual, lanes), experiment),
+        _STUDENT[_FINER] * numerical,
+        _STUDENT[_FINER] / math.sqrt(2.0) * _apart(forth, back, experiment),
+        _STUDENT[PATTERNS] * _by_side(here, sections(mirrored, usual, lanes), experiment),
     )
     return Check(law, step, *(error if math.isfinite(error) else None for error in errors))
 

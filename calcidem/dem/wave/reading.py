@@ -109,12 +109,15 @@ def is_settled(section: Section, clamp: float, remaining_speed: float) -> bool:
     remaining_speed
         Bound of all later velocities of the section, m/s.
     """
-    if _largest(section) < SILENCE:
+    largest = _largest(section)
+    if largest < SILENCE:
         is_sent = section.times[-1] > 1.0 / section.frequency  # until then the pulse adds motion
         return bool(is_sent) and remaining_speed < SILENCE * section.amplitude
     velocity = fit_velocity(section, clamp)
     if velocity is None or not _is_decided(section, velocity):
         return False
+    if remaining_speed < largest * section.amplitude:
+        return True  # nothing as large as what has come can come any more, even if this fits no wave
     # Before the S wave comes, its forerunners fit any fast wave, none of them well: their errors mostly 0.3 and more.
     wave = fit_wave(section, clamp)
     return wave is not None and wave.error < 0.15
