@@ -1,6 +1,6 @@
 """Batches of cells, decisions about the next one and about each outcome, without communication.
 
-Also what a sweep shows and how it ends: progress, states, exit codes and errors, and durations and counts in words.
+Also what a sweep shows and how it ends: progress, states, exit codes and errors.
 """
 
 import traceback
@@ -314,30 +314,3 @@ class Progress:
 
     def on_end(self, end: SweepEnd) -> None:
         """Receive the end of the sweep."""
-
-
-def duration(seconds: float | None) -> str:
-    """Return a duration as text: `42 s`, `7 min`, `3 h 20 min`, `2 d 4 h`, or `?` if it is unknown."""
-    if seconds is None:
-        return "?"
-    if seconds < 100:  # two digits are enough for a person
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    if minutes < 100:  # as above
-        return f"{minutes} min"
-    hours, minutes = divmod(minutes, 60)
-    if hours < 48:  # two days
-        return f"{hours} h {minutes:02d} min"
-    days, hours = divmod(hours, 24)
-    return f"{days} d {hours} h"
-
-
-def first_of(texts: Sequence[str], most: int = 10) -> list[str]:
-    """Return the first of some texts, followed by how many more there are."""
-    more = len(texts) - most
-    return [*texts[:most], f"and {more} more"] if more > 0 else list(texts)
-
-
-def pluralize(number: int, noun: str, plural: str = "") -> str:
-    """Return a number with its noun: `1 worker`, `2 workers`."""
-    return f"{number} {noun}" if number == 1 else f"{number} {plural or f'{noun}s'}"

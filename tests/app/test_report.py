@@ -30,13 +30,13 @@ from calcidem.app.report.sections import (
     _published_table,
     make_or_explain,
 )
-from calcidem.app.report.tables import _growth_table, _outcome_table, _velocity_table, probability
-from calcidem.app.report.wording import ABSENT, Table, decimal, significant
+from calcidem.app.report.tables import Table, _growth_table, _outcome_table, _velocity_table, probability
 from calcidem.app.studies.sensitivity import run_studies
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
 from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store, read_campaign
+from calcidem.wording import ABSENT, decimal, significant
 
 pytestmark = pytest.mark.slow
 

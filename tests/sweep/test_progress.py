@@ -1,6 +1,6 @@
 import pytest
 
-from calcidem.sweep.schedule import duration
+from calcidem.wording import duration
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from calcidem.storage.sql.lease import replace_database
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
-from calcidem.sweep.schedule import first_of
+from calcidem.wording import first_of
 
 _Values: TypeAlias = tuple[Any, ...] | None
 """`EXACT_QUANTITIES` of a done cell, else None."""

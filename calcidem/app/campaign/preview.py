@@ -42,7 +42,8 @@ from calcidem.sweep.ranks import (
     mpi_library_version,
     refuse_ranks_off_linux,
 )
-from calcidem.sweep.schedule import Batch, Cell, LaunchError, duration
+from calcidem.sweep.schedule import Batch, Cell, LaunchError
+from calcidem.wording import duration
 
 SECONDS_WHERE_MEASURED = 2.7e-3  # of `_seconds_of_arithmetic`
 

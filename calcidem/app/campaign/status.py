@@ -28,7 +28,8 @@ from calcidem.storage.records import CellKey, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import launcher
-from calcidem.sweep.schedule import Batch, BatchOutcome, Progress, SweepEnd, duration, pluralize
+from calcidem.sweep.schedule import Batch, BatchOutcome, Progress, SweepEnd
+from calcidem.wording import duration, pluralize
 
 if TYPE_CHECKING:
     from calcidem.dem.sample.packing import PackingStage  # which readers do not need

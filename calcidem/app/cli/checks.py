@@ -21,7 +21,8 @@ from calcidem.app.cli.options import (
     parse_percentage,
 )
 from calcidem.app.cli.output import Format, FormatOption, tell_rows, tell_study
-from calcidem.sweep.schedule import EXIT_ERROR, pluralize
+from calcidem.sweep.schedule import EXIT_ERROR
+from calcidem.wording import pluralize
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign

@@ -189,8 +189,3 @@ def make_table(title: str | None, *names: str, numbers: Sequence[str] = ()) -> W
     for name in numbers:
         table.add_column(name, justify="right")
     return table
-
-
-def format_number(value: float | None, form: str = "{:.1f}") -> str:
-    """Write a number in a format, or a dash for a missing one (None or not finite)."""
-    return "-" if value is None or not math.isfinite(value) else form.format(value)

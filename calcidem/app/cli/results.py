@@ -32,7 +32,7 @@ from calcidem.app.cli.output import Format, FormatOption, RecordRows, WholeTable
 from calcidem.ends import CellStatus, Verdict
 from calcidem.storage.errors import QueryError
 from calcidem.storage.store import Selection
-from calcidem.sweep.schedule import pluralize
+from calcidem.wording import ABSENT, EXCEPTIONAL, decimal, pluralize, readable_unit, significant
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign
@@ -391,7 +391,6 @@ def show_command(
 
 def _cell_rows(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Meanings and values, with units, of the quantities of a cell that it has."""
-    from calcidem.app.report.wording import ABSENT, EXCEPTIONAL, decimal, readable_unit, significant
     from calcidem.storage.records import QUANTITY_BY_NAME
 
     for name, value in row.items():

@@ -20,7 +20,7 @@ from calcidem.app.cli.options import (
     refuse_options,
 )
 from calcidem.app.config.presets import PRESETS, preset_text, slurm_job
-from calcidem.sweep.schedule import first_of, pluralize
+from calcidem.wording import first_of, pluralize
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

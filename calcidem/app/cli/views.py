@@ -26,14 +26,14 @@ from calcidem.app.campaign.status import (
     Trouble,
 )
 from calcidem.app.cli.options import IS_QUIET
-from calcidem.app.cli.output import WholeTable, format_number, make_console, make_table
+from calcidem.app.cli.output import WholeTable, make_console, make_table
 from calcidem.ends import CellStatus, Verdict
 from calcidem.storage.records import MOST_PULSE_EFFECT
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import COMMAND_VARIABLE, available_cores, launcher
-from calcidem.sweep.schedule import duration, first_of, pluralize
+from calcidem.wording import duration, first_of, number, pluralize
 
 if TYPE_CHECKING:  # the status needs no configuration and no packing
     from calcidem.analysis.intervals import SeedPlan
@@ -152,9 +152,9 @@ def _vs_table(store: Store, selection: Selection) -> Table:
         table.add_row(
             f"{one.content:g}",
             f"{one.counts.get(CellStatus.DONE, 0)}/{len(one.statuses)}{marks[-1]}",
-            *map(format_number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
-            format_number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, "{:.4g}"),
-            format_number(median, "{:.2f}") + (" *" if near else ""),
+            *map(number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
+            number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, ".4g"),
+            number(median, ".2f") + (" *" if near else ""),
             ", ".join(f"{one.counts[status]} {status.words}" for status in CellStatus if status in others),
         )
     remarks = [
@@ -247,10 +247,10 @@ def _matrix_table(status: CampaignStatus, columns: int) -> WholeTable:
             _matrix_row(content, status.seeds, per_character),
             f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}"
             f"{_marks_of(content.counts, content.budget.loud)}",
-            format_number(content.mean),
-            format_number(content.interval.half_width, "+- {:.1f}"),
-            format_number(content.deviation),
-            format_number(content.seconds_per_cell, "{:.2g}"),
+            number(content.mean),
+            f"+- {half:.1f}" if math.isfinite(half := content.interval.half_width) else "-",
+            number(content.deviation),
+            number(content.seconds_per_cell, ".2g"),
             duration(None if math.isnan(content.seconds_left) else content.seconds_left / status.workers),
         )
     return table

@@ -24,7 +24,7 @@ from calcidem.app.config.schema import (
 from calcidem.dem.engine.fields import FieldError, Settings, field_hints, quote, similar
 from calcidem.dem.sample.packing_file import checked_disks
 from calcidem.input_file import Table, meaning_of, parse_number, read_input, read_text, unit_in_name, value_of
-from calcidem.sweep.schedule import pluralize
+from calcidem.wording import pluralize
 
 if TYPE_CHECKING:
     from calcidem.analysis.measured import Target

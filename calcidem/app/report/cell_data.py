@@ -15,12 +15,11 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample
 from calcidem.analysis.figures.samples import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.patterns import section_of, section_reader
-from calcidem.app.report.wording import EXCEPTIONAL, readable_unit
 from calcidem.dem.wave.reading import Reading
 from calcidem.ends import Verdict
 from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, QUANTITY_BY_NAME, CellResult, RecordedSection
 from calcidem.storage.store import ALL_CELLS, Selection
-from calcidem.sweep.schedule import pluralize
+from calcidem.wording import EXCEPTIONAL, pluralize, readable_unit
 
 MOST_FULL_RECORDS = 10_000
 SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")

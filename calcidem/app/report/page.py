@@ -26,13 +26,13 @@ from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
-from calcidem.app.report.wording import ABSENT, Table, decimal
+from calcidem.app.report.tables import Table
 from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
 from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.sweep.schedule import duration, pluralize
+from calcidem.wording import ABSENT, decimal, duration, pluralize
 
 _MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",

@@ -18,10 +18,9 @@ from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import is_covered, misfits, root_mean_square_misfit
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
 from calcidem.analysis.velocity import median_diameter_by_mass
-from calcidem.app.report.tables import RESULT_TABLES
-from calcidem.app.report.wording import ABSENT, Table, decimal, significant, with_bounds
+from calcidem.app.report.tables import RESULT_TABLES, Table, with_bounds
 from calcidem.storage.records import RunRecord, flat_parameters
-from calcidem.sweep.schedule import duration
+from calcidem.wording import ABSENT, decimal, duration, significant
 
 Made = TypeVar("Made")
 

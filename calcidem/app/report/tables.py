@@ -2,13 +2,16 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlation_tests, correlations
+from calcidem.analysis.intervals import Interval
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES, describe_feature
 from calcidem.analysis.published import published_study
 from calcidem.analysis.velocity import (
@@ -18,9 +21,40 @@ from calcidem.analysis.velocity import (
     median_known,
     small_strain_modulus,
 )
-from calcidem.app.report.wording import ABSENT, Table, bounds, decimal, significant, with_bounds
 from calcidem.ends import Verdict
 from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95
+from calcidem.wording import ABSENT, decimal, significant
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Table of a report."""
+
+    caption: str
+    """Caption: contents of the table, and how to read it."""
+    header: tuple[str, ...]
+    """Name of each column; units in brackets."""
+    rows: tuple[tuple[str, ...], ...]
+    """Cells as text, each row as long as the header."""
+    marked: frozenset[int] = frozenset()
+    """Indices of rows that need attention."""
+
+    @classmethod
+    def of(cls, caption: str, rows: Sequence[Mapping[str, str]], marked: Iterable[int] = ()) -> Self:
+        """Table of rows, at least one, by the names of the columns."""
+        return cls(caption, tuple(rows[0]), tuple(tuple(row.values()) for row in rows), frozenset(marked))
+
+
+def bounds(interval: Interval, decimals: int = 0) -> str:
+    """Return both ends of an interval; a dash if undefined."""
+    if not math.isfinite(interval.low):
+        return ABSENT
+    return f"{decimal(interval.low, decimals)} to {decimal(interval.high, decimals)}"
+
+
+def with_bounds(value: float, interval: Interval, decimals: int = 0) -> str:
+    """Return a value with its interval in brackets."""
+    return f"{decimal(value, decimals)} ({bounds(interval, decimals)})"
 
 
 def probability(value: float) -> str:

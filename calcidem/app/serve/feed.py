@@ -27,7 +27,6 @@ from calcidem.app.report.cell_data import (
     packing_block,
 )
 from calcidem.app.report.tables import count_reasons
-from calcidem.app.report.wording import EXCEPTIONAL
 from calcidem.dem.engine.scene import Sand
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError, hide_passwords
@@ -35,6 +34,7 @@ from calcidem.storage.records import QUANTITY_BY_NAME
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection, StoreMark
+from calcidem.wording import EXCEPTIONAL
 
 
 @dataclass(frozen=True, slots=True, eq=False)

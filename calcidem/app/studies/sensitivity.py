@@ -25,8 +25,7 @@ from calcidem.app.campaign.patterns import stored_experiment
 from calcidem.app.campaign.run import run
 from calcidem.app.config.reader import parse_file, read_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
-from calcidem.app.report.wording import ABSENT
-from calcidem.app.studies.study import Cells, StudyResult, markdown_table, number
+from calcidem.app.studies.study import Cells, StudyResult, markdown_table
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.check import check_content, with_check
 from calcidem.dem.wave.experiment import Experiment
@@ -35,6 +34,7 @@ from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Method
 from calcidem.storage.errors import UnknownCampaignError
 from calcidem.storage.sql.store import read_campaign
+from calcidem.wording import ABSENT, number
 
 REFERENCE = "reference"
 """Name of the unchanged configuration."""

@@ -47,6 +47,7 @@ from calcidem.storage.files import write_text_atomically
 from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.ranks import die_with_parent
+from calcidem.wording import number
 
 _Kind = TypeVar("_Kind")
 
@@ -105,14 +106,11 @@ def read_former(file: Path, identity: Mapping[str, object], name: str, kind: typ
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Table with a line for each row; empty if there are no rows. Numbers with a point have two digits."""
-    entries = [[number(entry) if isinstance(entry, float | None) else str(entry) for entry in row] for row in rows]
+    entries = [
+        [number(entry, ".1e") if isinstance(entry, float | None) else str(entry) for entry in row] for row in rows
+    ]
     lines = [f"| {' | '.join(row)} |" for row in entries]
     return "\n".join([f"| {' | '.join(header)} |", f"|{'---|' * len(header)}", *lines]) if lines else ""
-
-
-def number(value: float | None, form: str = ".1e") -> str:
-    """Format a number, or a dash if it is missing or not finite."""
-    return "-" if value is None or not math.isfinite(value) else format(value, form)
 
 
 ROUNDS = 3
