@@ -302,7 +302,7 @@ class CampaignAnalysis:
         """Dispersion of each content with a velocity and a stored section in a cell."""
         found = []
         for row in self.distributions:
-            column = self.cells.sel(content=row.content)
+            column = self.distinct.sel(content=row.content)
             with suppress(ValueError):  # no section
                 done = Selection(contents=row.content, statuses=CellStatus.DONE)
                 spectrum = dispersion_of_cells(self.store.results(done, with_arrays=("section",)))

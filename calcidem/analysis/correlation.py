@@ -7,7 +7,8 @@ content each variable is divided by its scatter there; otherwise contents with l
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,8 @@ class Correlations:
     """Over all samples of all contents. A common trend with content inflates it."""
     within: xr.Dataset
     """Over deviations from the trend: each variable minus its mean at the content, divided by its standard deviation
-    there. Spearman's coefficient takes ranks within the content.
+    there. Spearman's coefficient takes ranks within the content. Two variables are compared at the contents where both
+    vary.
     """
 
 
@@ -48,21 +50,11 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
     content whose mean was subtracted (Fisher 1924, on partial correlation). They assume independent samples. Samples of
     one seed share their cement, so the intervals are somewhat too narrow.
     """
-    ranked = partial(stats.rankdata, axis=0)
     names, values = _complete_values(table)
     complete = np.isfinite(values[..., 0])
-    groups = [values[complete[:, column], column] for column in range(values.shape[1])]
-    filled = [group for group in groups if len(group)]
-    pooled = np.concatenate(groups)
-    within, ranks = (
-        np.concatenate([pooled[:0], *(_standardised(change(group)) for group in filled)])
-        for change in (np.asarray, ranked)
-    )
-    lost = max(len(filled) - 1, 0)
-    return Correlations(
-        overall=_correlation_matrix(pooled, ranked(pooled), names, level),
-        within=_correlation_matrix(within, ranks, names, level, lost_freedom=lost),
-    )
+    groups = [values[complete[:, column], column] for column in range(values.shape[1]) if complete[:, column].any()]
+    pooled = [np.concatenate(groups)] if groups else []
+    return Correlations(*(_correlation_matrix(parts, names, level) for parts in (pooled, groups)))
 
 
 def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) -> xr.Dataset:
@@ -72,11 +64,11 @@ def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) ->
     hold at all contents simultaneously with probability ``level``. Returns along (variable, content), without the
     target: ``n``, ``pearson``, ``pearson_log`` with the logarithm of the target, ``spearman``, its interval ``low`` and
     ``high`` and its ``p``, and ``p_corrected`` for all variables and contents. NaN for constant variables or fewer than
-    four samples.
+    four samples; a coefficient of 1 has no interval.
 
-    Intervals by Fisher's z with the variance of Bonett and Wright (2000, doi:10.1007/BF02294183), each at level 1 - (1
-    - level) / contents (Bonferroni). The correction of p controls the false discovery rate (Benjamini and Hochberg
-    1995).
+    The p of up to eight samples is exact, that of more by Student's t. Intervals by Fisher's z with the variance of
+    Bonett and Wright (2000, doi:10.1007/BF02294183), each at level 1 - (1 - level) / contents (Bonferroni). The
+    correction of p controls the false discovery rate (Benjamini and Hochberg 1995).
     """
     names, values = _complete_values(table)
     place = _place_of(target, names)
@@ -94,14 +86,14 @@ def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) ->
         for row, number in enumerate(others):
             if varied[number]:
                 x = group[:, number]
-                rank = stats.spearmanr(x, y)
                 linear, logarithmic = (stats.pearsonr(x, other).statistic for other in (y, np.log(y)))
-                found[:4, row, column] = linear, logarithmic, rank.statistic, rank.pvalue
+                found[:4, row, column] = linear, logarithmic, *_rank_correlation(x, y)
     pearson, logarithm, spearman, p = found[:4]
     normal = float(stats.norm.ppf(1 - (1 - level) / (2 * max(scattered, 1))))
     with np.errstate(divide="ignore", invalid="ignore"):
         half = normal * np.sqrt((1 + spearman**2 / 2) / (counts - 3))
-        low, high = np.tanh(np.arctanh(spearman) - half), np.tanh(np.arctanh(spearman) + half)
+        z = np.where(np.abs(spearman) < 1.0 - _ROUND_OFF, np.arctanh(spearman), np.nan)
+        low, high = np.tanh(z - half), np.tanh(z + half)
     corrected = np.full_like(p, np.nan)
     if np.isfinite(p).any():
         corrected[np.isfinite(p)] = stats.false_discovery_control(p[np.isfinite(p)])
@@ -113,6 +105,22 @@ def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) ->
         coords={"variable": [names[number] for number in others], "content": table["content"]},
         attrs={"level": level},
     )
+
+
+def _rank_correlation(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
+    """Spearman's coefficient of two variables (n,) and its two-sided p."""
+    found = stats.spearmanr(x, y)
+    if len(x) > 8:  # samples; below, the t distribution gives a p far too small
+        return float(found.statistic), float(found.pvalue)
+    first, second = (stats.rankdata(values) - 0.5 * (len(x) + 1) for values in (x, y))
+    sums = first[_orders(len(x))] @ second
+    return float(found.statistic), float(np.mean(np.abs(sums) > abs(first @ second) - 1e-9))
+
+
+@lru_cache
+def _orders(count: int) -> NDArray[np.int8]:
+    """All orders of some samples, (count!, count)."""
+    return np.array(list(permutations(range(count))), dtype=np.int8)
 
 
 def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
@@ -133,20 +141,23 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     standard = np.zeros(values.shape)
     for column in np.flatnonzero(known.any(axis=0)).tolist():  # contents without a velocity have no correlation
         standard[known[:, column], column] = np.nan_to_num(_standardised(values[known[:, column], column]))
-    scale = np.linalg.norm(standard, axis=(0, 1))
-    scaled = standard / np.where(scale > 0, scale, np.nan)
     others = [number for number in range(len(names)) if number != place]
-    # Contribution of each pair of seeds: features of one seed with the target of the other.
-    added = np.einsum("acf,bc->abf", scaled[..., others], scaled[..., place])
-    seeds = np.arange(len(added))
-    observed = added[seeds, seeds].sum(axis=0)
-    random, permutations = np.random.default_rng(BOOTSTRAP_SEED), 9999
-    drawn = np.array([added[random.permutation(seeds), seeds].sum(axis=0) for _ in range(permutations)])
+    features, targets = standard[..., others], standard[..., place]
+    squares = (targets * targets).sum(axis=0) @ features.any(axis=0)  # where the feature varies
+    scale = np.sqrt(squares * (features * features).sum(axis=(0, 1)))
+    features = (features / np.where(scale > 0, scale, np.nan)).reshape(-1, len(others))
+    observed, count = targets.ravel() @ features, 9999
+    random, drawn = np.random.default_rng(BOOTSTRAP_SEED), np.empty((count, len(others)))
+    for begin in range(0, count, 99):  # at once, to bound the memory
+        shuffled = np.empty((99, *targets.shape))
+        for one in shuffled:
+            one[random.permutation(len(targets))] = targets
+        drawn[begin : begin + 99] = shuffled.reshape(99, -1) @ features
     size, sizes = np.abs(observed) - _ROUND_OFF, np.abs(drawn)
     largest = np.where(np.isfinite(sizes), sizes, 0.0).max(axis=1)
 
     def share(as_large: NDArray[np.bool_]) -> NDArray[np.float64]:
-        found = (1 + as_large.sum(axis=0)) / (1 + permutations)
+        found = (1 + as_large.sum(axis=0)) / (1 + count)
         return np.where(np.isfinite(observed), found, np.nan)
 
     return xr.Dataset(
@@ -156,7 +167,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
             "p_corrected": ("variable", share(largest[:, None] >= size)),
         },
         coords={"variable": [names[number] for number in others]},
-        attrs={"permutations": permutations, "samples": int(known.sum())},
+        attrs={"permutations": count, "samples": int(known.sum())},
     )
 
 
@@ -175,28 +186,21 @@ def _complete_values(table: xr.Dataset) -> tuple[list[str], NDArray[np.float64]]
 
 
 def _fisher_interval(
-    coefficient: NDArray[np.float64], n: int, level: float = 0.95, lost_freedom: int = 0
+    coefficient: NDArray[np.float64], n: ArrayLike, level: float = 0.95, lost_freedom: ArrayLike = 0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Ends of the interval of Pearson's coefficients; NaN with three or fewer samples less ``lost_freedom``."""
-    freedom = n - lost_freedom - 3
-    if freedom <= 0:
-        return np.full_like(coefficient, np.nan), np.full_like(coefficient, np.nan)
-    half = float(stats.norm.ppf((1 + level) / 2)) / np.sqrt(freedom)
+    freedom = np.asarray(n) - np.asarray(lost_freedom) - 3.0
+    half = float(stats.norm.ppf((1 + level) / 2)) / np.sqrt(np.where(freedom > 0.0, freedom, np.nan))
     with np.errstate(divide="ignore"):  # a coefficient of one has an infinite z, and tanh returns one
         z = np.arctanh(coefficient)
     return np.tanh(z - half), np.tanh(z + half)
 
 
-def _correlation_matrix(
-    samples: NDArray[np.float64],
-    ranks: NDArray[np.float64],
-    names: list[str],
-    level: float,
-    lost_freedom: int = 0,
-) -> xr.Dataset:
-    """Correlation matrix of samples, shape (n, variables), and of their ranks."""
-    pearson, spearman = (_pearson_matrix(table) for table in (samples, ranks))
-    low, high = _fisher_interval(pearson, len(samples), level, lost_freedom)
+def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str], level: float) -> xr.Dataset:
+    """Correlation matrix of samples in groups (n, variables), each variable relative to its mean in the group."""
+    pearson, count, lost = _pearson_matrix(groups, len(names))
+    spearman, *_ = _pearson_matrix([stats.rankdata(group, axis=0) for group in groups], len(names))
+    low, high = _fisher_interval(pearson, count, level, lost)
     square = ("variable", "other")
     return xr.Dataset(
         {
@@ -204,22 +208,31 @@ def _correlation_matrix(
             "pearson_low": (square, low),
             "pearson_high": (square, high),
             "spearman": (square, spearman),
-            "n": len(samples),
+            "n": sum(map(len, groups)),
         },
         coords={"variable": names, "other": names},
         attrs={"level": level},
     )
 
 
-def _pearson_matrix(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Pearson's matrix of samples (n, variables), NaN for constant columns."""
-    count, size = samples.shape
-    if count <= 1:
-        return np.full((size, size), np.nan)
-    scaled = _standardised(np.nan_to_num(samples))
-    matrix: NDArray[np.float64] = np.clip(scaled.T @ scaled / count, -1.0, 1.0)
+def _pearson_matrix(
+    groups: Sequence[NDArray[np.float64]], size: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Pearson's matrix of variables in groups, NaN for constant ones; numbers of samples, and of groups less one.
+
+    A pair of variables counts in the groups in which both vary.
+    """
+    total, count, lost = np.zeros((size, size)), np.zeros((size, size), np.int64), np.full((size, size), -1)
+    for group in groups:
+        scaled = _standardised(group)
+        varied = np.isfinite(scaled).all(axis=0)
+        both = np.outer(varied, varied)
+        scaled = np.nan_to_num(scaled)
+        total, count, lost = total + scaled.T @ scaled, count + len(group) * both, lost + both
+    with np.errstate(divide="ignore", invalid="ignore"):
+        matrix = np.where(count > 1, np.clip(total / count, -1.0, 1.0), np.nan)
     np.fill_diagonal(matrix, np.where(np.isnan(np.diag(matrix)), np.nan, 1.0))
-    return matrix
+    return matrix, count, np.maximum(lost, 0)
 
 
 def _standardised(samples: NDArray[np.float64]) -> NDArray[np.float64]:

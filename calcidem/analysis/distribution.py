@@ -341,7 +341,9 @@ class Change:
     deviation_ratio: float
     """Mean and standard deviation over those of the reference, for seeds with a velocity in both."""
     deviation_ratio_interval: Interval
-    """Bootstrap interval of the deviation ratio; the same seeds are drawn with replacement on both sides."""
+    """Bootstrap interval of the deviation ratio; the same seeds are drawn with replacement on both sides. With fewer
+    than 20 seeds about 90 % of the intervals of 95 % hold the true ratio.
+    """
 
 
 def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float = 0.95) -> tuple[Change, ...]:
@@ -362,7 +364,7 @@ def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float 
                 planned=own.size,
                 measured=measured.size,
                 mean=float(measured.mean()) if measured.size else math.nan,
-                standard_deviation=float(measured.std(ddof=1)) if measured.size > 1 else math.nan,
+                standard_deviation=float(standard_deviation(measured)) if measured.size > 1 else math.nan,
                 mean_ratio=mean_ratio,
                 deviation_ratio=deviation_ratio,
                 deviation_ratio_interval=interval,
@@ -376,13 +378,12 @@ def _paired_ratios(pair: np.ndarray, level: float) -> tuple[float, float, Interv
     count = pair.shape[1]
     if count < 4:  # common seeds, for a meaningful ratio of standard deviations
         return math.nan, math.nan, UNDEFINED
+    mean_ratio, (own, reference) = float(np.divide(*pair.mean(axis=1))), standard_deviation(pair)
+    if not reference > 0.0:  # without cement
+        return mean_ratio, math.nan, UNDEFINED
     drawn = pair[:, np.random.default_rng(BOOTSTRAP_SEED).integers(0, count, (4000, count))]
-    # A reference without scatter (no cement, one packing) has no deviation ratio.
     with np.errstate(divide="ignore", invalid="ignore"):
-        deviations = drawn[0].std(axis=1) / drawn[1].std(axis=1)
-        ratio = float(np.divide(*pair.std(axis=1)))
-    mean_ratio, finite = float(np.divide(*pair.mean(axis=1))), deviations[np.isfinite(deviations)]
-    if not finite.size:
-        return mean_ratio, ratio, UNDEFINED
+        deviations = np.divide(*standard_deviation(drawn))
+    ratio, finite = float(own / reference), deviations[np.isfinite(deviations)]
     low, high = np.quantile(finite, [(1 - level) / 2, (1 + level) / 2]).tolist()
     return mean_ratio, ratio, Interval(low, high)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calcidem.analysis.distribution import ContentDistribution, Distribution
+from calcidem.analysis.distribution import ContentDistribution
 from calcidem.storage.records import NORMAL_95
 
 
@@ -45,11 +45,15 @@ def group_specimens(measured: Sequence[Target]) -> tuple[tuple[Target, tuple[Tar
 
 
 def _joined(rows: Sequence[Target]) -> Target:
-    """Mean and standard deviation of all samples of some measurements."""
+    """Mean and standard deviation of all samples of some measurements; their numbers are unknown if one is."""
     if len(rows) == 1 and rows[0].samples != 1:
         return rows[0]
-    count = np.array([row.samples or 1 for row in rows])
     content, vs, sd = np.array([(row.content, row.vs, row.sd or 0.0) for row in rows]).T
+    numbers = [row.samples for row in rows if row.samples is not None]
+    if len(numbers) < len(rows):
+        scatter = math.sqrt(float((sd * sd + (vs - vs.mean()) ** 2).mean())) or None
+        return Target(round(float(content.mean()), 3), float(vs.mean()), scatter, None, rows[0].stress)
+    count = np.array(numbers)
     total, mean = int(count.sum()), float((count * vs).sum() / count.sum())
     squares = float(((count - 1) * sd**2 + count * (vs - mean) ** 2).sum())
     scatter = math.sqrt(squares / (total - 1)) if squares else None  # one specimen has none
@@ -86,7 +90,7 @@ def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Tar
     """
     rows = [row for row in distributions if row.vs.n]
     contents = np.array([row.content for row in rows])
-    columns = np.array([_compared_numbers(row.vs) for row in rows])
+    columns = np.array([_compared_numbers(row) for row in rows])
     inside = [row for row in measured if rows and is_covered(row, contents[0], contents[-1])]
     found = []
     for target, members in group_specimens(inside):
@@ -112,12 +116,13 @@ def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Tar
     return tuple(sorted(found, key=lambda one: one.measured.content))
 
 
-def _compared_numbers(vs: Distribution) -> tuple[float, ...]:
-    """Mean, standard deviation, standard error of the mean, and interval of 95 % of new samples.
+def _compared_numbers(row: ContentDistribution) -> tuple[float, ...]:
+    """Mean, standard deviation, standard error of the mean, and interval of 95 % of new samples; NaN if unknown.
 
     The one sample without cement has only the error of its velocity.
     """
-    if vs.n == 1:
+    vs = row.vs
+    if row.content == 0.0:
         interval, half = vs.mean_interval, 0.5 * (vs.mean_interval.high - vs.mean_interval.low)
         return vs.mean, 0.0, half / NORMAL_95, interval.low, interval.high
     interval, error = vs.prediction_interval, vs.standard_deviation / math.sqrt(vs.n)

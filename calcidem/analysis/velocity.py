@@ -169,6 +169,8 @@ def notes_on(columns: Mapping[str, NDArray[Any]]) -> list[str]:
         return ", ".join(f"{at:g}" for at, is_so in found.items() if is_so)
 
     failed = ~np.isin(status, (CellStatus.DONE, CellStatus.PENDING))
+    bare = np.flatnonzero(failed & (content == 0.0))  # one sample, which has failed only if no cell has its velocity
+    failed[bare[0 if np.isfinite(vs[content == 0.0].astype(float)).any() else 1 :]] = False
     doubtful = {at: is_in_doubt(int(counted[content == at].sum()), int(failed[content == at].sum())) for at in contents}
     near = where({at: median < FEWEST_WAVELENGTHS for at, median in medians("wavelengths_on_path").items()})
     short = where({at: median < FEWEST_GRAINS for at, median in medians("wavelength_over_d50").items()})

@@ -113,8 +113,8 @@ PASSWORDS_VARIABLE = "CALCIDEM_PASSWORDS"
 _IN_URL = re.compile(r"(\w[\w+.-]*://[^\s:/@?]*):([^@]*)@")
 """Scheme and user, and the password between the colon and the first @, as SQLAlchemy reads them."""
 
-_ANY_IN_URL = re.compile(r"(\w[\w+.-]*://[^\s:/@?]*):([^\s'\"]*)@([^\s'\"]*)")
-"""As `_IN_URL`, but up to the last @, so in doubt more is hidden; and the rest of the URL."""
+_ANY_IN_URL = re.compile(r"(\w[\w+.-]*://[^\s:/@?]*):([^\n]*)@([^\s'\"]*)")
+"""As `_IN_URL`, but up to the last @ of the line, so in doubt more is hidden; and the rest of the URL."""
 
 _PAIR = re.compile(r"""([\w%+.-]+)(\s*=\s*)('(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|[^&\s'"]+)""")
 """Key and value in the query of a URL, or in a connection string."""

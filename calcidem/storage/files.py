@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -35,6 +36,8 @@ def replace_file(target: Path) -> Iterator[Path]:
     try:
         yield temporary
         _flush_to_disk(temporary)
+        with suppress(FileNotFoundError):
+            shutil.copymode(target, temporary)
         temporary.replace(target)
         _flush_to_disk(target.parent)
     finally:

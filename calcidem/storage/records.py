@@ -235,6 +235,11 @@ STATUS_CODES = {name: code for code, name in enumerate((CellStatus.PENDING, *STO
 """Values of the flag variable `status`; they never change, since files hold them."""
 
 
+def _storable(text: str) -> str:
+    """Text that every database takes: file names may have bytes that are no UTF-8, and PostgreSQL takes no null."""
+    return text.encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
+
+
 def canonical_content(content: float) -> float:
     """Return a content rounded to 1e-9 percent.
 
@@ -350,6 +355,7 @@ class CellResult(Record):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", CellStatus(self.status))
+        object.__setattr__(self, "reason", _storable(self.reason))
         object.__setattr__(self, "retry", self.retry or None)
         if self.status not in STORED_STATUSES:
             raise ValueError(f"CellResult.status is {self.status}; an outcome is one of {', '.join(STORED_STATUSES)}.")
@@ -550,7 +556,7 @@ class RunRecord:
 
     def __post_init__(self) -> None:
         """Hide passwords, and refuse times without time zone."""
-        object.__setattr__(self, "launch_line", hide_passwords(self.launch_line))
+        object.__setattr__(self, "launch_line", _storable(hide_passwords(self.launch_line)))
         object.__setattr__(self, "started", as_utc(self.started))
         if self.ended is not None:
             object.__setattr__(self, "ended", as_utc(self.ended))

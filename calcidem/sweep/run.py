@@ -265,7 +265,7 @@ class _Master:
         is_over = workers.running == 0 and len(self._schedule) == 0 and not workers.exhausted
         since_drop = 0.0 if workers.last_dropped is None else time.monotonic() - workers.last_dropped
         end: tuple[SweepState, str] | None = None
-        if is_over and workers.last_dropped is None:
+        if is_over and workers.last_dropped is None and not workers.has_cancelled:
             end = SweepState.COMPLETE, ""
         elif level is StopLevel.LOST:
             end = SweepState.CUT_OFF, asked_by

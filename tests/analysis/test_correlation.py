@@ -1,3 +1,4 @@
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -200,3 +201,53 @@ def test_false_alarms_are_as_rare_as_promised_though_contents_share_their_seeds(
         variables = {f"x{n}": np.repeat(generator.normal(size=(15, 1)), 5, axis=1) for n in range(9)}
         alarms += bool((seed_permutation_test(table(**variables), "x0")["p_corrected"] < 0.05).any())
     assert alarms / 400 == pytest.approx(0.05, abs=0.033)  # three standard errors
+
+
+def test_a_content_at_which_a_variable_is_constant_says_nothing_about_it() -> None:
+    """Neither its coefficient within a content nor its interval; so it is for the test by seeds."""
+    generator = np.random.default_rng(6)
+    y = generator.normal(size=(20, 2))
+    x = y.copy()
+    x[:, 1] = 4.0
+    found = correlate(table(x=x, y=y, z=generator.normal(size=y.shape))).within
+    assert pair(found, "pearson") == pair(found, "spearman") == pytest.approx(1.0)
+    x[:, 0] += generator.normal(size=20)
+    found, only = (correlate(table(x=x[:, :some], y=y[:, :some])).within for some in (2, 1))
+    for name in ("pearson", "pearson_low", "pearson_high", "spearman"):
+        assert pair(found, name) == pytest.approx(pair(only, name), rel=1e-12)
+    tested = seed_permutation_test(table(x=x, y=y, z=y + generator.normal(size=y.shape)), "y")
+    assert float(tested["pearson"].sel(variable="x")) == pytest.approx(pair(only, "pearson"), rel=1e-12)
+
+
+@pytest.mark.parametrize("count", [4, 5, 8])
+def test_few_samples_have_exact_p(count: int) -> None:
+    """Of all orders; a perfect one of four samples is found by chance in 2 of 24, and has no interval."""
+    generator = np.random.default_rng(7)
+    values = {name: generator.normal(size=(count, 1)) for name in "xy"}
+    values["w"] = np.exp(values["y"])
+    values["y"] += 10.0
+    found = correlate_by_content(table(**values), "y")
+    exact = (
+        stats.permutation_test(
+            (values["x"][:, 0],),
+            lambda x: stats.spearmanr(x, values["y"][:, 0]).statistic,
+            permutation_type="pairings",
+            n_resamples=50_000,
+            vectorized=False,
+        )
+        if count < 8
+        else None
+    )
+    if exact is not None:
+        assert float(found["p"].sel(variable="x")[0]) == pytest.approx(exact.pvalue)
+    assert float(found["p"].sel(variable="w")[0]) == pytest.approx(2.0 / math.factorial(count))
+    assert np.isnan(found["low"].sel(variable="w")).all()
+
+
+@pytest.mark.parametrize("count", [4, 10])
+def test_noise_is_no_discovery(count: int) -> None:
+    """In a table of 8 features and 4 contents some corrected p is below 5 % in at most about so many of all tables."""
+    generator = np.random.default_rng(8)
+    tables = [table(**{name: np.exp(generator.normal(size=(count, 4))) for name in "abcdefghy"}) for _ in range(50)]
+    found = sum(bool((correlate_by_content(one, "y")["p_corrected"] < 0.05).any()) for one in tables)
+    assert found <= 7  # of a binomial with 5 %: more are found in 1 of 300 cases

@@ -135,3 +135,23 @@ def test_a_report_has_the_misfit_only_where_something_was_measured(analysis: Cam
     assert foreign is not None
     assert f"Measured under {2 * stress / 1e3:g} kPa, computed under {stress / 1e3:g} kPa" in foreign.caption
     assert len(set(table.header)) == len(table.header)
+
+
+def test_means_of_unknown_numbers_keep_their_scatter() -> None:
+    """Two laboratories that do not say how many samples they had: the joined standard deviation is not theirs apart."""
+    ((joined, _),) = group_specimens([Target(1.0, 200.0, 30.0), Target(1.0, 202.0, 40.0)])
+    assert joined == Target(1.0, 201.0, pytest.approx(np.sqrt((30.0**2 + 40.0**2) / 2.0 + 1.0)), None)
+    ((joined, _),) = group_specimens([Target(1.0, 200.0), Target(1.0, 202.0, 40.0, 10)])
+    assert joined.samples is None
+
+
+def test_a_content_with_one_velocity_has_no_scatter_to_compare_with() -> None:
+    """Neither there nor beside it; without cement it would be the whole sample."""
+    vs = xr.DataArray(
+        [[200.0, 290.0, 390.0], [210.0, np.nan, 410.0]],
+        {"seed": [1, 2], "content": [1.0, 2.0, 3.0]},
+        ("seed", "content"),
+    )
+    beside, at = misfits(describe_contents(vs), [Target(1.5, 245.0, 20.0, 5), Target(3.0, 400.0, 20.0, 5)])
+    assert np.isnan([beside.standard_deviation, beside.deviation_ratio]).all()
+    assert at.deviation_ratio == pytest.approx(np.sqrt(200.0) / 20.0)

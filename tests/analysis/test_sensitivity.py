@@ -58,3 +58,12 @@ def test_interval_covers_the_true_ratio_of_independent_samples() -> None:
         (change,) = paired_changes(velocities(pair[0]), velocities(pair[1]))
         held += change.deviation_ratio_interval.contains(1.5)
     assert held >= 33
+
+
+@pytest.mark.parametrize("seeds", [7, 8, 12])
+def test_a_reference_without_scatter_has_no_ratio_of_scatter(seeds: int) -> None:
+    """Without cement all samples are one; rounding of their mean is no scatter."""
+    (change,) = paired_changes(velocities(np.full(seeds, 210.1)), velocities(np.full(seeds, 199.3)))
+    assert change.standard_deviation == 0.0
+    assert change.mean_ratio == pytest.approx(210.1 / 199.3)
+    assert np.isnan([change.deviation_ratio, change.deviation_ratio_interval.low]).all()

@@ -63,3 +63,6 @@ def test_advice_names_the_contents_that_it_is_about() -> None:
     assert len(notes) == len(beginnings)
     for note, beginning in zip(notes, beginnings, strict=True):
         assert note.startswith(beginning)
+    columns["content"] = np.where(content == 1.0, 0.0, content)  # without cement all cells are one sample
+    assert not any("selection bias" in note for note in notes_on(columns))
+    assert any(note.startswith("Cells without velocity: 1.") for note in notes_on(columns))

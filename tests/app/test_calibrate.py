@@ -380,3 +380,19 @@ def test_a_file_that_could_not_be_written_is_refused_before_the_fit(text: str, n
     refuse_unwritable("[sand]\nfriction = 0.4\n", loaded, values, file)
     with pytest.raises(ConfigurationError, match=named):
         refuse_unwritable(text, loaded, values, file)
+
+
+def test_untreated_specimens_have_no_scatter_to_fit() -> None:
+    """Without cement all seeds are one sample, so several specimens of a laboratory give a mean alone there."""
+
+    def measure(tried: list[dict[str, float]]) -> list[np.ndarray]:
+        drawn = np.random.default_rng(1).normal(size=8)
+        return [
+            np.stack([np.full(8, 100.0 * one["a"]), 150.0 * one["a"] * (1.0 + 0.1 * drawn)], axis=1) for one in tried
+        ]
+
+    targets = [Target(0.0, 186.0, 4.0, 3), Target(5.0, 280.0, 20.0, 6)]
+    fit = _fit_to_targets(measure, FitPlan(targets, (ParameterRange("a"),), range(8)), (1.5,))
+    assert fit.values["a"] == pytest.approx(1.86, rel=0.05)
+    assert np.isfinite(fit.deviations["a"])
+    assert fit.freedom == 2  # two means, one standard deviation, one parameter

@@ -448,3 +448,19 @@ def test_frequencies_of_the_paper_are_the_default() -> None:
     assert (table.at(0.0), table.at(5.0), table.at(4.5)) == (4.0e3, 15.0e3, 12.5e3)
     written = {"content": list(table.content), "frequency": list(table.frequency)}
     assert read_configuration({"wave": {"frequency": written}}).hash == Configuration().hash
+
+
+def test_contents_are_those_of_cells() -> None:
+    """To 1e-9 percent: otherwise a cell of 1/3 % would be planned and never found."""
+    plan = CampaignPlan(contents=(1 / 3, 0.1 + 0.2, 5.0))
+    assert plan.contents == (0.333333333, 0.3, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("database", "exported"),
+    [("sand.db", "sand.nc"), ("sand.sqlite3", "sand.nc"), ("sand.seeds1", "sand.seeds1.nc"), ("sand", "sand.nc")],
+)
+def test_no_two_databases_have_one_export(database: str, exported: str) -> None:
+    """Only an ending for databases gives way to that of the file."""
+    configuration = Configuration(run=RunOptions(database=database))
+    assert configuration.netcdf.name == exported

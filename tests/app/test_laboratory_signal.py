@@ -47,6 +47,8 @@ def test_a_delayed_pulse_has_the_velocity_of_its_delay(shape: Shape, sign: float
     assert ("reversed" in str(found)) is found.is_reversed
     turned = calcidem.read_signal(TIME, sign * pulse(shape), sign * received, DISTANCE)
     assert turned.velocities["peak"] == pytest.approx(DISTANCE / DELAY, rel=1e-4)
+    assert turned.is_reversed is (sign < 0.0)
+    assert not calcidem.read_signal(TIME, -pulse(shape), -sign * received, DISTANCE).is_reversed
 
 
 @pytest.mark.parametrize("shape", [raised_cosine, sine])

@@ -15,7 +15,7 @@ from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.plan import SeedDemand
 from calcidem.app.campaign.provenance import describe_run
-from calcidem.app.campaign.run import CampaignRun
+from calcidem.app.campaign.run import CampaignRun, retry_cells
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import CampaignPlan, Configuration, ConfigurationError, WantedIntervals
 from calcidem.ends import CellStatus
@@ -170,8 +170,12 @@ def test_a_cell_that_is_given_up_at_a_start_counts_at_that_start(tmp_path: Path)
         known = [measured(Batch(0, ((seed, 0.66),)), lambda: None)[0] for seed in range(1, 8)]
         work.store.record_results(known)
         batches = work._plan_batches()
+        deaths = work.store.attempt_counts([CellKey(8, 0.66)])[CellKey(8, 0.66)]
+        work.store.record_results([CellResult(CellKey(9, 0.66), CellStatus.FAILED, "on order")])
     assert "quarantined: seed 8, 0.66 %: 3 runs died" in said[-1]
     assert min(seed for batch in batches for seed, _ in batch.cells) == 9
+    assert (deaths.attempts, deaths.losses) == (4, 3)
+    assert retry_cells(configuration, [CellStatus.FAILED]) == (CellKey(9, 0.66),)
 
 
 @pytest.mark.full

@@ -3,9 +3,12 @@
 import os
 import shutil
 import sqlite3
+import stat
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +17,7 @@ from sqlalchemy import create_engine, text
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.exit_codes import _exit_code_of
+from calcidem.ends import CellStatus
 from calcidem.storage.errors import (
     DamagedStoreError,
     DiskFullError,
@@ -25,7 +29,9 @@ from calcidem.storage.errors import (
     StoreLockedError,
     StoreUnavailableError,
 )
+from calcidem.storage.records import CellKey, CellResult, RunRecord
 from calcidem.storage.sql import engine
+from calcidem.storage.sql.lease import replace_database
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.schedule import EXIT_RESUMABLE
 
@@ -241,3 +247,52 @@ def test_errors_can_travel(database: Path) -> None:
     error = pickle.loads(pickle.dumps(StoreError("No.", "Do this.")))  # noqa: S301 - own data
     assert (error.problem, error.cure, str(error)) == ("No.", "Do this.", "No. Do this.")
     assert database.exists()
+
+
+def test_a_disk_that_fills_up_replaces_no_database(database: Path) -> None:
+    """SQLite closes a database without a word if its log did not fit into the file; the log would be lost."""
+    before = database.read_bytes()
+
+    def fill() -> None:
+        with replace_database(database) as temporary:
+            shutil.copy(database, temporary)
+            Path(f"{temporary}-wal").write_bytes(b"the last transactions")
+
+    with pytest.raises(DiskFullError, match="Free some space"):
+        fill()
+    assert database.read_bytes() == before
+    assert [path.name for path in database.parent.iterdir()] == [database.name]
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o664])
+def test_a_replaced_file_keeps_its_permissions(database: Path, mode: int) -> None:
+    """A group can go on writing, and a private database stays private."""
+    content = database.read_bytes()
+    database.chmod(mode)
+    with replace_database(database) as temporary:
+        temporary.write_bytes(content)
+    assert stat.S_IMODE(database.stat().st_mode) == mode
+
+
+def test_only_a_database_with_a_log_is_read_without_locks(database: Path) -> None:
+    """Where a reader cannot write: one with a journal, as on network file systems, is read under locks."""
+    assert engine._needs_a_log(database)
+    Path(f"{database}-wal").touch()
+    assert not engine._needs_a_log(database)
+    Path(f"{database}-wal").unlink()
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("PRAGMA journal_mode=DELETE")
+    assert not engine._needs_a_log(database)
+
+
+def test_texts_that_are_no_unicode_are_stored(database: Path) -> None:
+    """Names of files on the command line and in reasons may have any bytes."""
+    strange = os.fsdecode(b"caf\xe9\0.toml")
+    with Store(database) as store:
+        store.use_campaign()
+        key = CellKey(2, 5.0)
+        store.record_results([CellResult(key, CellStatus.FAILED, strange)])
+        number = store.begin_run(RunRecord({}, "here", "some CPU", 1, strange, datetime.now(UTC)))
+        assert dict(store.runs())[number].launch_line == r"caf\udce9\0.toml"
+        (found,) = (one for one in store.results() if one.key == key)
+    assert found.reason == r"caf\udce9\0.toml"

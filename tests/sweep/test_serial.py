@@ -5,13 +5,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import pytest
 
 from calcidem.ends import CellStatus
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.schedule import Batch, SweepState, plan_batches
+from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, SweepState, plan_batches
 
 if TYPE_CHECKING:
     from conftest import MemorySink
@@ -215,3 +216,19 @@ def test_a_plan_can_be_swept(sink: "MemorySink") -> None:
     plan = plan_batches(cells, 4, lambda content: 1.0 + content)
     run_sweep(None, plan, lambda batch, _: [seed + content for seed, content in batch.cells], sink)
     assert sink.results() == {(seed, content): seed + content for seed, content in cells}
+
+
+def ask_to_end(batch: Batch[int], _raise_if_stopped: Callable[[], None]) -> Sequence[int]:
+    """Compute while Slurm says that the time is nearly up."""
+    os.kill(os.getpid(), signal.SIGUSR1)
+    time.sleep(0.2)
+    return batch.cells
+
+
+@pytest.mark.parametrize("count", [3, 9])
+def test_batches_that_a_signal_took_back_are_not_complete(count: int, sink: "MemorySink") -> None:
+    """Also when all are handed out already: the sweep has stopped, so that the same command continues."""
+    with ThreadPoolExecutor(1) as executor:
+        end = run_sweep(executor, [Batch(number, (number,)) for number in range(count)], ask_to_end, sink)
+    assert (end.state, end.exit_code) == (SweepState.STOPPED, EXIT_RESUMABLE)
+    assert len(sink.results()) < count

@@ -132,6 +132,7 @@ class _Start:
         self, mpirun: str, ranks: int, arguments: Sequence[str], configuration: Configuration, display: ProgressDisplay
     ) -> None:
         self._configuration, self._display = configuration, display
+        self._next_hearing = STALE_AFTER.total_seconds()
         self._name = Path(mpirun).name
         self._before = self._latest_run()[0]
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {COMMAND_VARIABLE: "1"}
@@ -213,8 +214,10 @@ class _Start:
         if since_end is not None and since_end > 15.0:  # s
             return "the ranks did not end"
         # Launchers do not notice the loss of a network.
-        if seconds > STALE_AFTER.total_seconds() and self._is_silent():
-            return "rank 0 has been silent for minutes"
+        if seconds > self._next_hearing:
+            self._next_hearing = seconds + 30.0  # s; a large database takes a tenth of one to answer
+            if self._is_silent():
+                return "rank 0 has been silent for minutes"
         return ""
 
     def _campaign(self) -> AbstractContextManager[Store]:

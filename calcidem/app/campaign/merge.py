@@ -228,6 +228,8 @@ def _copy_history(sources: Sequence[Store], target: Store) -> _Numbers:
                 runs[same_run] = target.begin_run(run)
             run_numbers[number] = runs[same_run]
         for attempt in source.history():
+            if attempt.outcome == CellStatus.RUNNING:
+                continue  # in a copy nobody will end it, which would count as the death of a run
             identity = (attempt.recorded, attempt.outcome, attempt.host, attempt.rank)
             moved = replace(attempt, run_id=run_numbers.get(attempt.run_id))
             attempts[attempt.key].setdefault(identity, moved)

@@ -233,7 +233,7 @@ def prepared_store(
     configuration.output.mkdir(parents=True, exist_ok=True)  # before hours of computation
     store = _become_master(configuration, raise_if_stopped) if _exists(configuration.database) else None
     try:
-        packing = provide_packing(configuration, store, raise_if_stopped, watch)
+        packing = provide_packing(configuration, store, _renewing(store, raise_if_stopped), watch)
         doubts = check_against_packing(configuration, packing)
         if COMMAND_VARIABLE not in os.environ:  # which has said it before it started the ranks
             from calcidem.app.campaign.preview import wave_doubts  # noqa: PLC0415 - which loads the launcher
@@ -347,7 +347,10 @@ class CampaignRun:
             if any(key.content == 0.0 for key in deadly):  # which are the same sample
                 deadly |= {key for key in pending if key.content == 0.0}
         reason = f"{LOSSES_BEFORE_QUARANTINE} runs died while it was computed, so it is not tried again"
-        self.store.record_results(CellResult(key, CellStatus.QUARANTINED, reason) for key in deadly)
+        self.store.record_results(
+            CellResult(key, CellStatus.QUARANTINED, reason, attempt=counts.get(key, AttemptCount()).attempts + 1)
+            for key in deadly
+        )
         for key in sorted(deadly):
             tell(f"quarantined: {key}: {reason}")
 
@@ -404,6 +407,20 @@ def _become_master(configuration: Configuration, raise_if_stopped: Callable[[], 
     return store
 
 
+def _renewing(store: Store | None, raise_if_stopped: Callable[[], None]) -> Callable[[], None]:
+    """The same check, which renews the lease as well: a packing may take longer than one lasts."""
+    renewed = time.monotonic()
+
+    def check() -> None:
+        nonlocal renewed
+        raise_if_stopped()
+        if store is not None and time.monotonic() > renewed + 30.0:  # s
+            renewed = time.monotonic()
+            store.renew_lease()
+
+    return check
+
+
 def _acquire_lease(store: Store, raise_if_stopped: Callable[[], None]) -> tuple[str, ...]:
     """Acquire the lease; wait until the lease of a silent master on another machine ends.
 
@@ -442,9 +459,10 @@ def retry_cells(configuration: Configuration, outcomes: Collection[CellStatus]) 
         if not choose_campaign(store, configuration):
             missing = f"{configuration.database} has no campaign '{configuration.campaign.name}'."
             raise StoreUnavailableError(missing, cure)
-        store.acquire_lease()
+        for sentence in store.acquire_lease():
+            tell(sentence)
         plan = configuration.campaign
-        found = store.statuses(Selection(plan.seed_numbers))
+        found = store.statuses(Selection(None if plan.until is not None else plan.seed_numbers))
         planned = [key for key in found if key.content in plan.contents]
         return store.retry(outcomes, planned)
 

@@ -132,7 +132,11 @@ class CampaignPlan:
     most_seeds: Annotated[int, Interval(ge=1, le=1_000_000)] = 1000
 
     def __post_init__(self) -> None:
-        """Refuse a list of seeds with `until`, and fewer than 8: their standard deviation is too uncertain."""
+        """Refuse a list of seeds with `until`, and fewer than 8: their standard deviation is too uncertain.
+
+        Contents are those of cells, to 1e-9 percent.
+        """
+        object.__setattr__(self, "contents", tuple(map(canonical_content, self.contents)))
         if self.until is not None:
             cure = f"give a number of 8 to campaign.most_seeds, {self.most_seeds}: until adds to it"
             fits = isinstance(self.seeds, int) and 8 <= self.seeds <= self.most_seeds
@@ -442,7 +446,10 @@ class Configuration:
         from calcidem.storage.sql.engine import Address  # noqa: PLC0415 - ranks need no database
 
         path = Address.parse(self.database).path
-        return self.output / f"{self.campaign.name}.nc" if path is None else path.with_suffix(".nc")
+        if path is None:
+            return self.output / f"{self.campaign.name}.nc"
+        known = path.suffix in {".db", ".sqlite", ".sqlite3"}  # others may tell two databases apart
+        return path.with_suffix(".nc") if known else path.with_name(f"{path.name}.nc")
 
     def record(self) -> CampaignRecord:
         """Return the record of the campaign, without its plan."""

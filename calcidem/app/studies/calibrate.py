@@ -57,8 +57,9 @@ class FitPlan:
 
     @property
     def met(self) -> tuple[Target, ...]:
-        """Targets of the fit."""
-        return tuple(target for target in self.targets if target.content not in self.predict)
+        """Targets of the fit; without cement all samples are the same, so only their velocity is one."""
+        met = (target for target in self.targets if target.content not in self.predict)
+        return tuple(replace(target, sd=None) if target.content == 0.0 else target for target in met)
 
 
 @dataclass(frozen=True, slots=True)

@@ -110,7 +110,8 @@ def read_signal(
     """
     when, sent, got = _checked(time, transmitted, received, distance)
     step, last = (when[-1] - when[0]) / (len(when) - 1), len(when) - 1
-    sent = sent if sent.max() >= 0.9 * -sent.min() else -sent
+    sense = 1.0 if sent.max() >= 0.9 * -sent.min() else -1.0
+    sent = sense * sent
     high = np.flatnonzero(sent < 0.5 * sent.max())
     top = int(sent.argmax())
     require(
@@ -159,7 +160,7 @@ def read_signal(
     require(plausible, "distance", f"{distance:g} gives {speed:.3g} m/s", "give distance in m and time in s", "time")
     arrival = Arrival(0, math.nan, when, sent, np.interp(when + delay, when, got), float(distance), velocities)
     spread = float(np.ptp(speeds) / np.mean(speeds))
-    return SignalReading(velocities, errors, spread, turn < 0.0, arrival)
+    return SignalReading(velocities, errors, spread, sense * turn < 0.0, arrival)
 
 
 def _checked(

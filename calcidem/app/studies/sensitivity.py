@@ -366,13 +366,18 @@ def run_studies(
     return {name: _STUDIES[name](experiment, **chosen).assign_attrs(published=published) for name in names}
 
 
+def _mean_of_seeds(vs: xr.DataArray) -> str:
+    """Mean of velocities, m/s, with the number of those that could be read unless that is all."""
+    read = int(vs.notnull().sum())
+    return number(float(vs.mean()), ".0f") + (f" ({read} of {vs.size} read)" if 0 < read < vs.size else "")
+
+
 def vary_one(varied: str, database: str, contents: Sequence[float] | None, campaign_name: str | None) -> StudyResult:
     """Run one study; its table has the mean of Vs from peak to peak (m/s) over content and varied parameter."""
     study = run_studies(database, [varied], contents=contents, campaign_name=campaign_name)[varied]
-    means = study["vs_peak"].mean([name for name in study["vs_peak"].dims if name == "seed"])
-    unit = "Hz" if varied == "frequency" else "1"
+    found, unit = study["vs_peak"], "Hz" if varied == "frequency" else "1"
     rows = [
-        (f"{content:g}", *(number(vs, ".0f") for vs in means.sel(content=content).values))
+        (f"{content:g}", *(_mean_of_seeds(found.sel({"content": content, varied: value})) for value in study[varied]))
         for content in study["content"].values
     ]
     table = markdown_table(("content, %", *(f"{value:g} {unit}" for value in study[varied].values)), rows) + "\n"

@@ -12,6 +12,7 @@ from typing import Any, Self
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
+from calcidem.input_file import open_input
 from calcidem.storage.errors import (
     DAMAGE_REMEDY,
     DamagedStoreError,
@@ -166,8 +167,8 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
     # A reader creates no file, but opens it as a writer would: the last connection to close copies the log of a killed
     # writer into the database.
     query: dict[str, str] = {"uri": "true", "mode": "rw" if read_only else "rwc"}
-    if read_only and not os.access(path.parent, os.W_OK, effective_ids=True) and not Path(f"{path}-wal").exists():
-        # A log needs a writable folder. Without one no process writes, so the file can be read directly.
+    if read_only and not os.access(path.parent, os.W_OK, effective_ids=True) and _needs_a_log(path):
+        # SQLite would have to make the log, which needs a writable folder. Without a log no process writes at present.
         query["immutable"] = "1"
     url = URL.create("sqlite", database=path.as_uri(), query=query)
     engine = create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_SECONDS})
@@ -195,6 +196,14 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
+
+
+def _needs_a_log(path: Path) -> bool:
+    """Whether a database is written through a log, and has none at present."""
+    if any(Path(f"{path}{end}").exists() for end in ("-wal", "-journal")) or not path.is_file():
+        return False
+    with open_input(path) as file:
+        return file.read(20)[18:] == b"\2\2"  # versions of the format to write and to read: 2 with a log
 
 
 def was_left_open(path: Path) -> bool:

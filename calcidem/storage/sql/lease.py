@@ -19,7 +19,13 @@ from pathlib import Path
 
 from sqlalchemy import Connection, delete, insert, select, update
 
-from calcidem.storage.errors import LeaseHeldError, LeaseLostError, OutputRefusedError, StoreUnavailableError
+from calcidem.storage.errors import (
+    DiskFullError,
+    LeaseHeldError,
+    LeaseLostError,
+    OutputRefusedError,
+    StoreUnavailableError,
+)
 from calcidem.storage.files import BESIDE_A_DATABASE, refuse_to_replace, replace_file
 from calcidem.storage.sql.tables import LEASE
 from calcidem.storage.store import STALE_AFTER, LeaseHolder
@@ -228,7 +234,8 @@ def replace_database(path: Path) -> Iterator[Path]:
 
     Whatever makes a database, or replaces one, does it here: while nobody else may write it, and without the files that
     SQLite keeps beside a database. These belonged to a database that was removed; SQLite would copy them into the new
-    one. `LeaseHeldError` if another process writes it or makes it; `OutputRefusedError` if a file appeared meanwhile.
+    one. `LeaseHeldError` if another process writes it or makes it; `OutputRefusedError` if a file appeared meanwhile;
+    `DiskFullError` if the data did not all reach the temporary file.
     """
     if not path.exists():
         refuse_to_replace(path)  # names that belong to another database
@@ -247,6 +254,12 @@ def replace_database(path: Path) -> Iterator[Path]:
         before = _identity_of(path)
         with replace_file(path) as temporary:
             yield temporary
+            log = Path(f"{temporary}-wal")
+            if log.is_file() and log.stat().st_size:  # SQLite does not tell that it could not empty it
+                raise DiskFullError(
+                    f"{path} could not be written: the last of its data did not reach the file.",
+                    "Free some space, and run the same command again; nothing was replaced.",
+                )
             if _identity_of(path) != before:
                 raise OutputRefusedError(
                     f"{path} was made, removed or replaced by another process meanwhile.",

@@ -100,6 +100,7 @@ def test_text_is_shown_and_stored_without_passwords() -> None:
         f"postgresql://host/sand?pass%77ord={MARK}",
         f'invalid options in sslmode=require sslpassword = "{MARK}"',
         f"postgresql://host:5432/sand?password=a@{MARK}",
+        f"postgresql://me:it's {MARK}@host:5432/sand cannot be reached",
     ):
         assert MARK not in hide_passwords(line)
         assert hide_passwords(line)[:8] == line[:8]
