@@ -265,7 +265,8 @@ class Workers(Generic[CellT]):
             allowed = flight.patience + (self._loading if flight.is_first else 0.0)
             if flight.begun is not None and now - flight.begun > allowed:
                 cells = ", ".join(map(str, flight.batch.cells[:3]))
-                self._end(f"a worker has not answered within {allowed:.3g} s (cells {cells} ...)")
+                cure = "if one needs longer, give time_limit"
+                self._end(f"a worker has not answered within {allowed:.3g} s (cells {cells} ...); {cure}")
         if self._in_flight and now - self._last_event > longest + 10.0 * self._silence_floor:
             self._end(f"no worker has answered within {now - self._last_event:.3g} s")
 

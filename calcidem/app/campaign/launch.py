@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO
 
 from calcidem.app.campaign.notices import tell
-from calcidem.app.campaign.run import RunView, prepared_store, read_own_status
+from calcidem.app.campaign.run import LONGEST_WAIT, RunView, prepared_store, read_own_status
 from calcidem.app.campaign.status import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import PASSWORDS_VARIABLE, StoreError
@@ -234,7 +234,7 @@ class _Start:
         """Whether the heartbeat of rank 0 is too old."""
         with suppress(StoreError), self._campaign() as store:
             holder = store.lease_holder()
-            return holder is None or datetime.now(UTC) - holder.heartbeat > STALE_AFTER
+            return holder is None or datetime.now(UTC) - holder.heartbeat > STALE_AFTER + LONGEST_WAIT
         return False
 
     def _explanation(self) -> str:

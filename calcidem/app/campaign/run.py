@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from concurrent.futures import Executor
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from itertools import starmap
 from threading import Lock
@@ -475,6 +475,9 @@ def _exists(database: str) -> bool:
 
 T = TypeVar("T")
 
+LONGEST_WAIT = timedelta(minutes=10)
+"""Longest wait for a lock of another process."""
+
 
 class StoreSink:
     """`calcidem.sweep.run.Sink` that writes into a store.
@@ -491,8 +494,7 @@ class StoreSink:
         self._store = store
         self.busy = Lock()
         """Lock held while a thread uses the store."""
-        self.patience = 600.0
-        """Longest wait for a lock of another process, s."""
+        self.patience = LONGEST_WAIT.total_seconds()
         self._next_renewal = 0.0
         self._counts = store.attempt_counts(keys) if keys else {}
         self._bare = [key for key in keys if key.content == 0.0]
