@@ -7,9 +7,10 @@ import stat
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from pathlib import Path
+from threading import Barrier
 from typing import TYPE_CHECKING
 
 import pytest
@@ -22,6 +23,7 @@ from calcidem.storage.errors import (
     DamagedStoreError,
     DiskFullError,
     ForeignDatabaseError,
+    LeaseHeldError,
     OtherSchemaError,
     ReplacedStoreError,
     StoreError,
@@ -296,3 +298,23 @@ def test_texts_that_are_no_unicode_are_stored(database: Path) -> None:
         assert dict(store.runs())[number].launch_line == r"caf\udce9\0.toml"
         (found,) = (one for one in store.results() if one.key == key)
     assert found.reason == r"caf\udce9\0.toml"
+
+
+def test_two_first_runs_at_once_on_a_server_share_a_campaign(postgresql_database: str, records: "Records") -> None:
+    """The second waits for the first, and then continues what that has begun; one of them gets the lease."""
+    begins = Barrier(2, timeout=20.0)
+
+    def begin(_: int) -> bool:
+        with Store(postgresql_database) as store:
+            begins.wait()
+            store.begin_campaign(records.campaign())
+            begins.wait()
+            with suppress(LeaseHeldError):
+                store.acquire_lease()
+            begins.wait()
+            holder = store.lease_holder()
+            assert holder is not None
+            return store._lease.token is not None
+
+    with ThreadPoolExecutor(2) as threads:
+        assert sorted(threads.map(begin, range(2))) == [False, True]

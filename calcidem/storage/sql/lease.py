@@ -27,7 +27,7 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
 )
 from calcidem.storage.files import BESIDE_A_DATABASE, refuse_to_replace, replace_file
-from calcidem.storage.sql.tables import LEASE
+from calcidem.storage.sql.tables import LEASE, exclude_others
 from calcidem.storage.store import STALE_AFTER, LeaseHolder
 
 try:
@@ -168,6 +168,7 @@ class Lease:
 
         `LeaseHeldError` if the former holder may be alive. It is dead if this process has the lock that it had.
         """
+        exclude_others(connection)
         former = self.holder(connection, campaign_id, for_update=True)
         holder = LeaseHolder.of_this_process(self._identity())
         if former is not None:

@@ -29,7 +29,7 @@ from calcidem.storage.records import (
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import Lease
 from calcidem.storage.sql.reading import StoreReader, chunks
-from calcidem.storage.sql.tables import ARRAYS, ATTEMPT, CAMPAIGN, CELL, LEASE, PACKING, RESULT, RUN
+from calcidem.storage.sql.tables import ARRAYS, ATTEMPT, CAMPAIGN, CELL, LEASE, PACKING, RESULT, RUN, exclude_others
 
 
 def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) -> "Store":
@@ -169,6 +169,7 @@ class Store(StoreReader):
         to other values; the message lists the differences, one nested key a line.
         """
         with self._writing() as connection:
+            exclude_others(connection)
             is_it = or_(CAMPAIGN.c.hash == campaign.hash, CAMPAIGN.c.name == campaign.name)
             found = connection.execute(select(CAMPAIGN).where(is_it)).all()
             for row in sorted(found, key=lambda row: bool(row.hash != campaign.hash)):

@@ -288,14 +288,20 @@ def join_results(statement: sa.Select[*tuple[Any, ...]]) -> sa.Select[*tuple[Any
     )
 
 
+def exclude_others(connection: sa.Connection) -> None:
+    """Let others that make tables, campaigns or leases wait for the end of the transaction, as in SQLite anyway."""
+    if connection.dialect.name == "postgresql":
+        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(0x63616C63)))  # "calc": a number of its own
+
+
 def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bool) -> None:
     """Create the tables of an empty database, within the connection's transaction; refuse a database of another kind.
 
     `ForeignDatabaseError` if it has tables but not calcidem's mark, or is empty and only read; `OtherSchemaError` if
     another calcidem wrote it.
     """
-    if not read_only and connection.dialect.name == "postgresql":  # SQLite's transaction already excludes others
-        connection.execute(sa.select(sa.func.pg_advisory_xact_lock(0x63616C63)))  # "calc": a number of its own
+    if not read_only:
+        exclude_others(connection)
     inspector = sa.inspect(connection)
     tables = inspector.get_table_names()
     if not tables:
