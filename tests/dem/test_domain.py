@@ -123,6 +123,8 @@ def test_walls_of_a_wave_are_the_sides_of_the_packing(packing: Packing) -> None:
         ]
         assert min(distances) == 0.0
         assert here.friction == (RULE.band_friction if rubbing else 0.0)
+    loaded = replace(packing, report=replace(packing.report, wall_stress=(1.0, 2.0, 3.0, 4.0)))
+    assert wave_scene(loaded, SAND, RULE, None).walls[-1].servo_force == 4.0 * packing.width
 
 
 def test_disks_at_the_rim_of_the_domain_are_held(packing: Packing) -> None:

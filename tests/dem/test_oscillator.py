@@ -5,7 +5,7 @@ import pytest
 from scenes import LINEAR, RADIUS, SOFT_CEMENT, jumble, pair_scene
 
 from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
-from calcidem.dem.engine.scene import Bonds
+from calcidem.dem.engine.scene import Bonds, Cement, Sand, Scene
 from calcidem.dem.engine.stability import critical_time_step_of_disks, squared_frequencies
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import Floats
@@ -108,3 +108,17 @@ def test_the_limit_is_that_of_the_disk_with_the_highest_frequency_of_all(share: 
         found = critical_time_step_of_disks(scene, state.assembly, state.features)
         assert np.array_equal(found, 2.0 / np.sqrt(of_all.max(axis=0)))
         assert np.all(found <= state.critical_time_step)
+
+
+def test_cement_across_a_gap_has_arms_to_its_middle() -> None:
+    """The bound of two disks and a bond is the largest eigenvalue of a 3 x 3 matrix with the arm R + gap / 2."""
+    radius, gap = 1e-3, 4e-4
+    bonds = Bonds(np.array([[0, 1]]), Cement())
+    scene = Scene(np.array([0.0, 2.0 * radius + gap]), np.zeros(2), np.full(2, radius), Sand(), bonds=bonds)
+    state = start(scene, law="linear")
+    normal, shear, moment = state.assembly.pairs.bond[0].astype(float)
+    along, turned = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, np.sqrt(2.0) * (1.0 + 0.5 * gap / radius)])
+    matrix = normal * np.outer(along, along) + shear * np.outer(turned, turned)
+    matrix[2, 2] += 2.0 * moment / radius**2
+    limit = 2.0 / np.sqrt(2.0 * np.linalg.eigvalsh(matrix)[-1] / scene.mass[0])
+    assert critical_time_step_of_disks(scene, state.assembly, state.features)[0] == pytest.approx(limit, rel=1e-9)
