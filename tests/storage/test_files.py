@@ -318,3 +318,19 @@ def test_two_first_runs_at_once_on_a_server_share_a_campaign(postgresql_database
 
     with ThreadPoolExecutor(2) as threads:
         assert sorted(threads.map(begin, range(2))) == [False, True]
+
+
+def test_a_reader_without_locks_notices_a_writer(
+    database: Path, records: "Records", monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One who may not write the folder reads a closed database without locks, until its owner goes on."""
+    monkeypatch.setattr(engine.os, "access", lambda *_, **__: False)
+    with Store(database, read_only=True) as reader:
+        reader.use_campaign()
+        assert len(list(reader.results())) == 2
+        with Store(database) as writer:
+            writer.use_campaign()
+            for count, seed in enumerate((2, 3), start=3):
+                writer.record_results([records.done(seed)])
+                assert len(list(reader.results())) == count
+        assert len(list(reader.results())) == 4

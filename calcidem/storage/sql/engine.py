@@ -120,7 +120,10 @@ class Connections:
         installed.
         """
         self.address = address
+        self._unlocked: tuple[int, ...] | None = None
         if address.path is not None:
+            if read_only and not os.access(address.path.parent, os.W_OK, effective_ids=True):
+                self._unlocked = _written_last(address.path)
             self._engine = _sqlite_engine(address.path, read_only=read_only)
             return
         try:
@@ -138,6 +141,11 @@ class Connections:
         A writer waits for SQLite's lock at the beginning. An error of the database becomes a `StoreError` with the
         address, and so does a stored value that can't be converted.
         """
+        if self._unlocked is not None and self.address.path is not None:
+            now = _written_last(self.address.path)
+            if now != self._unlocked:  # by a process that may write the folder
+                self._engine.dispose()
+                self._engine, self._unlocked = _sqlite_engine(self.address.path, read_only=True), now
         bound = self._engine.execution_options(**{_WRITES: True}) if write else self._engine
         try:
             with bound.begin() as connection:
@@ -196,6 +204,14 @@ def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
+
+
+def _written_last(path: Path) -> tuple[int, ...]:
+    """What changes if a process writes a database: identity, size and time of the file, and whether it has a log."""
+    with suppress(OSError):
+        status = path.stat()
+        return status.st_ino, status.st_size, status.st_mtime_ns, Path(f"{path}-wal").exists()
+    return ()
 
 
 def _needs_a_log(path: Path) -> bool:
