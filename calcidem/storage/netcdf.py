@@ -362,6 +362,8 @@ def _read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[Attempt
     records = _Records(file, "attempts", "attempt", AttemptRecord)
     for row, key in enumerate(records.keys()):
         values = records.values(row)
+        if values["outcome"] == CellStatus.RUNNING:
+            continue  # in a copy nobody will end it, which would count as the death of a run
         values["run_id"] = None if values["run_id"] is None else run_numbers[values["run_id"]]
         recorded = datetime.fromtimestamp(records.columns["recorded"][row] / 1e6, UTC)
         yield AttemptRecord(key, recorded=recorded, forgiven=bool(records.columns["forgiven"][row]), **values)

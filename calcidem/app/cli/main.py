@@ -5,13 +5,14 @@ import gc
 import inspect
 import logging
 import os
+import signal
 import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from io import TextIOWrapper
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -87,6 +88,8 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     if launcher() is not None:  # mpirun gives its ranks a pseudo-terminal, even if their output goes to a file
         os.environ["TERM"] = "dumb"
+    if sys.argv[1:2] in (["merge"], ["import"], ["export"]):
+        _remove_files_on_signals()
     if wrong := _strange_argument(sys.argv[1:]):
         sys.stderr.write(f"Error: {wrong}\n")
         sys.exit(2)
@@ -99,6 +102,17 @@ def main() -> None:
         from calcidem.app.cli.exit_codes import tell_error
 
         sys.exit(tell_error(error))
+
+
+def _remove_files_on_signals() -> None:
+    """Have SIGTERM and SIGHUP end the command as Ctrl-C does, which removes its temporary files."""
+
+    def end(number: int, _frame: object) -> NoReturn:
+        raise SystemExit(128 + number)
+
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:  # not under nohup
+            signal.signal(number, end)
 
 
 def _show_version(wanted: bool) -> None:

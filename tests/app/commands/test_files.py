@@ -1,11 +1,16 @@
 """`calcidem export` and `calcidem import`: databases and samples as files, and back."""
 
+import signal
+import subprocess
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import meshio
 import numpy as np
 import pytest
+from places import TUTORIAL
 
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.dem.sample.packing_file import _read_disks
@@ -67,3 +72,16 @@ def test_unknown_endings_are_refused(database: Path, invoke: Invoke, tmp_path: P
         assert ".vtu" in output
     assert "--content" in invoke("export", database, tmp_path / "a.csv", exit_code=2)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_no_temporary_files(number: signal.Signals, tmp_path: Path) -> None:
+    """A scheduler that ends `merge` finds the folder as it was."""
+    target = tmp_path / "whole.db"
+    command = [sys.executable, "-m", "calcidem", "merge", TUTORIAL, "--out", target]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        while process.poll() is None and not list(tmp_path.glob(".*.tmp")):
+            time.sleep(0.002)
+        process.send_signal(number)
+        assert process.wait(15.0) == 128 + number
+    assert not list(tmp_path.iterdir())
