@@ -9,7 +9,7 @@ from places import CHECKOUT
 SENTINELS = [
     ("analysis/intervals.py", "np.sqrt((n - 1) / scipy", "np.sqrt((n - 2) / scipy", "analysis/test_intervals.py"),
     ("analysis/published.py", "(y[-1] - y[0]) / (x[-1]", "(y[-1] + y[0]) / (x[-1]", "analysis/test_stages.py"),
-    ("analysis/distribution.py", "np.divide(*pair.std", "np.multiply(*pair.std", "analysis/test_sensitivity.py"),
+    ("analysis/distribution.py", "float(own / reference)", "float(own * reference)", "analysis/test_sensitivity.py"),
     ("analysis/correlation.py", ") / np.sqrt(variance_x", ") * np.sqrt(variance_x", "analysis/test_weights.py"),
     ("analysis/fits.py", "np.array([-half, 0.0", "np.array([half, 0.0", "analysis/test_predictor.py"),
     ("analysis/intervals.py", "+ 2.0 / (1.0 - level)", "+ 3.0 / (1.0 - level)", "analysis/test_predictor.py"),
@@ -23,7 +23,7 @@ SENTINELS = [
     ("app/campaign/run.py", "losses >= LOSSES_BEFORE_Q", "losses > LOSSES_BEFORE_Q", "app/test_until.py"),
     ("sweep/schedule.py", "default=-1) + 1", "default=-1) + 0", "sweep/test_schedule.py"),
     ("app/campaign/status.py", "seconds_left * status", "seconds_left / status", "app/test_progress.py"),
-    ("sweep/schedule.py", "divmod(minutes, 60)", "divmod(minutes, 61)", "sweep/test_progress.py"),
+    ("wording.py", "divmod(minutes, 60)", "divmod(minutes, 61)", "sweep/test_progress.py"),
 ]
 """Module, its text and what stands there instead, and the tests that know it."""
 
