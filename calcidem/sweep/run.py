@@ -237,7 +237,7 @@ class _Master:
                 self._hand_out(workers, commits)
             commits.advance()
             if level is not StopLevel.NONE:
-                workers.cancel()
+                self._schedule.put_back(workers.cancel())
             if (end := self._reason_to_end(workers, level)) is not None:
                 return end
             self._beat()
@@ -265,7 +265,7 @@ class _Master:
         is_over = workers.running == 0 and len(self._schedule) == 0 and not workers.exhausted
         since_drop = 0.0 if workers.last_dropped is None else time.monotonic() - workers.last_dropped
         end: tuple[SweepState, str] | None = None
-        if is_over and workers.last_dropped is None and not workers.has_cancelled:
+        if is_over and workers.last_dropped is None:
             end = SweepState.COMPLETE, ""
         elif level is StopLevel.LOST:
             end = SweepState.CUT_OFF, asked_by

@@ -237,6 +237,10 @@ class Schedule(Generic[CellT]):
         self._next_identifier += len(further)
         return further
 
+    def put_back(self, batches: Iterable[Batch[CellT]]) -> None:
+        """Queue batches that were taken and have not begun."""
+        self._queue.extend(batches)
+
     def take(self) -> Batch[CellT] | None:
         """Remove and return the next batch, or None if there is none."""
         return self._queue.popleft() if self._queue else None

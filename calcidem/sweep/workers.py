@@ -80,8 +80,6 @@ class Workers(Generic[CellT]):
         Reason why no more batches can be computed; else empty.
     last_dropped
         Time at which a worker was known to have dropped a batch because of a signal; None if none has.
-    has_cancelled
-        Whether a batch was taken back before it began.
     """
 
     def __init__(
@@ -106,7 +104,6 @@ class Workers(Generic[CellT]):
         self._slowest = 0.0  # seconds for a unit of cost
         self._longest = 0.0  # seconds of a batch
         self.exhausted = ""
-        self.has_cancelled = False
         self.last_dropped: float | None = None
 
     @property
@@ -190,14 +187,11 @@ class Workers(Generic[CellT]):
             self._submit(batch, with_computation=False)
         return outcomes
 
-    def cancel(self) -> None:
-        """Cancel batches not yet begun."""
-        self.has_cancelled = self.has_cancelled or self._held is not None
+    def cancel(self) -> list[Batch[CellT]]:
+        """Take batches back that have not begun."""
+        taken = [] if self._held is None else [self._held]
         self._held = None
-        for future in list(self._in_flight):
-            if future.cancel():
-                del self._in_flight[future]
-                self.has_cancelled = True
+        return taken + [self._in_flight.pop(future).batch for future in list(self._in_flight) if future.cancel()]
 
     def _submit(self, batch: Batch[CellT], *, with_computation: bool) -> None:
         if self._time_limit is not None:

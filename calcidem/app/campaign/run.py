@@ -409,14 +409,13 @@ def _become_master(configuration: Configuration, raise_if_stopped: Callable[[], 
 
 def _renewing(store: Store | None, raise_if_stopped: Callable[[], None]) -> Callable[[], None]:
     """The same check, which renews the lease as well: a packing may take longer than one lasts."""
-    renewed = time.monotonic()
+    if store is None:
+        return raise_if_stopped
+    sink = StoreSink(store, ())
 
     def check() -> None:
-        nonlocal renewed
         raise_if_stopped()
-        if store is not None and time.monotonic() > renewed + 30.0:  # s
-            renewed = time.monotonic()
-            store.renew_lease()
+        sink.keep_alive()
 
     return check
 

@@ -120,11 +120,11 @@ class Connections:
         installed.
         """
         self.address = address
-        self._unlocked: tuple[int, ...] | None = None
+        self._unlocked: tuple[int, ...] | None = None  # `_written_last` if this process may not write the folder
         if address.path is not None:
             if read_only and not os.access(address.path.parent, os.W_OK, effective_ids=True):
                 self._unlocked = _written_last(address.path)
-            self._engine = _sqlite_engine(address.path, read_only=read_only)
+            self._engine = _sqlite_engine(address.path, read_only=read_only, unlocked=self._unlocked is not None)
             return
         try:
             engine = create_engine(address.url, pool_pre_ping=True)
@@ -145,7 +145,8 @@ class Connections:
             now = _written_last(self.address.path)
             if now != self._unlocked:  # by a process that may write the folder
                 self._engine.dispose()
-                self._engine, self._unlocked = _sqlite_engine(self.address.path, read_only=True), now
+                self._engine = _sqlite_engine(self.address.path, read_only=True, unlocked=True)
+                self._unlocked = now
         bound = self._engine.execution_options(**{_WRITES: True}) if write else self._engine
         try:
             with bound.begin() as connection:
@@ -171,11 +172,11 @@ class Connections:
         self._engine.dispose()
 
 
-def _sqlite_engine(path: Path, *, read_only: bool) -> Engine:
+def _sqlite_engine(path: Path, *, read_only: bool, unlocked: bool) -> Engine:
     # A reader creates no file, but opens it as a writer would: the last connection to close copies the log of a killed
     # writer into the database.
     query: dict[str, str] = {"uri": "true", "mode": "rw" if read_only else "rwc"}
-    if read_only and not os.access(path.parent, os.W_OK, effective_ids=True) and _needs_a_log(path):
+    if unlocked and _needs_a_log(path):
         # SQLite would have to make the log, which needs a writable folder. Without a log no process writes at present.
         query["immutable"] = "1"
     url = URL.create("sqlite", database=path.as_uri(), query=query)
