@@ -1,12 +1,13 @@
 """What both velocities say about a sample: against its static stiffness, another receiver, the other side and pulse.
 
-    python benchmarks/velocity/run.py [--preset paper] [--packings 11 12] [--seeds 301 16] [--frequency 1]
+    python benchmarks/velocity/run.py [--preset paper] [--packings 11 12] [--seeds 301 16] [--frequency 1] [--both-sides]
 
 prints two tables over the contents of the packings (docs/velocity.md). Each sample is measured as configured, by a
 receiver as wide as the box, with the pulse reversed, and sent from the other side. S is the static speed. *side* is
 half the variance of the logarithm of the ratio to the wave from the other side. *r* is the correlation of logarithms
 over seeds, pooled within content and packing; *repeatability* the standard deviation of the logarithm of two receivers'
-ratio, over the root of 2; *within* the share of differences within 1.96 stated errors.
+ratio, over the root of 2; *within* the share of differences within 1.96 stated errors. With ``--both-sides`` the
+effective velocities are the means of both sides (`wave.both_sides`), for which the other side is no judge.
 """
 
 import argparse
@@ -21,10 +22,11 @@ from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.presets import preset_text
 from calcidem.app.config.reader import read_configuration
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.check import check_content, with_check
+from calcidem.dem.wave.check import check_content, from_other_side, reading_of, with_check
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, interpret
 from calcidem.dem.wave.propagation import send_waves
+from calcidem.dem.wave.section import Section
 from calcidem.dem.wave.static_speed import static_speed
 
 LANES = 16
@@ -39,11 +41,12 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=(301, 16), metavar=("FIRST", "COUNT"))
     parser.add_argument("--contents", type=float, nargs="+", default=(0.11, 0.66, 2.55, 5.0, 9.0))
     parser.add_argument("--frequency", type=float, default=1.0, help="factor of the frequencies")
+    parser.add_argument("--both-sides", action="store_true", help="effective velocities from both sides")
     given = parser.parse_args()
     seeds = range(given.seeds[0], given.seeds[0] + given.seeds[1])
     found: dict[float, list[Samples]] = defaultdict(list)
     for packing in given.packings:
-        experiment = prepared(given.preset, packing, given.frequency)
+        experiment = prepared(given.preset, packing, given.frequency).with_wave(both_sides=given.both_sides)
         for content in given.contents:
             found[content].append(Samples(experiment, content, seeds))
     for name in ("vs", "effective_vs"):
@@ -75,17 +78,26 @@ class Samples:
         self.static = np.array([static_speed(experiment, cement.bonded).speed for cement in placed])
         self.measured: dict[str, list[Measurement]] = {}
         for name, settings, sign in zip(SIDES, (own, wide, own, other), (1.0, 1.0, -1.0, 1.0), strict=True):
-            sections = send_waves(
-                settings,
-                [cement.bonded for cement in placed],
-                experiment.frequency(content),
-                lanes=LANES,
-                signs=[sign] * len(placed),
-            )
-            self.measured[name] = [
+
+            def sections(usual: Experiment, sign: float = sign) -> list[Section]:
+                return send_waves(
+                    usual,
+                    [cement.bonded for cement in placed],
+                    experiment.frequency(content),
+                    lanes=LANES,
+                    signs=[sign] * len(placed),
+                )
+
+            measured = [
                 interpret(experiment, Measurement(seed, content, cement, section, check))
-                for seed, cement, section in zip(seeds, placed, sections, strict=True)
+                for seed, cement, section in zip(seeds, placed, sections(settings), strict=True)
             ]
+            if experiment.wave.both_sides:
+                there = [reading_of(section, experiment) for section in sections(from_other_side(settings))]
+                measured = [
+                    replace(one, other_wave=other and other.wave) for one, other in zip(measured, there, strict=True)
+                ]
+            self.measured[name] = measured
 
     def values(self, side: str, name: str) -> Floats:
         """Velocities, m/s; NaN without one."""

@@ -305,6 +305,8 @@ class CellResult(Record):
     effective_vs: Annotated[_Real, _speed("velocity of the damped wave that fits the section")] = None
     """Velocity of the sample, free of the choice of a peak and of the dispersion in a strip."""
     effective_error: Annotated[_Real, _relative_error("relative standard error of effective_vs")] = None
+    effective_vs_other_side: Annotated[_Real, _speed("velocity of that wave if it comes from the other side")] = None
+    """Then `effective_vs` is the mean of both sides."""
     coherence: Annotated[_Real, _reading("1", "mean squared correlation of section and fitted wave")] = None
     frequency: Annotated[_Real, _wave("Hz", "frequency of the transmitted pulse", is_needed=True)] = None
     distance: Annotated[_Real, _wave("m", "distance that the shear wave travelled")] = None

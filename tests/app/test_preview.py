@@ -79,6 +79,10 @@ def test_costs_are_those_of_cells_that_were_computed(
     half = preview._expected_cost(small_configuration, speeds, batches[::2])
     assert half.seconds < found.seconds
     assert half.disk < found.disk
+    both = replace(small_configuration, wave=replace(small_configuration.wave, both_sides=True))
+    rest = 0.02 * len(batches[0].cells)
+    two, one = (preview._expected_cost(given, speeds, batches[:1]).seconds for given in (both, small_configuration))
+    assert two - rest == pytest.approx(2.0 * (one - rest))
 
 
 def test_contents_that_are_hard_to_read_are_named(small_configuration: Configuration, small_packing: Packing) -> None:

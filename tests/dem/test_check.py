@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from waves import DISTANCE, FREQUENCY, guided, section, silence
 
+from calcidem.app.campaign.cells import cell_result
 from calcidem.dem.engine import leapfrog
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.cement import CementRule
@@ -18,7 +19,7 @@ from calcidem.dem.wave.measurement import Measurement, interpret, measure
 from calcidem.dem.wave.propagation import prepare_recorder, send_waves
 from calcidem.dem.wave.reading import PickRule, Verdict
 from calcidem.dem.wave.rule import Law, WaveRule
-from calcidem.dem.wave.section import Section
+from calcidem.dem.wave.section import Section, fit_wave
 from calcidem.ends import CellStatus
 
 CONTENT, HELD = 2.55, 2.07
@@ -317,3 +318,38 @@ def test_seeds_are_measured_in_batches_of_the_kernels_width(monkeypatch: pytest.
     found: list[object] = list(measurement.measure_all(quiet, 0.0, [5, 3, 1, 2, 4], lanes=2))
     assert found == [5, 3, 1, 2, 4]
     assert batches == [[5, 3], [1, 2], [4]]
+
+
+def test_both_sides_give_their_mean_with_the_error_of_a_mean(quiet: Experiment) -> None:
+    """All else is that of one side; the other one is that of the mirrored packing with the same cement."""
+    seeds = (1, 2)
+    one, both = (measure(quiet.with_wave(both_sides=sides), CONTENT, seeds) for sides in (False, True))
+    bonded = [quiet.ordering(seed).at(CONTENT).bonded for seed in seeds]
+    settings = with_check(replace(quiet, packing=quiet.packing.mirrored()), one[0].check)
+    sections = send_waves(settings, bonded, quiet.frequency(CONTENT), lanes=8, raise_if_stopped=lambda: None)
+    for before, after, section_ in zip(one, both, sections, strict=True):
+        assert before.other_wave is None
+        assert (after.section.across == before.section.across).all()
+        assert (after.vs, after.check) == (before.vs, before.check)
+        assert after.reading is not None
+        here, there = after.reading.wave, fit_wave(section_, quiet.clamp)
+        assert there is not None
+        assert after.other_wave == there
+        assert there.velocity != here.velocity == before.effective_vs
+        assert after.effective_vs == 0.5 * (here.velocity + there.velocity)
+        known = replace(after, check=replace(after.check, numerical_error=0.0, pulse_effect=0.0, side_error=0.0))
+        assert known.effective_error == pytest.approx(0.5 * np.hypot(here.error, there.error))
+        side = replace(known, check=replace(known.check, side_error=0.5))
+        assert side.effective_error == pytest.approx(0.5 / np.sqrt(2.0))
+        stored = cell_result(after, quiet, store_sections=True)
+        assert (stored.effective_vs, stored.effective_vs_other_side) == (after.effective_vs, there.velocity)
+
+
+def test_a_sample_that_holds_no_cement_is_sent_beside_cemented_ones_as_alone(quiet: Experiment) -> None:
+    """As at so small a content that some seeds cement no contact: those have longer steps and another sampling."""
+    cemented, bare = quiet.ordering(1).at(CONTENT).bonded, np.zeros(len(quiet.packing.pairs), dtype=bool)
+    samples, signs = [bare, cemented, bare], [1.0, 1.0, -1.0]
+    for found, flags, sign in zip(send_waves(quiet, samples, 24e3, signs=signs), samples, signs, strict=True):
+        (alone,) = send_waves(quiet, [flags], 24e3, signs=[sign])
+        assert (alone.across == found.across).all()
+        assert (alone.sampling_interval, alone.steps) == (found.sampling_interval, found.steps)

@@ -1,6 +1,6 @@
 """Long computations ask between chunks of work whether they are to end: also while disks come to rest."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -9,6 +9,9 @@ from calcidem.dem.engine.scene import Sand, Scene
 from calcidem.dem.engine.state import start
 from calcidem.dem.sample.compaction import SettlingError, box_walls, make_packing, settle
 from calcidem.dem.sample.packing import Packing, PackingRule
+from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.propagation import prepare_recorder
+from calcidem.dem.wave.rule import WaveRule
 
 RULE = PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3)
 
@@ -55,3 +58,14 @@ def test_a_sample_that_settles_can_be_ended(packing: Packing) -> None:
         settle(state, unbalanced_force_ratio=1e-15, most_steps=1000)
     with pytest.raises(EndedError):
         settle(state, unbalanced_force_ratio=1e-15, most_steps=1000, raise_if_stopped=Check(2))
+
+
+@pytest.mark.full
+def test_a_sample_without_damping_settles_at_a_step_for_the_damping_of_settling(small_packing: Packing) -> None:
+    """Which lowers the limit by a quarter; the wave keeps its own step."""
+    wave = WaveRule(law="finite", damping=0.0, boundary_damping=0.0, step_fraction=0.95, most_settling_steps=20_000)
+    wave = replace(wave, receiver_half_width=0.012, boundary_thickness=0.012, listening_depth=0.006)
+    experiment = Experiment(small_packing, wave=wave, installation="zero", is_checked=False)
+    bonded = experiment.ordering(1).at(2.0).bonded
+    recorder = prepare_recorder(experiment, [bonded], 24e3, 1, lambda: None)
+    assert recorder.state.time_step == 0.95 * recorder.state.critical_time_step

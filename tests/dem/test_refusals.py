@@ -10,7 +10,7 @@ from test_distance import lattice_experiment
 
 from calcidem.dem.engine.readout import contact_forces, energies
 from calcidem.dem.engine.scene import Bonds, Cement, Installation, Preload, Sand, Scene, Wall
-from calcidem.dem.engine.state import start
+from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave import propagation
@@ -41,14 +41,17 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: Cement(cohesion=0.0), "cohesion", "0.0", "positive"),
     (lambda: Cement(friction_angle=90.0), "friction_angle", "90.0", "[0, 90)"),
     (lambda: Wall((0.0, 0.0), (1.0, 1.0)), "normal", "(1.0, 1.0)", "length 1"),
+    (lambda: Wall((0.0, 0.0), (1.0, 0.0, 0.0)), "normal", "(1.0, 0.0, 0.0)", "two"),  # type: ignore[arg-type]
     (lambda: Wall((NAN, 0.0), (1.0, 0.0)), "point", "nan", "finite"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), velocity=(0.0, np.inf)), "velocity", "inf", "finite"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), friction=-0.1), "friction", "-0.1", "0 or more"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), span=(1.0, 1.0)), "span", "(1.0, 1.0)", "lower < upper"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_speed=0.0), "servo_speed", "0.0", "positive"),
+    (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_speed=np.inf), "servo_speed", "inf", "positive"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_gain=1.5), "servo_gain", "1.5", "(0, 1]"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_force=NAN), "servo_force", "nan", "finite"),
     (lambda: Bonds(np.array([0, 1])), "bonds.pairs", "(2,)", "(B, 2)"),
+    (lambda: Bonds(np.array([[0.0, 1.0]])), "bonds.pairs", "float64", "whole"),
     (lambda: Bonds(np.array([[1, 1]])), "bonds.pairs", "itself", "different"),
     (lambda: Bonds(TWO, lanes=np.zeros(2, np.uint32)), "bonds.lanes", "(2,)", "(1,)"),
     (lambda: Bonds(TWO, installation="glue"), "installation", "glue", "preserve"),  # type: ignore[arg-type]
@@ -61,6 +64,8 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: disk(damping=NAN), "damping", "nan", "[0, 1]"),
     (lambda: disk(damping=np.zeros(3)), "damping", "(3,)", "(1,)"),
     (lambda: disk(held=np.zeros(2, bool)), "held", "(2,)", "(1,)"),
+    (lambda: disk(held=ONE + 0.5), "held", "float64", "True or False"),
+    (lambda: disk(walls=Wall((0.0, 0.0), (1.0, 0.0))), "walls", "a single wall", "tuple"),  # type: ignore[arg-type]
     (lambda: disk(load=np.zeros((1, 2))), "load", "(1, 2)", "(1, 3)"),
     (lambda: disk(load=np.full((1, 3), NAN)), "load", "NaN", "finite"),
     (lambda: disk(bonds=Bonds(TWO)), "bonds.pairs", "0 to 1", "0 to 0"),
@@ -73,6 +78,15 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: begin(disk(), spin=np.zeros(2)), "spin", "(2,)", "(1,)"),
     (lambda: begin(pair_scene(), preload=Preload(TWO, np.zeros(2))), "preload.pairs", "(1, 2)", "(2, 2)"),
     (lambda: begin(disk(), preload=Preload(TWO, ONE)), "preload.pairs", "0 to 1", "0 to 0"),
+    (lambda: begin(pair_scene(), preload=Preload(TWO, ONE + NAN)), "preload.shear", "NaN", "finite"),
+    (lambda: begin(pair_scene(), skin_fraction=0.0), "skin_fraction", "0.0", "positive"),
+    (lambda: begin(pair_scene(), skin_fraction=NAN), "skin_fraction", "nan", "positive"),
+    (lambda: begin(pair_scene(), steps_per_contact=-1.0), "steps_per_contact", "-1.0", "0 or more"),
+    (lambda: begin(disk(), time_step=np.full(2, 1e-9)), "time_step", "(2,)", "(1,)"),
+    (lambda: begin(disk(), precision="float16"), "precision", "float16", "float64, float32"),  # type: ignore[arg-type]
+    (lambda: begin(disk(walls=(Wall((9.0, 0.0), (1.0, 0.0)),))), "x, y", "disks [0]", "side"),
+    (lambda: advance(begin(disk()), -5), "steps", "-5", "0 or more"),
+    (lambda: advance(begin(disk()), 2.5), "steps", "2.5", "whole"),  # type: ignore[arg-type]
     (lambda: Features(lanes=0), "lanes", "0", "8, 16 or 32"),
     (lambda: Features(lanes=3), "lanes", "3", "8, 16 or 32"),
     (lambda: Features(linear=True), "linear", "True", "switch"),

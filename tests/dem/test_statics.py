@@ -131,8 +131,9 @@ def test_static_speeds_grow_with_cement(small_packing: Packing) -> None:
 def test_the_error_of_a_static_speed_has_its_closed_form(
     small_packing: Packing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Half the difference of both shears and half the range over three sizes add as squares."""
-    experiment, both = Experiment(small_packing), iter([(300.0, 330.0, 340.0), (280.0, 270.0, 290.0)])
+    """Half the difference of both shears and half the range over three sizes add as squares; zero is refused."""
+    experiment = Experiment(small_packing)
+    both = iter([(300.0, 330.0, 340.0), (280.0, 270.0, 290.0), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)])
     density = experiment.stiffen()[1].density
 
     def triangles(*_: object) -> SimpleNamespace:
@@ -145,6 +146,8 @@ def test_the_error_of_a_static_speed_has_its_closed_form(
     found = static_speed(experiment, np.zeros(len(small_packing.pairs), dtype=bool))
     assert found.speed == pytest.approx(np.sqrt(330.0 * 270.0))
     assert found.error * found.speed == pytest.approx(np.hypot(30.0, 0.5 * (315.0 - 290.0)))
+    with pytest.raises(ValueError, match="the inner part of the sample carries no shear"):
+        static_speed(experiment, np.zeros(len(small_packing.pairs), dtype=bool))
 
 
 def test_a_stiff_patch_at_the_wall_does_not_change_the_static_speed() -> None:

@@ -113,6 +113,62 @@ def test_a_disk_that_starts_at_rest_far_above_the_floor_is_looked_at_before_it_a
     assert abs(now.imbalance) < 2e-3 * turned
 
 
+def test_the_limit_follows_contacts_that_stiffen_where_that_matters() -> None:
+    """A disk that a load presses three times as deep: a step near its limit follows, one far below it need not."""
+    depth = 1e-3 * RADIUS
+    scene = Scene(np.zeros(1), np.array([RADIUS - depth]), np.array([RADIUS]), walls=(FLOOR,), sand=Sand(), damping=0.7)
+    push = net_forces(start(scene, features=HERTZ))[0, 1]
+    # Without the bound by impacts, whose step is below half of the limit.
+    for part, follows in ((0.3, False), (0.75, True)):
+        loaded = replace(scene, load=np.array([[0.0, -5.0 * push, 0.0]]))
+        first = advance(start(loaded, features=HERTZ, step_fraction=part, steps_per_contact=1e-9), 1)
+        state = advance(first, 2000)
+        assert RADIUS - state.position()[0, 1] == pytest.approx(5.0 ** (2.0 / 3.0) * depth, rel=1e-3)
+        fallen = state.control.stability[0] / first.control.stability[0]
+        # The limit is that of a stiffness as the root of the overlap, known to 30 % of the latter.
+        assert fallen == pytest.approx(1.0) if not follows else fallen < 1.05 * 5.0 ** (-1.0 / 6.0)
+
+
+def squeezed(elsewhere: str = "") -> State:
+    """Three disks below a wall that comes down, and held disks or a loaded one far away."""
+    x, y, radius = [0.0, 0.0, 0.0], [RADIUS, 3.0 * RADIUS, 5.0 * RADIUS], [RADIUS] * 3
+    load, held = np.zeros((5, 3)), np.zeros(5, dtype=bool)
+    if elsewhere == "held disks":
+        x, y, radius = [*x, 100.0 * RADIUS, 101.7 * RADIUS], [*y, RADIUS, RADIUS], [*radius, RADIUS, RADIUS]
+        held[3:] = True
+    elif elsewhere == "a loaded disk":
+        own = 20.0 * RADIUS
+        depth = (1e6 / float(Sand().hertz_coefficient(np.array([own]), np.array([np.inf]))[0])) ** (2.0 / 3.0)
+        x, y, radius = [*x, 1000.0 * RADIUS], [*y, own - depth], [*radius, own]
+        load[3, 1] = -1e6
+    scene = Scene(
+        np.array(x),
+        np.array(y),
+        np.array(radius),
+        sand=Sand(friction=0.0),
+        walls=(FLOOR, Wall((0.0, 6.0 * RADIUS - 1e-9), (0.0, -1.0), velocity=(0.01, 0.0), span=(-0.05, 0.05))),
+        load=load[: len(x)],
+        held=held[: len(x)],
+    )
+    return advance(start(scene), 600)
+
+
+@pytest.mark.parametrize("elsewhere", ["held disks", "a loaded disk"])
+def test_a_deep_contact_elsewhere_changes_no_step(elsewhere: str) -> None:
+    """The step is that of the contacts that matter, whatever energy others have stored."""
+    alone, beside = squeezed(), squeezed(elsewhere)
+    assert beside.time_step == alone.time_step
+    np.testing.assert_allclose(beside.position()[:3], alone.position(), rtol=1e-9)
+
+
+def test_a_small_disk_in_free_flight_has_not_blown_up() -> None:
+    """The step resolves the motion of the smallest disk, of which the mean radius, and so the skin, say nothing."""
+    scene = Scene(np.zeros(2), np.array([0.0, 500.0 * RADIUS]), RADIUS * np.array([1.0, 100.0]), sand=SOFT)
+    state = advance(start(scene, velocity=np.array([[1e3 * RADIUS * 2.0, 0.0], [0.0, 0.0]])), 50)
+    assert state.time_step[0] * 2e3 < 0.1
+    assert state.position()[0, 0] == pytest.approx(2e3 * RADIUS * state.time[0])
+
+
 def test_a_changed_step_costs_no_energy() -> None:
     """A step that is halved in the middle of an impact leaves restitution at 1."""
     velocity = np.array([[1.0, 0.0], [-1.0, 0.0]])

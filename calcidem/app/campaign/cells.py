@@ -190,6 +190,7 @@ def cell_result(
         vs_bias=reading and reading.bias,
         effective_vs=measurement.effective_vs,
         effective_error=measurement.effective_error,
+        effective_vs_other_side=measurement.other_wave and measurement.other_wave.velocity,
         frequency=section.frequency,
         distance=section.distance,
         wavelengths_on_path=on_path,

@@ -301,6 +301,7 @@ def _expected_cost(
     wave, lanes, disks = configuration.wave, configuration.run.lanes, disks_in_box(configuration)
     # Seconds for a disk, a step and a sample, eight samples side by side.
     seconds_of_step = {"auto": 5e-9, "linear": 5e-9, "finite": 22e-9}[wave.law]
+    sides = 2 if wave.both_sides else 1
     seconds, cells = 0.0, 0
     for batch in batches:
         content = batch.cells[0][1]
@@ -309,7 +310,7 @@ def _expected_cost(
         step = wave.step_fraction * longer * limit_of_mean_disks(configuration, cemented=content > 0.0)
         steps = 1.25 * time_of_wave(configuration, content, speeds[content]) / step  # until the reading is settled
         # Reading, numerical error and graph take 0.02 s.
-        seconds += lanes * steps * disks * seconds_of_step + 0.02 * len(batch.cells)
+        seconds += sides * lanes * steps * disks * seconds_of_step + 0.02 * len(batch.cells)
         cells += len(batch.cells)
     slower = _seconds_of_arithmetic() / SECONDS_WHERE_MEASURED
     return _ExpectedCost(

@@ -411,7 +411,8 @@ def point_of_study(
     run_options = replace(
         configuration.run, database=str(database), output=str(database.parent), store_sections=False, part=None
     )
-    return replace(configuration, campaign=campaign, run=run_options)
+    one_side = replace(configuration.wave, both_sides=False)  # only Vs is compared
+    return replace(configuration, campaign=campaign, run=run_options, wave=one_side)
 
 
 def point_velocities(point: Configuration, executor: Executor | None = None) -> Floats:

@@ -405,6 +405,7 @@ def _preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Flo
     given, forces = np.asarray(preload.pairs), np.asarray(preload.shear)
     wanted = f"give shape ({len(forces)}, 2), as many as forces"
     require(given.shape == (len(forces), 2), "preload.pairs", given.shape, wanted)
+    require(bool(np.all(np.isfinite(forces))), "preload.shear", "NaN or infinite", "give finite forces")
     first, last = (int(given.min()), int(given.max())) if given.size else (0, 0)
     inside = first >= 0 and last < scene.count
     require(inside, "preload.pairs", f"{first} to {last}", f"use indices 0 to {scene.count - 1}")

@@ -190,8 +190,8 @@ class StepControl:
     """Number of the step at which the limit is checked next."""
     stability: Floats
     """(L,) s, stability limit when it was last computed."""
-    overlap: Floats
-    """(2, L) m, largest and summed overlap at that time."""
+    stiffness: Floats
+    """(L,) 1/s^2, see `stability.stiffest_contacts`, at that time."""
     began: tuple[int, Floats]
     """Steps and time (L,) at which the present step was chosen."""
     energy: Floats

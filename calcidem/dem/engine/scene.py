@@ -160,19 +160,19 @@ class Wall:
 
     def __post_init__(self) -> None:
         """Refuse normals that are not unit vectors, negative friction and empty spans."""
+        for name in ("point", "normal", "velocity"):
+            values = getattr(self, name)
+            require(
+                bool(np.all(np.isfinite(values))) and len(values) == 2, name, values, "give two finite numbers"
+            )  # a plane
         require(
             abs(np.hypot(*self.normal) - 1.0) < 1e-9, "normal", self.normal, "give a vector of length 1"
         )  # rounding of a hand-typed unit vector
         require(self.friction >= 0.0, "friction", self.friction, "give a coefficient of 0 or more")
         require(self.span[0] < self.span[1], "span", self.span, "give (lower, upper) with lower < upper")
-        for name in ("point", "velocity"):
-            values = getattr(self, name)
-            require(
-                bool(np.all(np.isfinite(values))) and len(values) == 2, name, values, "give two finite numbers"
-            )  # a plane
         if self.servo_force is not None:
             require(bool(np.isfinite(self.servo_force)), "servo_force", self.servo_force, "give a finite force in N/m")
-        require(self.servo_speed > 0.0, "servo_speed", self.servo_speed, "give a positive speed in m/s")
+        require(0.0 < self.servo_speed < np.inf, "servo_speed", self.servo_speed, "give a positive speed in m/s")
         require(0.0 < self.servo_gain <= 1.0, "servo_gain", self.servo_gain, "give a part in (0, 1]")
 
     def distance(self, x: Floats, y: Floats) -> Floats:
@@ -198,8 +198,9 @@ class Bonds:
         (B,) bit l is set if the pair is cemented in lane l; all lanes by default.
     installation
         Start of a bond on a loaded contact. ``preserve`` transfers the contact's force to the linear group, or to the
-        bond without one. ``zero`` drops it. ``pfc_absolute`` drops it and sets the linear group to k_n times the
-        overlap, as PFC does.
+        bond without one. ``zero`` drops it. In both the linear group acts about the distance at installation, also
+        after the bond has broken. ``pfc_absolute`` drops it and sets the linear group to k_n times the overlap, as PFC
+        does.
     """
 
     pairs: Integers
@@ -213,6 +214,8 @@ class Bonds:
         require(
             pairs.ndim == 2 and pairs.shape[1] == 2, "bonds.pairs", pairs.shape, "give an array of shape (B, 2)"
         )  # two ends
+        whole = not pairs.size or np.issubdtype(pairs.dtype, np.integer)
+        require(whole, "bonds.pairs", str(pairs.dtype), "give whole numbers")
         different = bool(np.all(pairs[:, 0] != pairs[:, 1]))
         require(different, "bonds.pairs", "a disk with itself", "bond two different disks")
         if self.lanes is not None:
@@ -299,12 +302,17 @@ class Scene:
             values = np.asarray(getattr(self, name))
             require(values.shape == (count,), name, values.shape, f"give an array of shape ({count},)")
             require(bool(np.all(np.isfinite(values))), name, "NaN or infinite", "give finite numbers in m")
+            # Distances of single precision would lose most digits of an overlap.
+            object.__setattr__(self, name, values.astype(float, copy=False))
+        require(not isinstance(self.walls, Wall), "walls", "a single wall", "give a tuple of walls")
         require(bool(np.all(np.asarray(self.radius) > 0.0)), "radius", np.min(self.radius), "give positive radii in m")
         alpha = np.asarray(self.damping)
         require(bool(np.all((alpha >= 0.0) & (alpha <= 1.0))), "damping", self.damping, "give factors in [0, 1]")
         require(alpha.shape in ((), (count,)), "damping", alpha.shape, f"give one number or shape ({count},)")
         if self.held is not None:
             require(np.shape(self.held) == (count,), "held", np.shape(self.held), f"give shape ({count},)")
+            kind = np.asarray(self.held).dtype
+            require(kind.kind == "b", "held", str(kind), "give True or False for each disk")
         if self.load is not None:
             require(np.shape(self.load) == (count, 3), "load", np.shape(self.load), f"give shape ({count}, 3)")
             require(bool(np.all(np.isfinite(self.load))), "load", "NaN or infinite", "give finite forces and moments")

@@ -323,6 +323,19 @@ def hertz_tangent(coefficient: Floats, overlap: Floats) -> Floats:
     return 1.5 * coefficient.astype(float)[:, None] * np.sqrt(pressed)
 
 
+def stiffest_contacts(assembly: Assembly, overlap: Floats, wall_overlap: Floats) -> Floats:
+    """Largest sum (L,) of the stiffnesses of a disk's Hertz contacts over its mass, 1/s^2, at overlaps (M, L), (V, L).
+
+    It grows when the limit of the step falls.
+    """
+    tangent = hertz_tangent(assembly.pairs.hertz, overlap)
+    at_walls = hertz_tangent(assembly.wall_pairs.hertz, wall_overlap)
+    ends = ((assembly.pairs.first, tangent), (assembly.pairs.second, tangent), (assembly.wall_pairs.disk, at_walls))
+    count = len(assembly.grains.radius)
+    total = sum(_sums(disk, count) @ stiffness for disk, stiffness in ends)
+    return np.asarray((_inverse_masses(assembly) * total).max(axis=0, initial=0.0))
+
+
 def pair_stiffness(
     assembly: Assembly, features: Features, shear_ratio: float, overlap: Floats | None = None
 ) -> tuple[Floats, Floats, Floats]:

@@ -40,7 +40,12 @@ from calcidem.dem.engine.leapfrog import (
 from calcidem.dem.engine.portable import length, root
 from calcidem.dem.engine.readout import stored_energy
 from calcidem.dem.engine.scene import Law, Precision, Preload, Scene
-from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks, squared_frequencies
+from calcidem.dem.engine.stability import (
+    critical_time_step,
+    critical_time_step_of_disks,
+    squared_frequencies,
+    stiffest_contacts,
+)
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import (
     GAIN,
@@ -68,7 +73,7 @@ class _Instant(NamedTuple):
     """(N, 3, L) velocities (m/s, rad/s), and net forces (N/m) and moments (N)."""
     overlap: Floats
     wall_overlap: Floats
-    """(M, L) and (V, L) of the listed pairs, m."""
+    """(M, L) and (V, L) of the listed pairs, m; those of two held disks, which move nothing, count as none."""
     reaction: Floats
     """(W, 3, L) as in `layout.Walls`."""
     kinetic: Floats
@@ -81,7 +86,8 @@ def _contact_durations(
 ) -> tuple[Floats, Floats]:
     """Duration of the shortest contact that each disk may make, (N, L) s, and the fastest speed, (L,) m/s.
 
-    Infinite for held disks. Infinite for all disks if the free energy is negligible or no listed contact is loose.
+    Infinite for held disks, and for those whose contacts have stored far more energy. Infinite for all disks if no
+    listed contact is loose.
 
     Notes
     -----
@@ -99,16 +105,30 @@ def _contact_durations(
     fastest = np.maximum(speed.max(axis=0), walls.max(axis=0, initial=0.0))
     depth = root(push / coefficient, 3)
     released = 0.8 * push * depth * depth * (inverse > 0.0)
-    own, disk = assembly.wall_pairs, assembly.wall_pairs.disk
-    free = (0.5 * mass * speed * speed + released).sum(axis=0) + (0.5 * mass[disk] * walls[own.wall] ** 2).sum(axis=0)
     approach = np.sqrt((speed + fastest) ** 2 + 2.0 * released / mass)
     ratio = 0.5 * mass / coefficient
     with np.errstate(divide="ignore"):
         duration = 3.2180 / root(approach / (ratio * ratio), 5)  # 2.943275 (5/4)^(2/5)
-    # Impacts do not matter if at most 1 % of the stored energy is free, or all listed contacts are cemented.
+    # Impacts of a disk do not matter if they supply at most 1 % of the energy in its own contacts, nor if all listed
+    # contacts are cemented.
     loose = (~lanes_of_bits(assembly.pairs.intact, features.lanes)).any(axis=0) | (len(assembly.wall_pairs.disk) > 0)
-    matters = (free > 1e-2 * now.stored) & loose
+    matters = (0.5 * mass * approach * approach > 1e-2 * _hertz_energies(assembly, now)) & loose
     return np.where((inverse > 0.0) & matters, duration, np.inf), fastest
+
+
+def _hertz_energies(assembly: Assembly, now: _Instant) -> Floats:
+    """Energy (N, L) in the Hertz contacts of each disk, J/m."""
+    total = np.zeros((len(assembly.grains.radius), now.overlap.shape[1]))
+    pairs, own = assembly.pairs, assembly.wall_pairs
+    for disks, coefficient, depth in (
+        ((pairs.first, pairs.second), pairs.hertz, now.overlap),
+        ((own.disk,), own.hertz, now.wall_overlap),
+    ):
+        pressed = np.maximum(depth, 0.0)
+        energy = 0.4 * coefficient.astype(float)[:, None] * pressed * pressed * np.sqrt(pressed)
+        for disk in disks:
+            np.add.at(total, disk, energy)
+    return total
 
 
 def _wall_speeds(assembly: Assembly, reaction: Floats, time_step: Floats) -> Floats:
@@ -155,7 +175,9 @@ def _impact_limits(state: State, now: _Instant) -> tuple[Floats, Floats]:
             load = state.assembly.grains.load.astype(float)[:, :, None]
             pull = np.minimum(_accelerations(state, load), _accelerations(state, now.force)).max(axis=0)
             # Four steps in flight may cross the skin from 0.35 of it (`leapfrog._reach`) to a half.
-            limits = np.minimum(limits, _time_across(0.0375 * state.skin, fastest, pull))
+            # A disk that moves by a tenth of the smallest radius in a step counts as blown up.
+            way = min(0.0375 * state.skin, 0.05 * float(np.min(state.scene.radius)))
+            limits = np.minimum(limits, _time_across(way, fastest, pull))
     return limits, fastest
 
 
@@ -165,8 +187,11 @@ def _instant(state: State, ahead: State) -> _Instant:
     inertia = np.column_stack([scene.mass, scene.mass, scene.inertia])[order][:, :, None]
     velocity, later = state.motion.velocity.astype(float), ahead.motion.velocity.astype(float)
     before = velocity if state.steps else 0.0
+    pairs, moves = state.assembly.pairs, state.assembly.grains.inverse_mass > 0.0
     overlap = pair_overlaps(state.assembly, state.motion.displacement, linear=state.features.linear)
+    overlap = np.where((moves[pairs.first] | moves[pairs.second])[:, None], overlap, np.minimum(overlap, 0.0))
     wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
+    wall_overlap = np.where(moves[state.assembly.wall_pairs.disk, None], wall_overlap, np.minimum(wall_overlap, 0.0))
     return _Instant(
         velocity=velocity,
         force=(later - before) / state.time_step * inertia,
@@ -198,18 +223,15 @@ def look(state: State) -> State:
 
 
 def _watch_stability(state: State, now: _Instant) -> StepControl:
-    """Return the control, with a new stability limit if overlaps have grown enough to lower it."""
+    """Return the control, with a new stability limit if a disk's contacts have become stiff enough to lower it."""
     control = state.control
-    sides = [np.maximum(side, 0.0) for side in (now.overlap, now.wall_overlap)]
-    overlap = np.stack(
-        [np.maximum(*(side.max(axis=0, initial=0.0) for side in sides)), sum(side.sum(axis=0) for side in sides)]
-    )
-    # Below half of the limit only overlaps 16 times as deep can matter, above it a growth by 30 %.
-    growth = np.where(state.time_step > 0.5 * control.stability, 1.3, 16.0)
-    if np.isfinite(control.overlap).all() and not (overlap > growth * control.overlap).any():
+    stiffness = stiffest_contacts(state.assembly, now.overlap, now.wall_overlap)
+    # Below half of the limit only four times the stiffness can matter, above it a growth by 14 %.
+    growth = np.where(state.time_step > 0.5 * control.stability, 1.14, 4.0)
+    if np.isfinite(control.stiffness).all() and not (stiffness > growth * control.stiffness).any():
         return control
     limit = critical_time_step_of_disks(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
-    return replace(control, stability=limit, overlap=overlap)
+    return replace(control, stability=limit, stiffness=stiffness)
 
 
 def _steps_to_look(state: State, now: _Instant, limits: Floats, fastest: Floats) -> int:
@@ -219,8 +241,8 @@ def _steps_to_look(state: State, now: _Instant, limits: Floats, fastest: Floats)
     touching = now.overlap[now.overlap > 0.0]
     steps = [32 if busy else _QUIET_LOOK]
     if len(touching):
-        # Motion by less than 0.3 of the mean overlap changes stiffnesses within the margin of the step.
-        steps.append(max(32, _steps_in(_time_across(0.3 * float(touching.mean()), fastest, 0.0), step)))
+        # Motion by less than 0.3 of the usual overlap changes stiffnesses within the margin of the step.
+        steps.append(max(32, _steps_in(_time_across(0.3 * float(np.median(touching)), fastest, 0.0), step)))
     if state.features.search:
         # Unlisted disks may approach each other by 1/20 of the skin; an unsupported disk at rest falls meanwhile.
         steps.append(_steps_in(_time_across(0.05 * state.skin, fastest, pull), step))
@@ -382,7 +404,8 @@ def start(  # noqa: PLR0913 - entry to the engine: every departure from the defa
     features
         Overrides the features of `choose_features`.
     precision
-        Precision of all arrays of the kernel.
+        Precision of all arrays of the kernel. ``float32`` suits waves in scenes at rest: positions are displacements
+        from the reference, and steps that are less than 1e-4 of these lose digits.
     time_step
         Fixed step, s, one number or (L,). By default a part of the critical time step, which decreases with it.
     step_fraction
@@ -402,9 +425,14 @@ def start(  # noqa: PLR0913 - entry to the engine: every departure from the defa
         neighbours and constants saves half of the time.
     """
     chosen = features or choose_features(scene, law)
+    require(precision in get_args(Precision), "precision", precision, f"choose one of {', '.join(get_args(Precision))}")
     dtype = np.dtype(precision)
     if skin_fraction is None:
         skin_fraction = SKIN if chosen.search else 0.0
+    least = 1e-9 if chosen.search else 0.0  # what search has to see before it touches
+    require(least <= skin_fraction < np.inf, "skin_fraction", skin_fraction, "give a positive part of the mean radius")
+    per_contact = steps_per_contact or 0.0
+    require(0.0 <= per_contact < np.inf, "steps_per_contact", steps_per_contact, "give a number of 0 or more")
     skin = skin_fraction * float(np.mean(scene.radius)) if not chosen.linear else 0.0
     assembly = None if single is None else share_assembly(single.assembly, scene, chosen.lanes)
     if assembly is None:
@@ -412,6 +440,11 @@ def start(  # noqa: PLR0913 - entry to the engine: every departure from the defa
         assembly = assemble(scene, centres, skin, chosen.lanes, dtype)
     else:
         preload = None  # already included
+    behind = assembly.wall_pairs.overlap >= assembly.grains.radius[assembly.wall_pairs.disk]
+    where = assembly.order[assembly.wall_pairs.disk[behind]].tolist()
+    require(
+        not where, "x, y", f"disks {where[:5]}", "place their centres on the side to which their walls' normals point"
+    )
     install_forces(scene, assembly, chosen, preload)
     # An impact returns its energy to 5e-4 with 25 steps, to 1e-3 at the limit (20 steps). A sticking contact oscillates
     # in shear sqrt(3 k_s / k_n), about 1.6, times as fast as normal to it. After oblique impacts (radii up to 1 : 6)
@@ -431,7 +464,7 @@ def start(  # noqa: PLR0913 - entry to the engine: every departure from the defa
             fixed=time_step is not None,
             next_look=0,
             stability=limit,
-            overlap=np.full((2, chosen.lanes), np.inf),
+            stiffness=np.full(chosen.lanes, np.inf),
             began=(0, np.zeros(chosen.lanes)),
             energy=np.full((2, chosen.lanes), np.nan),
         ),
@@ -445,6 +478,8 @@ def start(  # noqa: PLR0913 - entry to the engine: every departure from the defa
     )
     if is_watched(state):
         limit = step_limit(state)
+    shape = np.shape(time_step) if time_step is not None else ()
+    require(shape in ((), (chosen.lanes,)), "time_step", shape, f"give one number or shape ({chosen.lanes},)")
     step = step_fraction * limit if time_step is None else np.broadcast_to(np.asarray(time_step, float), chosen.lanes)
     require(bool(np.all(step > 0.0)), "time_step", step.tolist(), "give a positive number of seconds")
     cure = f"above the critical time step of {limit.tolist()} s: choose a smaller one"
@@ -478,6 +513,7 @@ def advance(state: State, steps: int) -> State:
     The step decreases when stiffer contacts or faster disks require it, unless `start` fixed it. `UnstableRunError` if
     a fixed step exceeds its limit, a disk moves by NaN or over a tenth of a radius in a step, or energy is created.
     """
+    require(steps >= 0 and steps == int(steps), "steps", steps, "give a whole number of 0 or more")
     end = state.steps + steps
     current = duplicate(state)
     while current.steps < end:

@@ -2,8 +2,9 @@
 
 The virtual-entity method of the paper (section 2.2.1): calcite is not a particle but a bonded contact with a
 mass. `draw_cement` draws one ordering per seed; `CementOrdering.at` takes the part of it for a content. The
-samples of a seed are therefore nested: a cemented contact stays cemented at every larger content. Patterns of other
-packages, or of the calling program, are drawn from streams of the same kind.
+samples of a seed are therefore nested: a cemented contact stays cemented at every larger content, unless P contacts
+make room for clusters (`CementRule.keep_p`). Patterns of other packages, or of the calling program, are drawn from
+streams of the same kind.
 """
 
 from collections.abc import Callable, Iterator, Mapping

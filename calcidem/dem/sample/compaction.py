@@ -18,8 +18,8 @@ from calcidem.dem.engine.assembly import Assembly
 from calcidem.dem.engine.leapfrog import State, duplicate, no_recording, run_in_place
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
 from calcidem.dem.engine.scene import Preload, Sand, Scene, Wall
-from calcidem.dem.engine.stability import critical_time_step_of_disks, scaled_densities
-from calcidem.dem.engine.state import SKIN, UnstableRunError, advance, choose_features, start, step_limit
+from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks, scaled_densities
+from calcidem.dem.engine.state import SAFETY, SKIN, UnstableRunError, advance, choose_features, start, step_limit
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import NORMAL_PATH, SPEEDS, Floats, Integers
 from calcidem.dem.sample.packing import LID, RIGHT, Packing, PackingError, PackingReport, PackingRule, PackingStage
@@ -424,7 +424,10 @@ def settle(
     grains = state.assembly.grains
     damped = grains._replace(damping=np.full_like(grains.damping, 0.7))  # local damping factor
     features = replace(state.features, servo=True, damping=True, recording=False, driven=False)
-    current = duplicate(replace(state, assembly=replace(state.assembly, grains=damped), features=features))
+    assembly = replace(state.assembly, grains=damped)
+    # A step for a scene with less damping may be above the limit of this one.
+    step = np.minimum(state.time_step, SAFETY * critical_time_step(state.scene, assembly, features))
+    current = duplicate(replace(state, assembly=assembly, features=features))
     while open_lanes.any():
         raise_if_stopped()
         if current.steps >= most_steps:
@@ -432,7 +435,7 @@ def settle(
                 f"a cemented sample is not at rest after {most_steps} steps: "
                 "raise most_settling_steps or unbalanced_force_ratio"
             )
-        current = replace(current, time_step=np.where(open_lanes, state.time_step, 0.0))
+        current = replace(current, time_step=np.where(open_lanes, step, 0.0))
         current = run_in_place(current, 500, no_recording(current))  # steps between two checks
         current = replace(current, time_step=state.time_step)
         for lane in np.flatnonzero(open_lanes):

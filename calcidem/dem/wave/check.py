@@ -110,7 +110,7 @@ def check_content(
         if not numerical > _ALLOWED or halving == _HALVINGS:
             break
         step *= 0.5
-    mirrored = experiment.once(_from_other_side).with_wave(law=law, step_fraction=step)
+    mirrored = experiment.once(from_other_side).with_wave(law=law, step_fraction=step)
     errors = (
         _STUDENT[_FINER] * numerical,
         _STUDENT[_FINER] / math.sqrt(2.0) * _apart(forth, back, experiment),
@@ -150,15 +150,16 @@ def _finer(experiment: Experiment, step_fraction: float) -> Experiment:
     )
 
 
-def _from_other_side(experiment: Experiment) -> Experiment:
-    """The experiment with left and right exchanged."""
+def from_other_side(experiment: Experiment) -> Experiment:
+    """The experiment with left and right exchanged, so that the wave comes from the other side."""
     return replace(experiment, packing=experiment.packing.mirrored())
 
 
 def _by_side(here: Sequence[Section], there: Sequence[Section], experiment: Experiment) -> float:
     """Standard error by the side that transmits, of the samples with a known wave from both; NaN without any."""
     read = [
-        (_read(section, experiment), _read(mirrored, experiment)) for section, mirrored in zip(here, there, strict=True)
+        (reading_of(section, experiment), reading_of(mirrored, experiment))
+        for section, mirrored in zip(here, there, strict=True)
     ]
     known = [(one.wave, other.wave) for one, other in read if one and other and _are_known(one, other)]
     apart = [_relative(one.velocity, other.velocity) for one, other in known]
@@ -177,7 +178,7 @@ def _apart(one: Sequence[Section], other: Sequence[Section], experiment: Experim
     """
     found = []
     for section, second in zip(one, other, strict=False):
-        first, again = _read(section, experiment), _read(second, experiment)
+        first, again = reading_of(section, experiment), reading_of(second, experiment)
         if (first is None) != (again is None):
             return math.inf
         if first is None or again is None or not _are_known(first, again):
@@ -189,7 +190,7 @@ def _apart(one: Sequence[Section], other: Sequence[Section], experiment: Experim
     return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
 
 
-def _read(section: Section, experiment: Experiment) -> Reading | None:
+def reading_of(section: Section, experiment: Experiment) -> Reading | None:
     """Reading of a section; None without a wave."""
     found = None if section.problem else read_section(section, experiment.clamp, experiment.pick)
     return found if isinstance(found, Reading) else None

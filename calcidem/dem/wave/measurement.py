@@ -1,16 +1,18 @@
 """From a seed and a content to a shear-wave velocity: cement the packing, transmit the wave, read its section."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from statistics import fmean
 from time import perf_counter
 
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.sample.cement import CementOrdering, PlacedCement
-from calcidem.dem.wave.check import Check, check_content, with_check
+from calcidem.dem.wave.check import Check, check_content, from_other_side, reading_of, with_check
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Reading, describe_refusal, read_section
-from calcidem.dem.wave.section import Section
+from calcidem.dem.wave.section import Section, StripWave
 from calcidem.ends import CellStatus, Verdict
 
 
@@ -34,27 +36,35 @@ class Measurement:
     """Shear-wave velocity by the method of `PickRule`, m/s; None if it is unreliable."""
     reading: Reading | None = None
     """Complete reading with its standard error; None if the run was unstable or no wave was found."""
+    other_wave: StripWave | None = None
+    """Wave from the other side, if it was transmitted (`WaveRule.both_sides`) and found with an error."""
     seconds: float = 0.0
     """Share of the batch's wall time, without compilation of kernels."""
 
     @property
     def effective_vs(self) -> float | None:
-        """Effective velocity of the sample, m/s, see `StripWave`; None without a wave."""
-        return None if self.reading is None else self.reading.wave.velocity
+        """Effective velocity of the sample, m/s, see `StripWave`, the mean of both sides if known; None without."""
+        return None if self.reading is None else fmean(wave.velocity for wave in self._waves(self.reading))
 
     @property
     def effective_error(self) -> float | None:
         """Its relative standard error: root of the sum of squares of fit, simulation and pulse.
 
-        That of the fit is the larger one of two estimates: of this section, and of the content by both sides.
+        That of a fit is the larger one of two estimates: of its section, and of the content by both sides. Those of
+        two sides are independent.
         """
         if self.reading is None:
             return None
         numerical, pulse, side = (
             part or 0.0 for part in (self.check.numerical_error, self.check.pulse_effect, self.check.side_error)
         )
-        fit = max(self.reading.wave.error, side)
-        return float((fit * fit + numerical * numerical + pulse * pulse) ** 0.5)
+        fits = [max(wave.error, side) for wave in self._waves(self.reading)]
+        fit_square = sum(fit * fit for fit in fits) / len(fits) ** 2
+        return math.sqrt(fit_square + numerical * numerical + pulse * pulse)
+
+    def _waves(self, reading: Reading) -> tuple[StripWave, ...]:
+        """Waves that the sample was measured with: from one side or both."""
+        return (reading.wave,) if self.other_wave is None else (reading.wave, self.other_wave)
 
 
 def measure(
@@ -98,19 +108,27 @@ def measure(
         )
     else:
         found = Check(experiment.wave.contact_law, experiment.wave.step_fraction, None, None, None)
-    settings = with_check(experiment, found)
     began = perf_counter() - seconds_compiling()
-    sections = send_waves(
-        settings,
-        [cement.bonded for cement in placed],
-        experiment.frequency(content),
-        lanes=lanes,
-        raise_if_stopped=raise_if_stopped,
-    )
+
+    def sections(usual: Experiment) -> list[Section]:
+        return send_waves(
+            with_check(usual, found),
+            [cement.bonded for cement in placed],
+            experiment.frequency(content),
+            lanes=lanes,
+            raise_if_stopped=raise_if_stopped,
+        )
+
     measured = [
         interpret(experiment, Measurement(seed, content, cement, section, found))
-        for seed, cement, section in zip(seeds, placed, sections, strict=True)
+        for seed, cement, section in zip(seeds, placed, sections(experiment), strict=True)
     ]
+    if experiment.wave.both_sides:
+        others = (reading_of(section, experiment) for section in sections(experiment.once(from_other_side)))
+        measured = [
+            replace(one, other_wave=other.wave) if other and other.wave.error < 1.0 else one
+            for one, other in zip(measured, others, strict=True)
+        ]
     seconds = (perf_counter() - seconds_compiling() - began) / len(seeds)
     return tuple(replace(one, seconds=seconds) for one in measured)
 

@@ -13,7 +13,7 @@ from typing import Literal, final
 import numpy as np
 
 from calcidem.dem.engine.fields import PositivePart, checked
-from calcidem.dem.engine.portable import arc_sine, find_maxima, parabola_vertex, sliding_products
+from calcidem.dem.engine.portable import find_maxima, parabola_vertex, sliding_products
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.section import (
     P_OVER_S,
@@ -92,9 +92,9 @@ def record_duration(distance: float, velocity: float, frequency: float) -> float
     """Length of a record that decides on a wave of this velocity, s; SI units.
 
     A fast wave may be the P wave. So the record lasts until the peak of an S wave that is `P_OVER_S` times slower,
-    and three quarters of a period longer.
+    and most of a period longer.
     """
-    return P_OVER_S * distance / velocity + 1.25 / frequency
+    return P_OVER_S * distance / velocity + 1.35 / frequency
 
 
 def is_settled(section: Section, clamp: float, remaining_speed: float) -> bool:
@@ -151,7 +151,8 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     if not _is_decided(section, wave.velocity):
         return Verdict.TOO_SHORT
     far = far_stations(section.places)
-    smoothed = smooth(section.across[:, -len(far) :] * RESOLUTION, rule.smoothing * section.period)
+    half_width = rule.smoothing * section.period
+    smoothed = smooth(section.across[:, -len(far) :] * RESOLUTION, half_width)
     signal, expected = smoothed[:, -1], _peaks_of_wave(section, wave, far)
     if not np.isfinite(expected[-1]):
         return Verdict.NO_PEAK  # so slow a wave does not pass this strip
@@ -167,7 +168,7 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     found = Reading(wave, travel, index, signal, bias, min(1.0, error))
     if error > rule.largest_error:
         return replace(found, verdict=Verdict.UNCERTAIN)
-    others = (_read_first_arrival(section, found), _read_cross_correlation(section, found))
+    others = (_read_first_arrival(section, found, half_width), _read_cross_correlation(section, found))
     near = 0.25 / section.frequency
     first, correlated = (
         section.distance / time if time is not None and abs(time - travel) < near else None for time in others
@@ -265,18 +266,24 @@ def arrival_shift(section: Section, other: Section, travel_time: float, rule: Pi
     return (best - half + (parabola_vertex(likeness, best) if inside else 0.0)) * section.sampling_interval
 
 
-def _read_first_arrival(section: Section, found: Reading) -> float | None:
-    """Time between the last rises through the onset level before both peaks, s."""
-    received = found.signal[: found.index + 1]
-    level = _ONSET * float(received[-1])
-    below = np.flatnonzero(received < level)
+def _read_first_arrival(section: Section, found: Reading, half_width: float) -> float | None:
+    """Time between the last rises before both peaks, s, of the received signal and of the pulse smoothed likewise."""
+    # Smoothing begins a rise earlier: of the received signal alone it would make the velocity too high.
+    pulse = smooth(section.until(int(section.period)).transmitted, half_width)
+    sent = _last_rise(pulse[: int(pulse.argmax()) + 1])
+    arrived = _last_rise(found.signal[: found.index + 1])
+    return None if sent is None or arrived is None else (arrived - sent) * section.sampling_interval
+
+
+def _last_rise(signal: Floats) -> float | None:
+    """Last sample of a signal that ends with its peak at which it rises through the onset level."""
+    level = _ONSET * float(signal[-1])
+    below = np.flatnonzero(signal < level)
     if not len(below):
         return None
     last = int(below[-1])
-    low, high = received[last], received[last + 1]
-    arrived = section.start_time + (last + float((level - low) / (high - low))) * section.sampling_interval
-    # 1 - cos 2 pi f t = 2 _ONSET
-    return arrived - float(arc_sine(np.sqrt(_ONSET))) / (np.pi * section.frequency)
+    low, high = float(signal[last]), float(signal[last + 1])
+    return last + (level - low) / (high - low)
 
 
 def _read_cross_correlation(section: Section, found: Reading) -> float | None:

@@ -43,12 +43,15 @@ class WaveRule:
     law
         Contact law. ``linear``: constant stiffnesses, so contacts neither slip nor open. ``finite``: Hertz and Coulomb
         at displacements of any size. ``auto``: linear at contents where the check confirms it, else finite.
+    both_sides
+        Whether the wave also comes from the other side. The effective velocity is the mean of both, in twice the time.
     precision
         Precision of the kernel's numbers.
     step_fraction
         Time step over the stability limit.
     samples_per_period
-        Samples of the section per period of the pulse. With 40 a peak shifts by 2e-4, with 20 by 1e-3.
+        Samples of the section per period of the pulse at the step of the stiffest sample; at low contents, whose steps
+        are longer, down to half of it. With 40 a peak shifts by 2e-4, with 20 by 1e-3.
     slowest
         Slowest velocity covered by the length of the record, m/s.
     listening_depth
@@ -78,6 +81,7 @@ class WaveRule:
     boundary_damping: Part = 1.0
     boundary_thickness: Annotated[NotNegative, Unit("m")] = 0.05
     law: Literal["auto", "linear", "finite"] = "auto"
+    both_sides: bool = False
     precision: Precision = "float64"
     step_fraction: Annotated[PositivePart, "0.05 to 0.95: above 1 the scheme is unstable"] = 0.8
     samples_per_period: Annotated[

@@ -462,9 +462,14 @@ def _prepare_file(address: Address, path: Path) -> None:
 
 
 def _is_one_of(number: sa.SQLColumnExpression[Any], cells: Sequence[int]) -> sa.ColumnElement[bool]:
-    """Condition that a number is listed; a range without gaps, the usual case, needs only two parameters."""
+    """Condition that a whole number is listed; a range without gaps, the usual case, is short."""
     first, last = min(cells), max(cells)
-    return number.between(first, last) if last - first == len(cells) - 1 else number.in_(cells)
+    if last - first == len(cells) - 1:
+        return number.between(first, last)
+    # Written into the statement, since a database accepts only so many parameters (SQLite 32,766).
+    return number.in_(
+        sa.bindparam("listed", list(cells), sa.Integer, expanding=True, literal_execute=True, unique=True)
+    )
 
 
 def _conditions(campaign_id: int, selection: Selection) -> list[sa.ColumnElement[bool]]:

@@ -53,6 +53,7 @@ transmitter_half_width = 0.01
 receiver_half_width = 0.012
 boundary_thickness = 0.012
 listening_depth = 0.006
+both_sides = true
 [wave.frequency]
 content = [0.0, 0.66]
 frequency = [12e3, 24e3]
