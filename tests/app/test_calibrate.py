@@ -272,6 +272,14 @@ def test_steps_that_no_seed_survives_are_a_doubt() -> None:
     assert any(text.startswith("it ended before it converged: a trial left 0 of 20 seeds") for text in found.doubts)
 
 
+def test_velocities_without_scatter_are_a_doubt() -> None:
+    """A target deviation has nothing to be met by if all seeds are the same sample."""
+    plan = FitPlan([Target(0.5, 600.0, 20.0)], SYNTHETIC[:1], range(20))
+    found = _fit_to_targets(lambda tried: [np.full((20, 1), 500.0) for _ in tried], plan, [2.0])
+    assert not found.is_fitted
+    assert "it ended before it converged: a trial gave all seeds the same velocity" in found.doubts[0]
+
+
 @pytest.mark.usefixtures("cached_packing")
 def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_packing: Packing, tmp_path: Path) -> None:
     """Unknown names, numbers of the packing, ranges that are none or impossible, too many parameters: each is named."""
@@ -313,6 +321,13 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
         ("content,vs\n1,inf\n", "vs = 'inf'"),
         ("content,vs,Vs (m/s)\n1,300,300\n", "column vs: occurs twice"),
         ("content,Vs (ft/s)\n1,300\n", r"column vs: is missing; there are content, Vs \(ft/s\)"),
+        ("content,Vs (MPa)\n1,300\n", r"column 'Vs \(MPa\)': its unit 'MPa' is not .* give one of m/s, km/s"),
+        ("content,vs,sd (%)\n1,300,5\n", r"column 'sd \(%\)': its unit '%'"),
+        (
+            "content,vs,stress (m/s)\n1,300,5\n",
+            r"column 'stress \(m/s\)': its unit 'm/s' is not .* give one of Pa, kPa",
+        ),
+        ("content (\u2030),vs\n1,300\n", "its unit '\u2030' is not .* give one of %"),
         ("content,G0 (MPa)\n1,300\n", "column density: is missing"),
         ("content,vs\n0.02,480\n0.04,900\n", "content = 0.04 at most: percent or parts"),
         ("content,vs\n2,0.48\n4,0.9\n", r"vs = 0.48 to 0.9 m/s: is it in other units.*'Vs \(km/s\)'"),
