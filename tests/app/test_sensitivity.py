@@ -69,6 +69,21 @@ def test_variants_differ_from_the_base_in_what_they_say(tmp_path: Path) -> None:
     assert len({variant.configuration.hash for variant in (reference, modulus, calcite)}) == 3
 
 
+def test_a_variant_has_the_disks_of_its_base_and_the_cells_of_the_plan(tmp_path: Path) -> None:
+    """A file of disks is beside the base; parts and further seeds of the base are none of the study's."""
+    path, disks = planned(tmp_path), "x,y,radius\n" + "".join(f"0.01,{0.001 + 0.002 * k},0.001\n" for k in range(20))
+    (tmp_path / "own.csv").write_text(disks, encoding="utf-8")
+    own = BASE.replace("height = 0.06", 'file = "own.csv"') + '[run]\npart = "1/2"\n'
+    (tmp_path / "base.toml").write_text(own, encoding="utf-8")
+    reference = read_variants(path, str(tmp_path / "all.db"))[0].configuration
+    assert reference.packing_draw.file == str(tmp_path / "own.csv")
+    assert reference.run.part is None
+    (tmp_path / "base.toml").write_text(
+        BASE + "[campaign]\nmost_seeds = 9\nuntil = { mean = 0.05 }\n", encoding="utf-8"
+    )
+    assert read_variants(path, str(tmp_path / "all.db"))[0].configuration.campaign.until is None
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [

@@ -104,7 +104,7 @@ def read_variants(path: str | os.PathLike[str], database: str) -> tuple[Variant,
         )
         raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
     base, _ = parse_file(Path(path).parent / listed.configuration)
-    _change(base, "run", {"database": database, "store_sections": False})
+    _change(base, "run", {"database": database, "store_sections": False}, "part")
     known = {REFERENCE, *(variant.name for variant in listed.variant)}
     problems = [
         Problem(f'variant "{variant.name}": against = "{variant.against}" is none of the variants; correct it')
@@ -163,12 +163,13 @@ def variant_table(variants: Sequence[Variant]) -> StudyResult:
     return StudyResult(markdown_table(header, rows) + "\n")
 
 
-def _change(document: dict[str, Any], section: str, values: Mapping[str, Any], without: str = "") -> None:
-    """Change keys of a section, and omit one; entries that are not tables are left for the reader to refuse."""
+def _change(document: dict[str, Any], section: str, values: Mapping[str, Any], *without: str) -> None:
+    """Change keys of a section, and omit some; entries that are not tables are left for the reader to refuse."""
     table = document.setdefault(section, {})
     if isinstance(table, dict):
         table.update(values)
-        table.pop(without, None)
+        for key in without:
+            table.pop(key, None)
 
 
 def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, source: str) -> Variant:
@@ -179,10 +180,11 @@ def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, 
         _change(document, section, {key: value})
     for place in entry.without:
         section, _, key = place.partition(".")
-        _change(document, section, {}, without=key)
+        _change(document, section, {}, key)
     own = {"name": entry.name, "seeds": entry.seeds or plan.seeds, "contents": entry.contents or plan.contents}
-    _change(document, "campaign", own)
-    configuration = read_configuration(document, f"{source}, {entry.name}")
+    _change(document, "campaign", own, "until", "most_seeds")
+    folder = (Path(source).parent / plan.configuration).parent
+    configuration = read_configuration(document, f"{source}, {entry.name}", folder)
     return Variant(entry.name, entry.choice, entry.value, entry.against, configuration)
 
 
