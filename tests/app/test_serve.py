@@ -96,6 +96,9 @@ def test_the_token_opens_the_page_once_and_then_hides(live: Live) -> None:
     assert headers["referrer-policy"] == "no-referrer"
     assert "default-src 'none'; script-src 'self';" in headers["content-security-policy"]
     assert live.ask("/", Host="localhost:1234")[0] == 200  # through a tunnel
+    name = f"calcidem_{live.port}"
+    for foreign in ('a={"x":1}', "foo=bar baz", "flag", f"{name}=old"):  # of other pages of the host
+        assert live.ask("/", Cookie=f"{foreign}; {name}={live.token}; {foreign}")[0] == 200
 
 
 def test_a_new_cell_is_told_within_seconds(live: Live) -> None:

@@ -111,7 +111,7 @@ def init_command(
     if slurm:
         job = file.with_suffix(".sbatch")
         _write_new(job, slurm_job(file.name), "submit it, or remove it first")
-        typer.echo(f"Wrote {job}. Edit its first lines, then: sbatch {job}")
+        typer.echo(f"Wrote {job}. Edit its first lines, then, in its folder: sbatch {job.name}")
         if file.exists():
             return
     other = file.with_stem(f"{file.stem}-{chosen}")

@@ -20,7 +20,6 @@ import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from threading import Thread
 from typing import Any, TypeVar
@@ -407,7 +406,7 @@ class _Guard:
             answer = RedirectResponse("/", 303)  # so that neither history nor address bar has the token
             answer.set_cookie(self._cookie, self._token.decode(), httponly=True, samesite="lax", path="/")
             return answer
-        if not self._is_token(_cookie_of(headers, self._cookie)) or _is_foreign(scope, headers):
+        if not any(map(self._is_token, _cookies(headers, self._cookie))) or _is_foreign(scope, headers):
             told = "Open this page with the whole address that calcidem has printed; it ends with ?token=... .\n"
             return PlainTextResponse(told, 403)
         return None
@@ -426,12 +425,10 @@ class _Guard:
         return True
 
 
-def _cookie_of(headers: Mapping[str, str], name: str) -> str:
-    try:
-        found = SimpleCookie(headers.get("cookie", "")).get(name)
-    except CookieError:
-        return ""
-    return "" if found is None else found.value
+def _cookies(headers: Mapping[str, str], name: str) -> list[str]:
+    """Values of the cookies of a name; those of other pages of the host may have any text."""
+    pairs = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
+    return [value for key, _, value in pairs if key == name]
 
 
 def _is_foreign(scope: Scope, headers: Mapping[str, str]) -> bool:
