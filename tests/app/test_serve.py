@@ -167,6 +167,25 @@ def test_connections_without_requests_keep_nobody_out(live: Live) -> None:
         assert any(name == "cells" for name, _ in listening)
 
 
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_closed_terminal_ends_the_page(ignored: bool, tmp_path: Path) -> None:
+    """Unless nohup protects it; a packing of a database that is away is answered with 503."""
+    begin(database := tmp_path / "campaign.db")
+    former = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
+    try:
+        with serve(database) as running:
+            database.unlink()
+            assert running.ask("/campaigns/0/packings/0")[0] == 503
+            running.process.send_signal(signal.SIGHUP)
+            if ignored:
+                assert running.ask("/")[0] == 200
+                running.process.send_signal(signal.SIGTERM)
+            output, errors = running.process.communicate(timeout=5.0)
+            assert (running.process.returncode, output, errors) == (0, "", "")
+    finally:
+        signal.signal(signal.SIGHUP, former)
+
+
 @pytest.mark.full
 def test_a_half_sent_request_is_not_waited_for(live: Live) -> None:
     """Neither bytes that come one by one, nor an answer before, keep a connection."""

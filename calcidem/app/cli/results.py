@@ -163,8 +163,6 @@ def report_command(
             watch=watch,
         )
     typer.echo(f"Wrote {page}")
-    if files is not None:
-        typer.echo(f"Wrote {len(list(files.iterdir()))} files to {files}")
 
 
 def serve_command(

@@ -305,7 +305,10 @@ class _LiveApplication:
             return JSONResponse({"cells": [], "sections": [], "problem": hide_passwords(str(error))})
 
     async def _packing(self, request: Request) -> Response:
-        found = await run_in_threadpool(self._feed(request).packing, request.path_params["index"])
+        try:
+            found = await run_in_threadpool(self._feed(request).packing, request.path_params["index"])
+        except StoreError as error:
+            raise HTTPException(503, hide_passwords(str(error))) from error
         if found is None:
             raise HTTPException(404)
         return JSONResponse(found)
@@ -503,7 +506,7 @@ class LivePage:
     """Listening socket and token."""
 
     def serve(self, ready: Callable[[], None] = lambda: None, *, wait: bool = False) -> None:
-        """Serve the page until SIGINT or SIGTERM.
+        """Serve the page until SIGINT, SIGTERM or a SIGHUP that is not ignored.
 
         ``ready`` is called as soon as signals end the server regularly. With ``wait`` databases and campaigns may not
         exist yet; otherwise `StoreError` if a database cannot be read.
@@ -539,7 +542,8 @@ class LivePage:
         try:
             async with asyncio.TaskGroup() as tasks:  # an error of any of them ends the server
                 watching = tasks.create_task(hub.watch())
-                for number in (signal.SIGINT, signal.SIGTERM):
+                hangup = [signal.SIGHUP] * (signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN)  # as nohup does
+                for number in (signal.SIGINT, signal.SIGTERM, *hangup):
                     asyncio.get_running_loop().add_signal_handler(
                         number, lambda: tasks.create_task(end_in_order()) and None
                     )
