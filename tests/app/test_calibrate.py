@@ -4,13 +4,14 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calcidem.analysis.measured import Target
 from calcidem.app.cli.exit_codes import _exit_code_of
-from calcidem.app.config.reader import read_configuration, read_targets
+from calcidem.app.config.reader import load_configuration, read_configuration, read_targets
 from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
 from calcidem.app.studies.study import (
@@ -375,6 +376,23 @@ def test_values_are_written_into_the_configuration() -> None:
     assert read.calibration.wave_stiffness_factor == 12.346
     assert read.cement.bond_modulus == 8.1e10
     assert text_with_values(written, values) == written
+    renamed = tomllib.loads(text_with_values(text, {"campaign.name": 'a "new" \\1'}))
+    assert renamed["campaign"] == {"name": 'a "new" \\1'}
+
+
+def test_the_fitted_configuration_is_a_campaign_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, invoke: Callable[..., str]
+) -> None:
+    """The name of its file names it, so its database is not that of the configuration that was fitted."""
+    invoke("init", tmp_path / "quick.toml")
+    (tmp_path / "lab.csv").write_text("content,vs\n5,900\n", encoding="utf-8")
+    found = SimpleNamespace(values={STIFFNESS: 12.0}, is_fitted=True)
+    monkeypatch.setattr("calcidem.app.studies.calibrate.calibrate", lambda *_: found)
+    monkeypatch.setattr("calcidem.app.cli.studies._calibration_lines", lambda _: [])
+    invoke("calibrate", tmp_path / "quick.toml", "--target", tmp_path / "lab.csv", "--out", tmp_path / "fitted.toml")
+    fitted = load_configuration(tmp_path / "fitted.toml")
+    assert fitted.calibration.wave_stiffness_factor == 12.0
+    assert Path(fitted.database).name == "fitted.db"
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import xarray as xr
 
 from calcidem.app.config.schema import ConfigurationError
 from calcidem.app.studies.sensitivity import (
@@ -11,6 +12,7 @@ from calcidem.app.studies.sensitivity import (
     read_variants,
     variant_changes,
     variant_table,
+    vary_one,
 )
 
 pytestmark = pytest.mark.slow
@@ -127,6 +129,14 @@ def test_stiffer_cement_is_faster_and_nothing_is_computed_twice(
     assert f"{change.mean:.0f} ± {change.standard_deviation:.0f}" in table
     compute_variants(variants, lambda _: None)
     assert variant_table(variants).text == table
+
+
+@pytest.mark.parametrize(("varied", "head"), [("damping", "0.3 |"), ("frequency", "0.3 Hz |")])
+def test_values_have_their_unit(varied: str, head: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frequency has one, and a factor has none."""
+    vs = xr.DataArray([[500.0]], dims=("content", varied), coords={"content": [5.0], varied: [0.3]}, name="vs_peak")
+    monkeypatch.setattr("calcidem.app.studies.sensitivity.run_studies", lambda *_, **__: {varied: vs.to_dataset()})
+    assert f"| content, % | {head}" in vary_one(varied, "any.db", None, None).text
 
 
 def test_the_plan_of_the_documentation_is_good(tmp_path: Path) -> None:

@@ -377,11 +377,11 @@ def _mean_of_seeds(vs: xr.DataArray) -> str:
 def vary_one(varied: str, database: str, contents: Sequence[float] | None, campaign_name: str | None) -> StudyResult:
     """Run one study; its table has the mean of Vs from peak to peak (m/s) over content and varied parameter."""
     study = run_studies(database, [varied], contents=contents, campaign_name=campaign_name)[varied]
-    found, unit = study["vs_peak"], "Hz" if varied == "frequency" else "1"
+    found, unit = study["vs_peak"], " Hz" if varied == "frequency" else ""
     rows = [
         (f"{content:g}", *(_mean_of_seeds(found.sel({"content": content, varied: value})) for value in study[varied]))
         for content in study["content"].values
     ]
-    table = markdown_table(("content, %", *(f"{value:g} {unit}" for value in study[varied].values)), rows) + "\n"
+    table = markdown_table(("content, %", *(f"{value:g}{unit}" for value in study[varied].values)), rows) + "\n"
     figures = {entry.name: partial(entry.draw, study) for entry in STUDY_FIGURES if entry.study == varied}
     return StudyResult(table, dataset=study, figures=figures, formats=("png", "svg", "pdf"))
