@@ -273,6 +273,13 @@ def test_fractions_for_percent_are_questioned(tmp_path: Path, invoke: Callable[.
     assert "not a fraction" not in invoke("init", str(tmp_path / "b.toml"), *words, "0,1,3")
 
 
+@pytest.mark.parametrize("words", [("0.3mm", "--contents", ""), ("0.3mm", "--mineral", ""), ("",)])
+def test_empty_words_are_no_defaults(words: tuple[str, ...], tmp_path: Path, invoke: Callable[..., str]) -> None:
+    """A variable of a shell that is empty is not silently replaced."""
+    with pytest.raises(ConfigurationError, match=r"--contents : give|--mineral : |--grain-size: "):
+        invoke("init", tmp_path / "a.toml", "--grain-size", *words)
+
+
 def test_a_refused_sand_leaves_no_job(
     tmp_path: Path, invoke: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,6 +4,7 @@ import io
 import json
 import math
 import os
+import re
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -243,6 +244,9 @@ def query_command(
                     "corrected": f"{row['p_corrected']:.2g}",
                 }
                 for row in rows
+            ]
+            rows = [
+                {name: re.sub(r"(\+nan to )?\+?\bnan\b", ABSENT, text) for name, text in row.items()} for row in rows
             ]
         headings = {name: name != "feature" for name in rows[0]}
     else:
