@@ -172,6 +172,10 @@ class Table:
             )
         comments = ("#", "%") if delimiter == ";" else ("#", "%", ";")
         start = head + 1 if names else first
+        for n, line in enumerate(lines[start:], start + 1) if delimiter == "," else ():
+            if doubtful := re.search(r'"\s*[-+]?([1-9]\d{0,2}(?:,\d{3})+)(?![\d,])', line):
+                cure = "write numbers without marks of thousands, and with a point for decimals"
+                raise InputFileError(f"{path}, line {n}: {doubtful[1]} may be a whole number or a fraction; {cure}")
         rows = [
             (n, split(line, delimiter))
             for n, line in enumerate(islice(lines, start, None), start + 1)
@@ -271,12 +275,16 @@ def _dimension(unit: str) -> str:
 def unit_in_name(name: str, dimension: str = "") -> tuple[str, str]:
     """Name of a column without its unit, and the unit, such as in ``x_mm``, ``Vs (m/s)`` or ``d in µm``.
 
-    Only of a dimension, if one is given.
+    Only of a dimension, if one is given; `InputFileError` for a unit of another one, and for unknown marks in brackets.
     """
     for found in re.finditer(r"\s+in\s+|\s*[\[({_/,]\s*|\s+", name):
         before, unit = name[: found.start()], name[found.end() :].rstrip(" ])}")
         if before and (_dimension(unit) if not dimension else not math.isnan(factor_of(unit, dimension))):
             return before, unit
+    marks = re.search(r"[\[({]\s*([^\w\s\[\](){}]+)\s*[\])}]", name)
+    if dimension and (wrong := unit_in_name(name)[1] or (marks or ("", ""))[1]):
+        cure = f"give one of {', '.join(UNITS[dimension])}"
+        raise InputFileError(f"column '{name}': its unit '{wrong}' is not one of this quantity; {cure}")
     return name, ""
 
 

@@ -67,6 +67,15 @@ def test_names_with_blanks_do_not_shift_columns(tmp_path: Path) -> None:
         read(tmp_path, b"size of sieve finer\n1 2\n".replace(b"of sieve", b"sieve"))
 
 
+@pytest.mark.parametrize("number", ["1,234", "-1,234,567.8", " 1,234 mm"])
+def test_a_number_that_may_have_thousands_is_refused(number: str, tmp_path: Path) -> None:
+    """Between commas; elsewhere a comma is decimal, and so it is where thousands are impossible."""
+    with pytest.raises(InputFileError, match=r"line 3: 1,234.* may be a whole number or a fraction; write numbers"):
+        read(tmp_path, f'size,finer\n0.5,10\n"{number}",90\n'.encode())
+    rows = read(tmp_path, b'size,finer\n"0,500",10\n"1,5",90\n').rows
+    assert rows == read(tmp_path, b"size;finer\n0.500;10\n1.5;90\n").rows
+
+
 @pytest.mark.parametrize(
     ("name", "unit"),
     [

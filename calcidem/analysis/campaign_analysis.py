@@ -377,7 +377,7 @@ def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr
 
     Returns along feature ``pearson``, its 95 % interval ``pearson_low`` and ``pearson_high``, ``p`` and
     ``p_corrected``, see `calcidem.analysis.correlation.seed_permutation_test`. `UnavailableError` if the campaign has
-    no cement, or no selected cell has a velocity.
+    no cement, or no selected cell has a velocity and features.
     """
     table = analysis.table.merge(analysis.network_table)
     chosen = np.zeros(analysis.vs.shape, dtype=bool)
@@ -390,6 +390,8 @@ def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr
     if not bool(table["vs"].notnull().any()):
         raise UnavailableError("no selected cell has a velocity")
     tests = correlation_tests(table)
+    if not tests.attrs["samples"]:
+        raise UnavailableError("no selected cell has a velocity and features")
     within = correlations(table).within.sel(other="vs", variable=tests["variable"]).drop_vars("other")
     found = xr.merge([within[["pearson", "pearson_low", "pearson_high"]], tests[["p", "p_corrected"]]])
     return found.rename(variable="feature").assign_attrs(tests.attrs)

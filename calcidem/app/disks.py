@@ -242,7 +242,9 @@ def _read_table(file: Path, content: bytes) -> _Rows:
         f"line {table.head} names the columns" if table.head else "its columns have no names",
         table.names,
         [row for row, good in zip(table.rows, is_row, strict=True) if good],
-        unit=next((unit for name in table.names if (unit := unit_in_name(name, "length")[1])), ""),
+        unit=next(
+            (unit for unit in (unit_in_name(name)[1] for name in table.names) if factor_of(unit, "length") > 0.0), ""
+        ),
         skipped=[number for (number, _), good in zip(table.rows, is_row, strict=True) if not good],
     )
 
@@ -260,10 +262,11 @@ def _disks_of(file: Path, rows: _Rows) -> ForeignDisks:
             f"it has {', '.join(rows.names) or 'no names'}. Name them from the left with columns, such as x,y,radius"
         )
     numbers = _numbers_of(file, rows, [(name, columns[name]) for name in ("x", "y", "z", size) if name in columns])
-    for name in numbers:
-        own = unit_in_name(rows.names[columns[name]], "length")[1]
-        if own and factor_of(own, "length") != factor_of(rows.unit, "length"):
-            numbers[name] *= factor_of(own, "length") / factor_of(rows.unit, "length")
+    units = {name: unit_in_name(rows.names[columns[name]], "length")[1] for name in numbers}
+    of_file = rows.unit or next(filter(None, units.values()), "")
+    for name, own in units.items():
+        if own and factor_of(own, "length") != factor_of(of_file, "length"):
+            numbers[name] *= factor_of(own, "length") / factor_of(of_file, "length")
     centres = np.column_stack([numbers.get(axis, np.zeros(len(rows.entries))) for axis in "xyz"])
     for index, axis in enumerate("xyz"):
         if rows.box is not None and columns.get(axis) == columns.get(f"scaled {axis}", -1):
@@ -284,7 +287,7 @@ def _disks_of(file: Path, rows: _Rows) -> ForeignDisks:
         kinds=tuple(kinds[row] for row in order) if kinds else None,
         box=rows.box,
         periodic=rows.periodic,
-        unit=rows.unit,
+        unit=of_file,
         skipped=tuple(rows.skipped),
     )
 
@@ -466,6 +469,8 @@ def _metres(found: ForeignDisks, unit: str | None) -> tuple[float, list[str]]:
     factor = factor_of(chosen, "length")
     if np.isnan(factor):
         raise PackingFileError(f"unit = '{unit}' is none of {', '.join(UNITS['length'])}; give one of them")
+    if found.unit and factor != factor_of(found.unit, "length"):
+        raise PackingFileError(f"unit = '{unit}': the file has its own unit, {found.unit}; leave unit out")
     origin = "as given" if unit is not None else "as in the file" if found.unit else "since the file has none"
     return factor, [f"unit {chosen}, {origin}"]
 

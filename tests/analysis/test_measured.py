@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import velocities
 from calcidem.analysis.measured import Target, group_specimens, misfits, root_mean_square_misfit
@@ -135,6 +135,8 @@ def test_a_report_has_the_misfit_only_where_something_was_measured(analysis: Cam
     assert foreign is not None
     assert f"Measured under {2 * stress / 1e3:g} kPa, computed under {stress / 1e3:g} kPa" in foreign.caption
     assert len(set(table.header)) == len(table.header)
+    with pytest.raises(UnavailableError, match="no measured velocity is within"):
+        _measured_table(replace(analysis, measured=(Target(99.0, 2000.0),)))
 
 
 def test_means_of_unknown_numbers_keep_their_scatter() -> None:

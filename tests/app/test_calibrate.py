@@ -4,13 +4,14 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calcidem.analysis.measured import Target
 from calcidem.app.cli.exit_codes import _exit_code_of
-from calcidem.app.config.reader import read_configuration, read_targets
+from calcidem.app.config.reader import load_configuration, read_configuration, read_targets
 from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
 from calcidem.app.studies.study import (
@@ -272,6 +273,14 @@ def test_steps_that_no_seed_survives_are_a_doubt() -> None:
     assert any(text.startswith("it ended before it converged: a trial left 0 of 20 seeds") for text in found.doubts)
 
 
+def test_velocities_without_scatter_are_a_doubt() -> None:
+    """A target deviation has nothing to be met by if all seeds are the same sample."""
+    plan = FitPlan([Target(0.5, 600.0, 20.0)], SYNTHETIC[:1], range(20))
+    found = _fit_to_targets(lambda tried: [np.full((20, 1), 500.0) for _ in tried], plan, [2.0])
+    assert not found.is_fitted
+    assert "it ended before it converged: a trial gave all seeds the same velocity" in found.doubts[0]
+
+
 @pytest.mark.usefixtures("cached_packing")
 def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_packing: Packing, tmp_path: Path) -> None:
     """Unknown names, numbers of the packing, ranges that are none or impossible, too many parameters: each is named."""
@@ -313,6 +322,13 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
         ("content,vs\n1,inf\n", "vs = 'inf'"),
         ("content,vs,Vs (m/s)\n1,300,300\n", "column vs: occurs twice"),
         ("content,Vs (ft/s)\n1,300\n", r"column vs: is missing; there are content, Vs \(ft/s\)"),
+        ("content,Vs (MPa)\n1,300\n", r"column 'Vs \(MPa\)': its unit 'MPa' is not .* give one of m/s, km/s"),
+        ("content,vs,sd (%)\n1,300,5\n", r"column 'sd \(%\)': its unit '%'"),
+        (
+            "content,vs,stress (m/s)\n1,300,5\n",
+            r"column 'stress \(m/s\)': its unit 'm/s' is not .* give one of Pa, kPa",
+        ),
+        ("content (\u2030),vs\n1,300\n", "its unit '\u2030' is not .* give one of %"),
         ("content,G0 (MPa)\n1,300\n", "column density: is missing"),
         ("content,vs\n0.02,480\n0.04,900\n", "content = 0.04 at most: percent or parts"),
         ("content,vs\n2,0.48\n4,0.9\n", r"vs = 0.48 to 0.9 m/s: is it in other units.*'Vs \(km/s\)'"),
@@ -360,6 +376,23 @@ def test_values_are_written_into_the_configuration() -> None:
     assert read.calibration.wave_stiffness_factor == 12.346
     assert read.cement.bond_modulus == 8.1e10
     assert text_with_values(written, values) == written
+    renamed = tomllib.loads(text_with_values(text, {"campaign.name": 'a "new" \\1'}))
+    assert renamed["campaign"] == {"name": 'a "new" \\1'}
+
+
+def test_the_fitted_configuration_is_a_campaign_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, invoke: Callable[..., str]
+) -> None:
+    """The name of its file names it, so its database is not that of the configuration that was fitted."""
+    invoke("init", tmp_path / "quick.toml")
+    (tmp_path / "lab.csv").write_text("content,vs\n5,900\n", encoding="utf-8")
+    found = SimpleNamespace(values={STIFFNESS: 12.0}, is_fitted=True)
+    monkeypatch.setattr("calcidem.app.studies.calibrate.calibrate", lambda *_: found)
+    monkeypatch.setattr("calcidem.app.cli.studies._calibration_lines", lambda _: [])
+    invoke("calibrate", tmp_path / "quick.toml", "--target", tmp_path / "lab.csv", "--out", tmp_path / "fitted.toml")
+    fitted = load_configuration(tmp_path / "fitted.toml")
+    assert fitted.calibration.wave_stiffness_factor == 12.0
+    assert Path(fitted.database).name == "fitted.db"
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,8 @@ WRONG = {
         "[wave]\nfrequency = 5.0e5\n",
         ("wave.frequency = 500000", "lattice cut-off", "give at most half of that"),
     ),
+    "endless record": ("[wave]\nfrequency = 1e-30\n", ("wave.step_fraction = 0.8", "records have", "more than 1e+08")),
+    "endless steps": ("[wave]\nstep_fraction = 1e-12\n", ("wave.step_fraction = 1e-12", "time steps, more than 1e+08")),
     "negative frequency": ("[wave]\nfrequency = -1.0\n", ("wave.frequency = -1.0", "positive frequency in Hz")),
     "frequency in words": (
         '[wave]\nfrequency = "8 kHz"\n',

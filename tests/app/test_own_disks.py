@@ -110,6 +110,8 @@ def test_the_name_of_the_file_is_no_physics(own: Path) -> None:
         ('file_sha256 = "0"', None, ("packing.file_sha256: unknown key", "packing.file says it")),
         ("", "", ("packing.file", "disks.csv", "can't be read")),
         ("", "x,y\n1,2\n", ("has no column radius",)),
+        ("", "x (kPa),y,radius\n1,2,3\n", ("column 'x (kPa)': its unit 'kPa'", "give one of m, cm, mm")),
+        ("", 'x,y ("),radius\n1,2,3\n', ("its unit '\"' is not one of this quantity",)),
         ("", "x,y,radius\n" + "0.01,0.01,0.001\n" * 20, ("lines 2 and", "overlap")),
         ("", "x,y,radius\n" + "".join(f"0.01,{0.004 * k},0.001\n" for k in range(20)), ("line 2", "floor")),
     ],

@@ -23,6 +23,7 @@ from calcidem.app.config.schema import Configuration, ConfigurationError, Excita
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.sample.packing_file import packing_from_csv, write_disks_csv
 from calcidem.dem.wave.measurement import measure
+from calcidem.input_file import InputFileError
 
 
 def part_with_velocity(own: OwnSand, seeds: int) -> float:
@@ -167,13 +168,14 @@ def test_a_grading_is_read_from_a_table(tmp_path: Path, invoke: Callable[..., st
         ("size (mm),finer\n0.1,0\n0.2,90\n0.5,60\n", "finer = 0 to 60"),
         ("size (mm),finer\n0.1,0.1\n0.5,0.9\n", "finer = 0.1 to 0.9"),
         ("size (mm),finer\n0.1,0\n0.5,190\n", "row 3 = 0.5,190"),
+        ("size (mm),finer (mm)\n0.1,10\n0.5,90\n", "column 'finer (mm)': its unit 'mm' is not one of this quantity"),
         ("size (mm),finer\n", "rows = 0"),
     ],
 )
 def test_a_grading_that_is_none_is_refused(text: str, words: str, tmp_path: Path) -> None:
     """Place, value and cure."""
     (tmp_path / "sizes.csv").write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigurationError) as caught:
+    with pytest.raises((ConfigurationError, InputFileError)) as caught:
         read_grading(tmp_path / "sizes.csv")
     assert words in str(caught.value)
 
@@ -269,6 +271,13 @@ def test_fractions_for_percent_are_questioned(tmp_path: Path, invoke: Callable[.
     words = ("--grain-size", "0.3mm", "--contents")
     assert "is 0.03 % meant, not a fraction?" in invoke("init", str(tmp_path / "a.toml"), *words, "0,0.01,0.03")
     assert "not a fraction" not in invoke("init", str(tmp_path / "b.toml"), *words, "0,1,3")
+
+
+@pytest.mark.parametrize("words", [("0.3mm", "--contents", ""), ("0.3mm", "--mineral", ""), ("",)])
+def test_empty_words_are_no_defaults(words: tuple[str, ...], tmp_path: Path, invoke: Callable[..., str]) -> None:
+    """A variable of a shell that is empty is not silently replaced."""
+    with pytest.raises(ConfigurationError, match=r"--contents : give|--mineral : |--grain-size: "):
+        invoke("init", tmp_path / "a.toml", "--grain-size", *words)
 
 
 def test_a_refused_sand_leaves_no_job(

@@ -192,10 +192,12 @@ def test_the_plane_of_the_disks_can_be_any(tmp_path: Path) -> None:
 
 
 def test_names_of_columns_can_be_given(tmp_path: Path) -> None:
-    """A file without names, compressed, in an own unit is read as it is told."""
+    """A file without names, compressed, in an own unit is read as it is told; names may have the unit."""
     text = gzip.compress(lines_of(np.insert(LATTICE * 1e6, 1, 7.0, axis=1), "\t").encode())
     found = bring(tmp_path, text, columns=["x", "weight", "y", "radius"], unit="um")  # type: ignore[arg-type]  # compressed
     np.testing.assert_allclose(found.radius, LATTICE[:, 2])
+    again = bring(tmp_path, text, columns=["x (um)", "weight", "y (um)", "radius (um)"])
+    np.testing.assert_array_equal(again.radius, found.radius)
 
 
 def test_a_chosen_snapshot_is_read(tmp_path: Path) -> None:
@@ -219,6 +221,7 @@ SPREAD = "x,y,z,radius\n" + lines_of(np.insert(LATTICE, 2, LATTICE[:, 1], axis=1
         ("x y r\n" + lines_of(LATTICE[:5]), {}, ("has 5 disks", "at least 10")),
         ("x y r\n" + lines_of(LATTICE) * 2, {}, (", lines ", "overlap by 0.00219")),
         ("x y r\n" + lines_of(LATTICE), {"unit": "inch"}, ("unit = 'inch'", "m, cm, mm")),
+        (spreadsheet(), {"unit": "m"}, ("unit = 'm'", "its own unit, mm", "leave unit out")),
         ("x y r\n" + lines_of(LATTICE), {"plane": "xx"}, ("plane = 'xx'", "xz")),
         ("x y r\n" + lines_of(LATTICE), {"types": ["1"]}, ("type = '1'", "its types are none")),
         ("x y r\n" + lines_of(LATTICE), {"walls": (1, 0, 0, 1)}, ("walls", "low to high")),

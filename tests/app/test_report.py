@@ -262,10 +262,18 @@ def test_studies_are_shown_when_given(small_database: Path, tmp_path: Path, monk
 def test_a_folder_has_figures_tables_and_numbers(
     small_database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The folder has three files for each figure, tables that can be read, and the exact numbers."""
+    """The folder has three files for each figure, tables that can be read, the exact numbers, and what is not ours."""
+    told: list[str] = []
+    monkeypatch.setattr("calcidem.app.report.page.tell", told.append)
+    for name in ("table_measured.csv", "notes.txt"):
+        (tmp_path / "out").mkdir(exist_ok=True)
+        (tmp_path / "out" / name).write_text("of an earlier report", encoding="utf-8")
     monkeypatch.setattr("calcidem.app.report.page.CAMPAIGN_FIGURES", CAMPAIGN_FIGURES[::6])  # all take long
     with open_campaign(small_database) as campaign:
         left_out = _write_files(campaign.analyse(), folder := tmp_path / "out")
+    assert not (folder / "table_measured.csv").exists(), "nothing is measured here"
+    assert (folder / "notes.txt").exists()
+    assert told == [f"Wrote {len(list(folder.iterdir())) - 1} files to {folder}"]
     for entry in CAMPAIGN_FIGURES[::6]:
         written = {file.suffix for file in folder.glob(f"{entry.name}.*")}
         assert written == (set() if entry.name in left_out else {".png", ".svg", ".pdf"})

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+import xarray as xr
 
 from calcidem.app.config.schema import ConfigurationError
 from calcidem.app.studies.sensitivity import (
@@ -11,6 +12,7 @@ from calcidem.app.studies.sensitivity import (
     read_variants,
     variant_changes,
     variant_table,
+    vary_one,
 )
 
 pytestmark = pytest.mark.slow
@@ -69,6 +71,21 @@ def test_variants_differ_from_the_base_in_what_they_say(tmp_path: Path) -> None:
     assert len({variant.configuration.hash for variant in (reference, modulus, calcite)}) == 3
 
 
+def test_a_variant_has_the_disks_of_its_base_and_the_cells_of_the_plan(tmp_path: Path) -> None:
+    """A file of disks is beside the base; parts and further seeds of the base are none of the study's."""
+    path, disks = planned(tmp_path), "x,y,radius\n" + "".join(f"0.01,{0.001 + 0.002 * k},0.001\n" for k in range(20))
+    (tmp_path / "own.csv").write_text(disks, encoding="utf-8")
+    own = BASE.replace("height = 0.06", 'file = "own.csv"') + '[run]\npart = "1/2"\n'
+    (tmp_path / "base.toml").write_text(own, encoding="utf-8")
+    reference = read_variants(path, str(tmp_path / "all.db"))[0].configuration
+    assert reference.packing_draw.file == str(tmp_path / "own.csv")
+    assert reference.run.part is None
+    (tmp_path / "base.toml").write_text(
+        BASE + "[campaign]\nmost_seeds = 9\nuntil = { mean = 0.05 }\n", encoding="utf-8"
+    )
+    assert read_variants(path, str(tmp_path / "all.db"))[0].configuration.campaign.until is None
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [
@@ -112,6 +129,14 @@ def test_stiffer_cement_is_faster_and_nothing_is_computed_twice(
     assert f"{change.mean:.0f} ± {change.standard_deviation:.0f}" in table
     compute_variants(variants, lambda _: None)
     assert variant_table(variants).text == table
+
+
+@pytest.mark.parametrize(("varied", "head"), [("damping", "0.3 |"), ("frequency", "0.3 Hz |")])
+def test_values_have_their_unit(varied: str, head: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frequency has one, and a factor has none."""
+    vs = xr.DataArray([[500.0]], dims=("content", varied), coords={"content": [5.0], varied: [0.3]}, name="vs_peak")
+    monkeypatch.setattr("calcidem.app.studies.sensitivity.run_studies", lambda *_, **__: {varied: vs.to_dataset()})
+    assert f"| content, % | {head}" in vary_one(varied, "any.db", None, None).text
 
 
 def test_the_plan_of_the_documentation_is_good(tmp_path: Path) -> None:

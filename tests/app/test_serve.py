@@ -96,6 +96,9 @@ def test_the_token_opens_the_page_once_and_then_hides(live: Live) -> None:
     assert headers["referrer-policy"] == "no-referrer"
     assert "default-src 'none'; script-src 'self';" in headers["content-security-policy"]
     assert live.ask("/", Host="localhost:1234")[0] == 200  # through a tunnel
+    name = f"calcidem_{live.port}"
+    for foreign in ('a={"x":1}', "foo=bar baz", "flag", f"{name}=old"):  # of other pages of the host
+        assert live.ask("/", Cookie=f"{foreign}; {name}={live.token}; {foreign}")[0] == 200
 
 
 def test_a_new_cell_is_told_within_seconds(live: Live) -> None:
@@ -162,6 +165,25 @@ def test_connections_without_requests_keep_nobody_out(live: Live) -> None:
         assert monotonic() - begun < 5.0
         record(live.databases[0], 3, 0.0, 1250.0)
         assert any(name == "cells" for name, _ in listening)
+
+
+@pytest.mark.parametrize("ignored", [False, True])
+def test_a_closed_terminal_ends_the_page(ignored: bool, tmp_path: Path) -> None:
+    """Unless nohup protects it; a packing of a database that is away is answered with 503."""
+    begin(database := tmp_path / "campaign.db")
+    former = signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
+    try:
+        with serve(database) as running:
+            database.unlink()
+            assert running.ask("/campaigns/0/packings/0")[0] == 503
+            running.process.send_signal(signal.SIGHUP)
+            if ignored:
+                assert running.ask("/")[0] == 200
+                running.process.send_signal(signal.SIGTERM)
+            output, errors = running.process.communicate(timeout=5.0)
+            assert (running.process.returncode, output, errors) == (0, "", "")
+    finally:
+        signal.signal(signal.SIGHUP, former)
 
 
 @pytest.mark.full

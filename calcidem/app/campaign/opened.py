@@ -23,6 +23,7 @@ import xarray as xr
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_cells
 from calcidem.analysis.distribution import budget_dataset, describe_contents, name_outcomes, tabulate
 from calcidem.analysis.fits import FEWEST_ROWS, Prediction, VelocityPredictor, check_samples
+from calcidem.analysis.intervals import Interval
 from calcidem.analysis.packing_graph import Feature, PackingGraph, installed_features
 from calcidem.analysis.velocity import (
     BUDGET_QUANTITIES,
@@ -593,8 +594,9 @@ def predict_velocity(
     """Predict Vs of a sample of a content (%) of a campaign, with an interval.
 
     With the sample's cement the prediction uses its conductance (`packing_graph.NETWORK_FEATURES`), of which Vs is
-    about a power, without it the content alone. The seed to predict takes no part in the fit. `QueryError` if the
-    cement is not that of a sample of this content, or the campaign has too few velocities there.
+    about a power, without it the content alone. The seed to predict takes no part in the fit. The one sample without
+    cement has the interval of its velocity. `QueryError` if the cement is not that of a sample of this content, or the
+    campaign has too few velocities there.
     """
     if not 0.0 < level < 1.0:
         raise QueryError(f"level = {level}: is not a probability.", "Give one between 0 and 1, such as 0.95.")
@@ -604,6 +606,9 @@ def predict_velocity(
         raise QueryError(f"content = {content:g} %: the campaign has no such cells.", f"Choose among {known} %.")
     nearest = float(contents[np.argmin(np.abs(contents - content))])
     table, vs, seeds = _samples_at(analysis, nearest, with_cement=pattern is not None)
+    if nearest == 0.0 and vs.size:  # without cement all seeds are the same sample
+        error = float(analysis.cells["vs_error"].sel(content=nearest, seed=seeds[0]))
+        return Prediction(float(vs[0]), Interval.of_velocity(float(vs[0]), error, level), uses_features=False)
     others = np.ones(len(vs), dtype=bool) if without_seed is None else seeds != without_seed
     fewest = FEWEST_ROWS + 1 + table.shape[1]  # one more than a fit needs, for checking
     if others.sum() < fewest:

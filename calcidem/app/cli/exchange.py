@@ -17,6 +17,7 @@ from calcidem.app.cli.options import (
     parse_percentage,
     refuse_options,
 )
+from calcidem.input_file import open_input
 from calcidem.storage.records import ARRAY_RECORDS
 
 if TYPE_CHECKING:
@@ -45,12 +46,18 @@ def export_command(
     as CSV (x, y, radius in m).
     """
     if seed is None and content is None:
+        from calcidem.storage.files import refuse_to_replace
         from calcidem.storage.netcdf import export_netcdf
         from calcidem.storage.sql.store import read_campaign
 
         if out.suffix.lower() in {".vtu", ".csv"}:
             needed = ".vtu and .csv need --seed and --content"
             raise typer.BadParameter(f"'{out}' would be a NetCDF file; {needed}", param_hint="OUT")
+        refuse_to_replace(out, replaces_netcdf=True)
+        if out.is_file() and out.stat().st_size:
+            with open_input(out) as file:
+                if not file.read(4).startswith((b"\x89HDF", b"CDF")):
+                    raise typer.BadParameter(f"'{out}' is no NetCDF file; give another name", param_hint="OUT")
         with read_campaign(database, campaign) as store:
             export_netcdf(store, out, without=without or ())
     else:
@@ -108,7 +115,7 @@ def import_command(
         raise typer.BadParameter("give one of them: --db for an exported campaign, --out for disks of another program")
     if database is not None:
         of_disks = {"--unit": unit, "--columns": columns, "--type": types, "--walls": walls, "--timestep": timestep}
-        refuse_options("leave it out: it is for disks, with --out", of_disks)
+        refuse_options("leave it out: it is for disks, with --out", of_disks | {"--plane": plane})
         _import_campaign(file, database)
     elif out is not None:
         from calcidem.app.disks import import_packing

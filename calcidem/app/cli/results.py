@@ -4,6 +4,7 @@ import io
 import json
 import math
 import os
+import re
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -73,13 +74,13 @@ def status_command(
             time.sleep(interval)
 
     try:
-        _show_status(until_finished(), half_width, layout, one_per_line=watch)
+        _show_status(until_finished(), half_width, layout, watch=watch)
     except KeyboardInterrupt:
         typer.echo()
 
 
 def _show_status(
-    statuses: "Iterator[CampaignStatus]", half_width: float | None, layout: Format, *, one_per_line: bool
+    statuses: "Iterator[CampaignStatus]", half_width: float | None, layout: Format, *, watch: bool
 ) -> None:
     """Show each status of a campaign, on a terminal replacing the former one."""
     from calcidem.app.cli.output import PLAIN_WIDTH
@@ -88,17 +89,18 @@ def _show_status(
     if layout is not Format.TABLE:
         for found in statuses:
             whole = status_as_json(found, half_width)
-            if one_per_line and layout is Format.JSON:
+            if watch and layout is Format.JSON:
                 typer.echo(json.dumps(whole))
             else:
                 tell_rows([row | row["cells"] for row in whole["contents"]], layout, whole=whole)
         return
     console = Console(highlight=False)
-    if not console.is_terminal:
+    if not (watch and console.is_terminal):
+        width = console.width if console.is_terminal else PLAIN_WIDTH
         for found in statuses:
-            Console(highlight=False, width=PLAIN_WIDTH).print(status_view(found, PLAIN_WIDTH, half_width))
+            Console(highlight=False, width=width).print(status_view(found, width, half_width))
         return
-    with Live(Group(), console=console, auto_refresh=False, vertical_overflow="visible") as live:
+    with Live(Group(), console=console, auto_refresh=False) as live:  # whole at the end, before what the screen holds
         for found in statuses:
             live.update(status_view(found, console.width, half_width), refresh=True)
 
@@ -162,8 +164,6 @@ def report_command(
             watch=watch,
         )
     typer.echo(f"Wrote {page}")
-    if files is not None:
-        typer.echo(f"Wrote {len(list(files.iterdir()))} files to {files}")
 
 
 def serve_command(
@@ -244,6 +244,9 @@ def query_command(
                     "corrected": f"{row['p_corrected']:.2g}",
                 }
                 for row in rows
+            ]
+            rows = [
+                {name: re.sub(r"(\+nan to )?\+?\bnan\b", ABSENT, text) for name, text in row.items()} for row in rows
             ]
         headings = {name: name != "feature" for name in rows[0]}
     else:

@@ -100,9 +100,11 @@ def init_command(
     else:
         from calcidem.app.config.examples import OwnSand, read_grading  # as above
 
-        size = disks or grain_size or ",".join(f"{d!r}m" for d in read_grading(grading or Path()))
-        words = stress or "100kPa", mineral or "quartz", contents or "0,1,2,4"
-        own = OwnSand.of_words(size, *words, file.parent, given[0])
+        size = disks if grain_size is None else grain_size
+        size = ",".join(f"{d!r}m" for d in read_grading(grading or Path())) if size is None else size
+        given_words = (stress, "100kPa"), (mineral, "quartz"), (contents, "0,1,2,4")
+        words = [default if word is None else word for word, default in given_words]
+        own = OwnSand.of_words(size, words[0], words[1], words[2], file.parent, given[0])
         text = own.text()
         if 0.0 < max(own.contents) < 0.1:
             typer.echo(
@@ -111,7 +113,7 @@ def init_command(
     if slurm:
         job = file.with_suffix(".sbatch")
         _write_new(job, slurm_job(file.name), "submit it, or remove it first")
-        typer.echo(f"Wrote {job}. Edit its first lines, then: sbatch {job}")
+        typer.echo(f"Wrote {job}. Edit its first lines, then, in its folder: sbatch {job.name}")
         if file.exists():
             return
     other = file.with_stem(f"{file.stem}-{chosen}")

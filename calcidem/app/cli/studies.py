@@ -266,7 +266,7 @@ def calibrate_command(
     if not fitted.is_fitted:
         typer.echo(f"Nothing was fitted: {out} is not written.")
         raise typer.Exit(EXIT_ERROR)
-    write_text_atomically(out, text_with_values(text, fitted.values))
+    write_text_atomically(out, text_with_values(text, {"campaign.name": out.stem, **fitted.values}))
     typer.echo(f"Wrote {out}")
 
 

@@ -14,6 +14,7 @@ from calcidem.dem.sample.cement import UnknownPatternError, find_pattern
 from calcidem.dem.sample.packing import Packing, expected_overlap, judge_disks, judge_stress
 from calcidem.dem.wave.experiment import DEEPEST_LISTENING, Experiment, driven_disks, listening_disks, wave_scene
 from calcidem.dem.wave.propagation import refuse_unfit_pulse, refuse_unfit_samples
+from calcidem.dem.wave.reading import record_duration
 from calcidem.dem.wave.rule import FEWEST_SAMPLES, cutoff_frequency
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import Address
@@ -110,8 +111,17 @@ def _rest_problems(configuration: Configuration) -> Iterator[Problem]:
 
 
 def _frequency_problems(configuration: Configuration) -> Iterator[Problem]:
-    """Contents without a frequency that propagates and that the time step resolves."""
-    table, contents = configuration.excitation.table, configuration.campaign.contents
+    """Contents without a frequency that propagates and that the time step resolves, and records that never end."""
+    table, contents, wave = configuration.excitation.table, configuration.campaign.contents, configuration.wave
+    lowest = np.inf if table is None else min(table.frequency)
+    steps = record_duration(configuration.packing.width, wave.slowest, lowest) / wave.step_fraction
+    steps /= _longest_step(configuration, 0.0)
+    if steps > 1e8:  # of some hours each cell, and of gigabytes
+        yield Problem(
+            f"wave.step_fraction = {wave.step_fraction:g}: records have {steps:.1e} time steps, more than 1e+08; "
+            "give a larger one, or a larger wave.frequency or wave.slowest",
+            ("wave.step_fraction", "wave.frequency", "wave.slowest"),
+        )
     if table is None:
         return
     if outside := [content for content in contents if not table.covers(content)]:
@@ -122,7 +132,7 @@ def _frequency_problems(configuration: Configuration) -> Iterator[Problem]:
         )
     for content in filter(table.covers, contents):
         limit = cutoff_estimate(configuration, cemented=content > 0.0)
-        resolved = 1.0 / (FEWEST_SAMPLES * configuration.wave.step_fraction * _longest_step(configuration, content))
+        resolved = 1.0 / (FEWEST_SAMPLES * wave.step_fraction * _longest_step(configuration, content))
         words = ""
         if table.at(content) > limit:
             words = f"waves do not propagate above about {limit:.3g} Hz (lattice cut-off); give at most half of that"

@@ -398,7 +398,6 @@ def read_grading(file: Path) -> tuple[float, float, float]:
     }
     table = Table.read(read_input(file, 1_000_000), file, known, tuple(known))  # bytes; far more than a grading has
     columns, rows, problems, wrongs = table.places(known), [], list[Problem](), list[tuple[str, str, str]]()
-    unit = unit_in_name(table.names[columns["size"]], "length")[1] if "size" in columns else ""
     if missing := [name for name in known if name not in columns]:
         given = ", ".join(table.names) or "no names"
         problems.append(
@@ -407,9 +406,13 @@ def read_grading(file: Path) -> tuple[float, float, float]:
                 "'Korngröße', and 'finer (%)', 'passing' or 'Siebdurchgang'"
             )
         )
+    else:
+        unit, share = (
+            unit_in_name(table.names[columns[n]], d)[1] for n, d in (("size", "length"), ("finer", "percent"))
+        )
     for number, row in table.rows if not problems else ():
         texts = (*row, "", "")[columns["size"]], (*row, "", "")[columns["finer"]]
-        rows.append((value_of(texts[0], "length", unit), value_of(texts[1], "percent", "%")))
+        rows.append((value_of(texts[0], "length", unit), value_of(texts[1], "percent", share or "%")))
         if not (0.0 < rows[-1][0] < math.inf and 0.0 <= rows[-1][1] <= 100.0):
             cure = "give a size with its unit, as in a column 'size (mm)', and percent from 0 to 100"
             wrongs.append((f"row {number} = {','.join(row)}", "", cure))

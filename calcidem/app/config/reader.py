@@ -23,7 +23,16 @@ from calcidem.app.config.schema import (
 )
 from calcidem.dem.engine.fields import FieldError, Settings, field_hints, quote, similar
 from calcidem.dem.sample.packing_file import checked_disks
-from calcidem.input_file import Table, meaning_of, parse_number, read_input, read_text, unit_in_name, value_of
+from calcidem.input_file import (
+    InputFileError,
+    Table,
+    meaning_of,
+    parse_number,
+    read_input,
+    read_text,
+    unit_in_name,
+    value_of,
+)
 from calcidem.wording import pluralize
 
 if TYPE_CHECKING:
@@ -250,7 +259,7 @@ def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> "t
 
     A row without number and standard deviation of samples is a specimen, and so is each row of a table that names
     specimens. G0 and density give the velocity if the table has none. `ConfigurationError` with all problems: missing
-    columns, invalid numbers, fractions or km/s without a unit; `InputFileError` if it cannot be read as text.
+    columns, invalid numbers and units, fractions or km/s without a unit; `InputFileError` if it cannot be read as text.
     """
     from calcidem.analysis.measured import Target  # noqa: PLC0415 - statistics, which runs do not need
 
@@ -270,9 +279,14 @@ def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> "t
     problems += [Problem(f"column {name}: occurs twice; leave one out") for name in twice]
     if not table.rows:
         problems.append(Problem("rows = 0: give a line for each specimen below the names of the columns"))
+    units = {}
+    for name in filter(columns.__contains__, _UNITS):
+        try:
+            units[name] = unit_in_name(table.names[columns[name]], _UNITS[name][0])[1]
+        except InputFileError as error:
+            problems.append(Problem(str(error)))
     if problems:
         raise ConfigurationError(str(file), problems)
-    units = {name: unit_in_name(table.names[columns[name]], _UNITS[name][0])[1] for name in _UNITS if name in columns}
     units["sd"] = units.get("sd", "") or units.get("vs", "")
     targets, bare, wrongs = [], set[str](), list[tuple[str, str, str]]()
     for number, row in table.rows:

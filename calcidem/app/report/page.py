@@ -307,13 +307,25 @@ def _write_files(
     """Write the named figures (PNG, SVG, PDF), tables (table_*.csv) and numbers (NetCDF) of a campaign into a folder.
 
     Tables have rounded numbers as in the report; the NetCDF files have the exact ones.
-    The folder is made if missing; files of the same names are replaced. Return reasons for omitted outputs by name.
-    `OSError` if the folder cannot be written.
+    The folder is made if missing; files of these names are replaced or removed. Return reasons for omitted outputs by
+    name. `OSError` if the folder cannot be written.
     """
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
+    chosen = [entry for entry in CAMPAIGN_FIGURES if not figures or entry.name in figures]
+    exact: dict[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
+        "distributions": lambda analysis: tabulate(analysis.distributions),
+        "features": lambda analysis: analysis.table,
+        "correlations_overall": lambda analysis: correlations(analysis.table).overall,
+        "correlations_within_content": lambda analysis: correlations(analysis.table).within,
+        "correlations_by_content": lambda analysis: analysis.content_correlations,
+    }
+    files = [folder / f"{entry.name}.{ending}" for entry in chosen for ending in ("png", "svg", "pdf")]
+    files += [*(folder / f"table_{name}.csv" for name in TABLES), *(folder / f"{name}.nc" for name in exact)]
+    for file in files:  # an earlier report may have had more
+        file.unlink(missing_ok=True)
     reasons: dict[str, str] = {}
-    for entry in (entry for entry in CAMPAIGN_FIGURES if not figures or entry.name in figures):
+    for entry in chosen:
         figure, reasons[entry.name] = make_or_explain(entry.draw, analysis)
         if figure is not None:
             save(figure, folder, entry.name)
@@ -322,15 +334,9 @@ def _write_files(
         if table is not None:
             with (folder / f"table_{name}.csv").open("w", newline="", encoding="utf-8") as stream:
                 csv.writer(stream).writerows(map(spreadsheet_value, row) for row in _as_numbers(table))
-    exact: dict[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
-        "distributions": lambda analysis: tabulate(analysis.distributions),
-        "features": lambda analysis: analysis.table,
-        "correlations_overall": lambda analysis: correlations(analysis.table).overall,
-        "correlations_within_content": lambda analysis: correlations(analysis.table).within,
-        "correlations_by_content": lambda analysis: analysis.content_correlations,
-    }
     for name, gather in exact.items():
         numbers, reasons[name] = make_or_explain(gather, analysis)
         if numbers is not None:
             write_netcdf(numbers, folder / f"{name}.nc")
+    tell(f"Wrote {sum(file.exists() for file in files)} files to {folder}")
     return {name: reason for name, reason in reasons.items() if reason}

@@ -118,6 +118,8 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
     here = analysis.config.get("packing", {}).get("stress")
     named = ", ".join(f"{row.content:g} % ({decimal(row.vs)} m/s)" for row in beyond)
     said = [f"Measured beyond the campaign's contents, and not compared: {named}. Add contents for it."] * bool(beyond)
+    if not rows:
+        raise UnavailableError("no measured velocity is within the contents that have velocities here")
     if here is not None and any(abs(stress / here - 1.0) > 0.1 for stress in stresses):
         kilopascals = ", ".join(f"{stress / 1e3:g}" for stress in stresses)
         said.append(f"Measured under {kilopascals} kPa, computed under {here / 1e3:g} kPa.")

@@ -20,7 +20,6 @@ import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from threading import Thread
 from typing import Any, TypeVar
@@ -306,7 +305,10 @@ class _LiveApplication:
             return JSONResponse({"cells": [], "sections": [], "problem": hide_passwords(str(error))})
 
     async def _packing(self, request: Request) -> Response:
-        found = await run_in_threadpool(self._feed(request).packing, request.path_params["index"])
+        try:
+            found = await run_in_threadpool(self._feed(request).packing, request.path_params["index"])
+        except StoreError as error:
+            raise HTTPException(503, hide_passwords(str(error))) from error
         if found is None:
             raise HTTPException(404)
         return JSONResponse(found)
@@ -407,7 +409,7 @@ class _Guard:
             answer = RedirectResponse("/", 303)  # so that neither history nor address bar has the token
             answer.set_cookie(self._cookie, self._token.decode(), httponly=True, samesite="lax", path="/")
             return answer
-        if not self._is_token(_cookie_of(headers, self._cookie)) or _is_foreign(scope, headers):
+        if not any(map(self._is_token, _cookies(headers, self._cookie))) or _is_foreign(scope, headers):
             told = "Open this page with the whole address that calcidem has printed; it ends with ?token=... .\n"
             return PlainTextResponse(told, 403)
         return None
@@ -426,12 +428,10 @@ class _Guard:
         return True
 
 
-def _cookie_of(headers: Mapping[str, str], name: str) -> str:
-    try:
-        found = SimpleCookie(headers.get("cookie", "")).get(name)
-    except CookieError:
-        return ""
-    return "" if found is None else found.value
+def _cookies(headers: Mapping[str, str], name: str) -> list[str]:
+    """Values of the cookies of a name; those of other pages of the host may have any text."""
+    pairs = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
+    return [value for key, _, value in pairs if key == name]
 
 
 def _is_foreign(scope: Scope, headers: Mapping[str, str]) -> bool:
@@ -506,7 +506,7 @@ class LivePage:
     """Listening socket and token."""
 
     def serve(self, ready: Callable[[], None] = lambda: None, *, wait: bool = False) -> None:
-        """Serve the page until SIGINT or SIGTERM.
+        """Serve the page until SIGINT, SIGTERM or a SIGHUP that is not ignored.
 
         ``ready`` is called as soon as signals end the server regularly. With ``wait`` databases and campaigns may not
         exist yet; otherwise `StoreError` if a database cannot be read.
@@ -542,7 +542,8 @@ class LivePage:
         try:
             async with asyncio.TaskGroup() as tasks:  # an error of any of them ends the server
                 watching = tasks.create_task(hub.watch())
-                for number in (signal.SIGINT, signal.SIGTERM):
+                hangup = [signal.SIGHUP] * (signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN)  # as nohup does
+                for number in (signal.SIGINT, signal.SIGTERM, *hangup):
                     asyncio.get_running_loop().add_signal_handler(
                         number, lambda: tasks.create_task(end_in_order()) and None
                     )

@@ -153,19 +153,21 @@ class _Fit:
     def try_points(self, points: Sequence[Floats]) -> None:
         """Measure new points (logarithms of values).
 
-        `_UnreadTrialError` if they leave too few seeds at a used content; then none of the points counts.
+        `_UnreadTrialError` if a used content has too few seeds or no scatter to fit; then none of the points counts.
         """
         new = [point for point in points if point.tobytes() not in self.trials]
         former = dict(self.trials)
         if new:
             self.trials |= {point.tobytes(): vs for point, vs in zip(new, self._measure(new), strict=True)}
-        left, planned = self.common.sum(axis=0), len(self.common)
-        if short := [i for i in self.used if left[i] < _FEWEST_SEEDS]:
-            self.trials = former
-            content = self._targets[short[0]].content
-            raise _UnreadTrialError(
-                f"a trial left {left[short[0]]} of {planned} seeds with a velocity at {content:g} %"
-            )
+        common = self.common
+        for i in self.used:
+            target, left = self._targets[i], int(common[:, i].sum())
+            words = "" if left >= _FEWEST_SEEDS else f"left {left} of {len(common)} seeds with a velocity"
+            if not words and target.sd and any(np.ptp(vs[common[:, i], i]) == 0.0 for vs in self.trials.values()):
+                words = "gave all seeds the same velocity, and no standard deviation to fit,"
+            if words:
+                self.trials = former
+                raise _UnreadTrialError(f"a trial {words} at {target.content:g} %")
 
     @property
     def common(self) -> NDArray[np.bool_]:

@@ -104,7 +104,7 @@ def read_variants(path: str | os.PathLike[str], database: str) -> tuple[Variant,
         )
         raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
     base, _ = parse_file(Path(path).parent / listed.configuration)
-    _change(base, "run", {"database": database, "store_sections": False})
+    _change(base, "run", {"database": database, "store_sections": False}, "part")
     known = {REFERENCE, *(variant.name for variant in listed.variant)}
     problems = [
         Problem(f'variant "{variant.name}": against = "{variant.against}" is none of the variants; correct it')
@@ -163,12 +163,13 @@ def variant_table(variants: Sequence[Variant]) -> StudyResult:
     return StudyResult(markdown_table(header, rows) + "\n")
 
 
-def _change(document: dict[str, Any], section: str, values: Mapping[str, Any], without: str = "") -> None:
-    """Change keys of a section, and omit one; entries that are not tables are left for the reader to refuse."""
+def _change(document: dict[str, Any], section: str, values: Mapping[str, Any], *without: str) -> None:
+    """Change keys of a section, and omit some; entries that are not tables are left for the reader to refuse."""
     table = document.setdefault(section, {})
     if isinstance(table, dict):
         table.update(values)
-        table.pop(without, None)
+        for key in without:
+            table.pop(key, None)
 
 
 def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, source: str) -> Variant:
@@ -179,10 +180,11 @@ def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, 
         _change(document, section, {key: value})
     for place in entry.without:
         section, _, key = place.partition(".")
-        _change(document, section, {}, without=key)
+        _change(document, section, {}, key)
     own = {"name": entry.name, "seeds": entry.seeds or plan.seeds, "contents": entry.contents or plan.contents}
-    _change(document, "campaign", own)
-    configuration = read_configuration(document, f"{source}, {entry.name}")
+    _change(document, "campaign", own, "until", "most_seeds")
+    folder = (Path(source).parent / plan.configuration).parent
+    configuration = read_configuration(document, f"{source}, {entry.name}", folder)
     return Variant(entry.name, entry.choice, entry.value, entry.against, configuration)
 
 
@@ -375,11 +377,11 @@ def _mean_of_seeds(vs: xr.DataArray) -> str:
 def vary_one(varied: str, database: str, contents: Sequence[float] | None, campaign_name: str | None) -> StudyResult:
     """Run one study; its table has the mean of Vs from peak to peak (m/s) over content and varied parameter."""
     study = run_studies(database, [varied], contents=contents, campaign_name=campaign_name)[varied]
-    found, unit = study["vs_peak"], "Hz" if varied == "frequency" else "1"
+    found, unit = study["vs_peak"], " Hz" if varied == "frequency" else ""
     rows = [
         (f"{content:g}", *(_mean_of_seeds(found.sel({"content": content, varied: value})) for value in study[varied]))
         for content in study["content"].values
     ]
-    table = markdown_table(("content, %", *(f"{value:g} {unit}" for value in study[varied].values)), rows) + "\n"
+    table = markdown_table(("content, %", *(f"{value:g}{unit}" for value in study[varied].values)), rows) + "\n"
     figures = {entry.name: partial(entry.draw, study) for entry in STUDY_FIGURES if entry.study == varied}
     return StudyResult(table, dataset=study, figures=figures, formats=("png", "svg", "pdf"))

@@ -358,17 +358,17 @@ def _area_of_clusters(configuration: Configuration, packing: Packing) -> float:
     return float(calcite * densities * np.pi * np.sum(packing.radius**2) / max(1, cement.clusters))
 
 
-def text_with_values(text: str, values: Mapping[str, float]) -> str:
+def text_with_values(text: str, values: Mapping[str, float | str]) -> str:
     """TOML text with these values: existing keys are replaced, others are added to their section."""
     for name, value in values.items():
         section, key = name.split(".")
-        line = f"{key} = {value:.5g}  # calibrated"
+        line = f"{key} = {json.dumps(value) if isinstance(value, str) else f'{value:.5g}  # calibrated'}"
         body = re.compile(rf"(?ms)^\[{section}\][^\n]*$(.*?)(?=^\[|\Z)")
         found = body.search(text)
         if found is None:
             text = f"{text.rstrip()}\n\n[{section}]\n{line}\n"
             continue
-        inside, count = re.subn(rf"(?m)^[ \t]*{key}\s*=.*$", line, found.group(1))
+        inside, count = re.subn(rf"(?m)^[ \t]*{key}\s*=.*$", lambda _, line=line: line, found.group(1))
         if not count:
             inside = f"{inside.rstrip()}\n{line}\n\n"
         text = text[: found.start(1)] + inside + text[found.end(1) :]
@@ -383,7 +383,7 @@ def refuse_unwritable(text: str, configuration: Configuration, values: Mapping[s
     rounded = {name: float(f"{value:.5g}") for name, value in values.items()}
     problem = f"{', '.join(values)}: cannot be written; give each section as [section], with a line for each key"
     try:
-        document = tomllib.loads(text_with_values(text, values))
+        document = tomllib.loads(text_with_values(text, {"campaign.name": file.stem, **values}))
     except ValueError as error:
         raise ConfigurationError(os.fspath(file), [Problem(problem)]) from error
     if read_configuration(document, os.fspath(file), file.parent).hash != with_values(configuration, rounded).hash:

@@ -72,6 +72,10 @@ def test_unknown_endings_are_refused(database: Path, invoke: Invoke, tmp_path: P
         assert ".vtu" in output
     assert "--content" in invoke("export", database, tmp_path / "a.csv", exit_code=2)
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "quick.toml").write_text("[run]", encoding="utf-8")
+    assert "is no NetCDF file" in invoke("export", database, tmp_path / "quick.toml", exit_code=2)
+    refused = invoke("import", tmp_path / "a.nc", "--db", tmp_path / "b.db", "--plane", "xy", exit_code=2)
+    assert "--plane" in refused
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

@@ -86,3 +86,14 @@ def test_no_rows_have_columns(database: Path, invoke: Invoke) -> None:
     assert invoke(*words, Format.CSV.value) == "seed,vs\n"
     assert json.loads(invoke(*words, Format.JSON.value)) == []
     assert invoke("verify", database, "--integrity", "--format", Format.CSV.value) == "damage\n"
+
+
+def test_a_low_terminal_shows_the_head_once(database: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole status stands at the end, below what of it fits while it is watched."""
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as on a terminal
+    monkeypatch.setenv("LINES", "6")
+    monkeypatch.setenv("COLUMNS", "80")
+    whole = invoke("status", database)
+    assert whole.count("seeds x") == 1
+    first, *_, last = invoke("status", database, "--watch").split("\x1b[1A")
+    assert first.count("\n") < 6 < last.count("\n"), "lines above the screen would be written again"

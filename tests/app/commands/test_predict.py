@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calcidem.analysis.intervals import Interval
 from calcidem.app.campaign.opened import Campaign, check_predictions, predict_velocity
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import CementPattern
@@ -23,6 +24,17 @@ def test_seed_and_pattern_of_a_sample_predict_the_same(campaign: Campaign) -> No
     assert campaign.predict(content=5.0).vs == pytest.approx(float(np.exp(np.log(vs).mean())))
     alone = predict_velocity(campaign.analyse(), 5.0, without_seed=2)
     assert alone.vs == pytest.approx(float(np.exp(np.log(vs.drop_sel(seed=2)).mean())))
+
+
+def test_the_sample_without_cement_has_the_interval_of_its_error(campaign: Campaign) -> None:
+    """All seeds are that sample, so nothing else scatters."""
+    cell = campaign.cell(seed=1, content=0.0)
+    assert cell.vs is not None
+    assert cell.vs_error is not None
+    found = campaign.predict(content=0.0, seed=501)
+    assert (found.vs, found.uses_features) == (cell.vs, False)
+    assert found.interval == Interval.of_velocity(cell.vs, cell.vs_error)
+    assert found.interval.low < found.vs < found.interval.high
 
 
 def test_the_feature_is_the_stored_conductance(campaign: Campaign) -> None:

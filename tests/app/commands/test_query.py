@@ -19,6 +19,7 @@ from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
 from calcidem.storage.records import QUANTITY_BY_NAME
 from calcidem.storage.store import Selection
+from calcidem.wording import ABSENT
 
 Invoke = Callable[..., str]
 
@@ -147,6 +148,11 @@ def test_features_come_with_corrected_p_values(database: Path, invoke: Invoke, c
     assert "neither" in invoke("query", database, "--features", "--limit", 3, exit_code=2)
     with pytest.raises(QueryError, match="no selected cell has a velocity"):
         invoke("query", database, "--features", "--where", "vs > 1e6")
+    with pytest.raises(QueryError, match="no selected cell has a velocity and features"):
+        invoke("query", database, "--features", "--content", 0)
+    few = invoke("query", database, "--features", "--content", 5, "--seed", 1, "--seed", 2)
+    assert "nan" not in few
+    assert f"({ABSENT})" in few
 
 
 def test_a_table_wider_than_a_terminal_folds() -> None:

@@ -71,6 +71,7 @@ def test_the_job_of_a_configuration_is_written_beside_it(tmp_path: Path) -> None
         (tmp_path / "kept.toml").write_text("kept")
         done = CliRunner().invoke(_build_application(), ["init", str(file), "--slurm"])
         assert done.exit_code == 0, done.output
+        assert f"then, in its folder: sbatch {file.stem}.sbatch\n" in done.output
         assert (file.read_text() == "kept") == (configuration == "kept.toml")
         assert CliRunner().invoke(_build_application(), ["init", str(file), "--slurm"]).exit_code == 2
         (tmp_path / "calcidem").write_text('#!/bin/sh\nprintf "%s\\n" "$@" > asked\n')
