@@ -322,21 +322,24 @@ def _write_files(
     }
     files = [folder / f"{entry.name}.{ending}" for entry in chosen for ending in ("png", "svg", "pdf")]
     files += [*(folder / f"table_{name}.csv" for name in TABLES), *(folder / f"{name}.nc" for name in exact)]
-    for file in files:  # an earlier report may have had more
-        file.unlink(missing_ok=True)
+    made = set[Path]()
     reasons: dict[str, str] = {}
     for entry in chosen:
         figure, reasons[entry.name] = make_or_explain(entry.draw, analysis)
         if figure is not None:
-            save(figure, folder, entry.name)
+            made |= {*save(figure, folder, entry.name)}
     for name, make in TABLES.items():
         table, reasons[f"table_{name}"] = make_or_explain(make, analysis)
         if table is not None:
-            with (folder / f"table_{name}.csv").open("w", newline="", encoding="utf-8") as stream:
+            made.add(file := folder / f"table_{name}.csv")
+            with file.open("w", newline="", encoding="utf-8") as stream:
                 csv.writer(stream).writerows(map(spreadsheet_value, row) for row in _as_numbers(table))
     for name, gather in exact.items():
         numbers, reasons[name] = make_or_explain(gather, analysis)
         if numbers is not None:
-            write_netcdf(numbers, folder / f"{name}.nc")
-    tell(f"Wrote {sum(file.exists() for file in files)} files to {folder}")
+            made.add(file := folder / f"{name}.nc")
+            write_netcdf(numbers, file)
+    for file in set(files) - made:  # an earlier report may have had more
+        file.unlink(missing_ok=True)
+    tell(f"Wrote {len(made)} files to {folder}")
     return {name: reason for name, reason in reasons.items() if reason}
