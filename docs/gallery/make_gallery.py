@@ -108,7 +108,7 @@ def gallery_page(*, captions: bool = False) -> str:
         "",
     ]
     for entry in (*FIGURES, *STUDY_FIGURES):
-        lines += [f"## {entry.title}", "", f"![{entry.title}]({entry.name}.png)", ""]
+        lines += [f"## {entry.title}", "", f"![Figure]({entry.name}.png)", ""]  # as the heading says
         lines += [textwrap.fill(entry.caption, _LINE), ""] if captions else []
     lines += ["## The report", "", "At two widths: the first screen and one of the cells.", ""]
     lines += [f"![Report, {width} pixels wide, {look}]({name}.png)" for name, (width, look, _) in SCREENS.items()]

@@ -34,7 +34,7 @@ IDENTITIES = {
         "4d59f8fd13535240870eec6cd01014ae1bf5f5536f64aab274543907a297c4c4",
     ),
     (5, "examples/paper.toml"): (
-        "b7bba99e6ee6d08082a48c956b03520f5b264f3911b0bf7c139595da98ba2a94",
+        "092611ac3c1af0a53ea2d0d25f60f61b0be499892742f02dee91fb9127bff7c2",
         "4d59f8fd13535240870eec6cd01014ae1bf5f5536f64aab274543907a297c4c4",
     ),
     (5, "examples/paper-as-printed.toml"): (

@@ -44,14 +44,14 @@ class WaveRule:
         Contact law. ``linear``: constant stiffnesses, so contacts neither slip nor open. ``finite``: Hertz and Coulomb
         at displacements of any size. ``auto``: linear at contents where the check confirms it, else finite.
     both_sides
-        Whether the wave also comes from the other side. The effective velocity is the mean of both, in twice the time.
+        Whether the wave comes from either side, in twice the time: the effective velocity is the mean.
     precision
         Precision of the kernel's numbers.
     step_fraction
         Time step over the stability limit.
     samples_per_period
-        Samples of the section per period of the pulse at the step of the stiffest sample; at low contents, whose steps
-        are longer, down to half of it. With 40 a peak shifts by 2e-4, with 20 by 1e-3.
+        Samples of the section per period of the pulse, at low contents down to half of it, since steps are longer. With
+        40 a peak shifts by 2e-4, with 20 by 1e-3.
     slowest
         Slowest velocity covered by the length of the record, m/s.
     listening_depth
