@@ -159,7 +159,8 @@ def leave_one_seed_out(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike, 
 
 def power_law(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[np.float64]:
     """Return a x^b + c for positive x."""
-    return a * x**b + c
+    with np.errstate(over="ignore"):  # far trial values of a fit
+        return np.asarray(a * x**b + c)
 
 
 def _power_law_gradient(x: NDArray[np.float64], a: float, b: float, c: float) -> NDArray[np.float64]:  # noqa: ARG001 - curve_fit's signature

@@ -302,11 +302,10 @@ class CellResult(Record):
     )
     """By the fitted wave: it is known, and no part of an error."""
     reading_error: Annotated[_Real, _relative_error("relative standard error of the reading of vs")] = None
-    effective_vs: Annotated[_Real, _speed("velocity of the damped wave that fits the section")] = None
+    effective_vs: Annotated[_Real, _speed("velocity of the fitted damped wave, mean of the known sides")] = None
     """Velocity of the sample, free of the choice of a peak and of the dispersion in a strip."""
     effective_error: Annotated[_Real, _relative_error("relative standard error of effective_vs")] = None
-    effective_vs_other_side: Annotated[_Real, _speed("velocity of that wave if it comes from the other side")] = None
-    """Then `effective_vs` is the mean of both sides."""
+    effective_vs_other_side: Annotated[_Real, _speed("velocity of the fitted wave from the other side")] = None
     coherence: Annotated[_Real, _reading("1", "mean squared correlation of section and fitted wave")] = None
     frequency: Annotated[_Real, _wave("Hz", "frequency of the transmitted pulse", is_needed=True)] = None
     distance: Annotated[_Real, _wave("m", "distance that the shear wave travelled")] = None

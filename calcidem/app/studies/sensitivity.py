@@ -362,7 +362,7 @@ def run_studies(
     if unknown:
         raise ValueError(f"study {unknown[0]!r} does not exist; choose from {', '.join(_STUDIES)}")
     with read_campaign(database, campaign_name) as store:
-        experiment = stored_experiment(store)
+        experiment = stored_experiment(store).with_wave(both_sides=False)  # Vs alone is read
         published = int(published_study().has_sand_of(store.record.parameters))
     chosen = {} if contents is None else {"contents": tuple(dict.fromkeys(contents))}
     return {name: _STUDIES[name](experiment, **chosen).assign_attrs(published=published) for name in names}
