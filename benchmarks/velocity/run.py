@@ -1,13 +1,13 @@
 """What both velocities say about a sample: against its static stiffness, another receiver, the other side and pulse.
 
-    python benchmarks/velocity/run.py [--preset paper] [--packings 11 12] [--seeds 301 16] [--frequency 1] [--both-sides]
+    python benchmarks/velocity/run.py [--preset paper] [--packings 11 12] [--seeds 301 16] [--frequency 1] [--one-side]
 
 prints two tables over the contents of the packings (docs/velocity.md). Each sample is measured as configured, by a
 receiver as wide as the box, with the pulse reversed, and sent from the other side. S is the static speed. *side* is
 half the variance of the logarithm of the ratio to the wave from the other side. *r* is the correlation of logarithms
 over seeds, pooled within content and packing; *repeatability* the standard deviation of the logarithm of two receivers'
-ratio, over the root of 2; *within* the share of differences within 1.96 stated errors. With ``--both-sides`` the
-effective velocities are the means of both sides (`wave.both_sides`), for which the other side is no judge.
+ratio, over the root of 2; *within* the share of differences within 1.96 stated errors. If effective
+velocities are means of both sides (`wave.both_sides`), the other side is no judge; ``--one-side`` makes them of one.
 """
 
 import argparse
@@ -41,12 +41,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs=2, default=(301, 16), metavar=("FIRST", "COUNT"))
     parser.add_argument("--contents", type=float, nargs="+", default=(0.11, 0.66, 2.55, 5.0, 9.0))
     parser.add_argument("--frequency", type=float, default=1.0, help="factor of the frequencies")
-    parser.add_argument("--both-sides", action="store_true", help="effective velocities from both sides")
+    parser.add_argument("--one-side", action="store_true", help="effective velocities from one side")
     given = parser.parse_args()
     seeds = range(given.seeds[0], given.seeds[0] + given.seeds[1])
     found: dict[float, list[Samples]] = defaultdict(list)
     for packing in given.packings:
-        experiment = prepared(given.preset, packing, given.frequency).with_wave(both_sides=given.both_sides)
+        experiment = prepared(given.preset, packing, given.frequency)
+        experiment = experiment.with_wave(both_sides=experiment.wave.both_sides and not given.one_side)
         for content in given.contents:
             found[content].append(Samples(experiment, content, seeds))
     for name in ("vs", "effective_vs"):
