@@ -168,16 +168,22 @@ def test_a_grading_is_read_from_a_table(tmp_path: Path, invoke: Callable[..., st
         ("size (mm),finer\n0.1,0\n0.2,90\n0.5,60\n", "finer = 0 to 60"),
         ("size (mm),finer\n0.1,0.1\n0.5,0.9\n", "finer = 0.1 to 0.9"),
         ("size (mm),finer\n0.1,0\n0.5,190\n", "row 3 = 0.5,190"),
-        ("size (mm),finer (mm)\n0.1,10\n0.5,90\n", "column 'finer (mm)': its unit 'mm' is not one of this quantity"),
         ("size (mm),finer\n", "rows = 0"),
     ],
 )
 def test_a_grading_that_is_none_is_refused(text: str, words: str, tmp_path: Path) -> None:
     """Place, value and cure."""
     (tmp_path / "sizes.csv").write_text(text, encoding="utf-8")
-    with pytest.raises((ConfigurationError, InputFileError)) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         read_grading(tmp_path / "sizes.csv")
     assert words in str(caught.value)
+
+
+def test_a_grading_in_units_of_another_quantity_is_refused(tmp_path: Path) -> None:
+    """With the column and its unit."""
+    (tmp_path / "sizes.csv").write_text("size (mm),finer (mm)\n0.1,10\n0.5,90\n", encoding="utf-8")
+    with pytest.raises(InputFileError, match=r"column 'finer \(mm\)': its unit 'mm' is not one of this quantity"):
+        read_grading(tmp_path / "sizes.csv")
 
 
 def test_sands_that_cannot_be_computed_are_refused() -> None:
