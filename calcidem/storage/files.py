@@ -61,8 +61,11 @@ def refuse_to_replace(path: str | os.PathLike[str], *, replaces_netcdf: bool = F
         database = target.with_name(target.name.removesuffix(end)) if target.name.endswith(end) else target
         if _beginning(database) == b"SQLite format 3\0":
             what = "is a database" if database == target else f"belongs to the database {database}"
-    if not replaces_netcdf and _beginning(target).startswith(b"\x89HDF\r\n\x1a\n"):
+    begins = _beginning(target)
+    if not replaces_netcdf and begins.startswith(b"\x89HDF\r\n\x1a\n"):
         what = "is a NetCDF file"
+    if replaces_netcdf and not what and begins and not begins.startswith((b"\x89HDF\r\n\x1a\n", b"CDF")):
+        what = "is no NetCDF file"
     if what:
         raise OutputRefusedError(f"{target} {what}.", "Give another file name for the result; nothing was written.")
 

@@ -345,6 +345,15 @@ def test_both_sides_give_their_mean_with_the_error_of_a_mean(quiet: Experiment) 
         assert (stored.effective_vs, stored.effective_vs_other_side) == (after.effective_vs, there.velocity)
 
 
+def test_without_a_wave_from_its_own_side_a_sample_has_none_from_the_other(
+    quiet: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A velocity from one side alone is always that of the usual side."""
+    monkeypatch.setattr(measurement, "interpret", lambda _, one: one)
+    (found,) = measure(replace(quiet.with_wave(both_sides=True), is_checked=False), CONTENT, [1])
+    assert found.reading is found.other_wave is found.effective_vs is None
+
+
 def test_a_sample_that_holds_no_cement_is_sent_beside_cemented_ones_as_alone(quiet: Experiment) -> None:
     """As at so small a content that some seeds cement no contact: those have longer steps and another sampling."""
     cemented, bare = quiet.ordering(1).at(CONTENT).bonded, np.zeros(len(quiet.packing.pairs), dtype=bool)

@@ -17,7 +17,6 @@ from calcidem.app.cli.options import (
     parse_percentage,
     refuse_options,
 )
-from calcidem.input_file import open_input
 from calcidem.storage.records import ARRAY_RECORDS
 
 if TYPE_CHECKING:
@@ -46,18 +45,12 @@ def export_command(
     as CSV (x, y, radius in m).
     """
     if seed is None and content is None:
-        from calcidem.storage.files import refuse_to_replace
         from calcidem.storage.netcdf import export_netcdf
         from calcidem.storage.sql.store import read_campaign
 
         if out.suffix.lower() in {".vtu", ".csv"}:
             needed = ".vtu and .csv need --seed and --content"
             raise typer.BadParameter(f"'{out}' would be a NetCDF file; {needed}", param_hint="OUT")
-        refuse_to_replace(out, replaces_netcdf=True)
-        if out.is_file() and out.stat().st_size:
-            with open_input(out) as file:
-                if not file.read(4).startswith((b"\x89HDF", b"CDF")):
-                    raise typer.BadParameter(f"'{out}' is no NetCDF file; give another name", param_hint="OUT")
         with read_campaign(database, campaign) as store:
             export_netcdf(store, out, without=without or ())
     else:

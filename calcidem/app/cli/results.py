@@ -4,7 +4,6 @@ import io
 import json
 import math
 import os
-import re
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -239,14 +238,12 @@ def query_command(
             rows = [
                 {
                     "feature": row["feature"],
-                    "pearson (95 %)": "{pearson:+.2f} ({pearson_low:+.2f} to {pearson_high:+.2f})".format_map(row),
-                    "p": f"{row['p']:.2g}",
-                    "corrected": f"{row['p_corrected']:.2g}",
+                    "pearson (95 %)": f"{_numbers('{:+.2f}', row['pearson'])} "
+                    f"({_numbers('{:+.2f} to {:+.2f}', row['pearson_low'], row['pearson_high'])})",
+                    "p": _numbers("{:.2g}", row["p"]),
+                    "corrected": _numbers("{:.2g}", row["p_corrected"]),
                 }
                 for row in rows
-            ]
-            rows = [
-                {name: re.sub(r"(\+nan to )?\+?\bnan\b", ABSENT, text) for name, text in row.items()} for row in rows
             ]
         headings = {name: name != "feature" for name in rows[0]}
     else:
@@ -271,6 +268,11 @@ def query_command(
         write_text_atomically(out, _as_table(headings, rows, remark))
     if out is not None:
         typer.echo(f"Wrote {out}: {remark}")
+
+
+def _numbers(form: str, *values: float) -> str:
+    """Numbers in a form, or a dash if one is unknown."""
+    return form.format(*values) if all(map(math.isfinite, values)) else ABSENT
 
 
 def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[RecordRows, str]:

@@ -46,7 +46,7 @@ def stored_energy(
         (M, L) and (V, L) of its pairs, m.
     """
     pairs, wall_pairs, ratio = assembly.pairs, assembly.wall_pairs, scene.sand.shear_ratio
-    normal, stiffness = _hertz_energy(pairs.hertz, overlap, ratio)
+    normal, stiffness = hertz_energy(pairs.hertz, overlap, ratio)
     if features.bonds:
         if features.linear_group:
             cemented = lanes_of_bits(pairs.cemented, features.lanes)
@@ -57,7 +57,7 @@ def stored_energy(
         else:
             normal = np.where(lanes_of_bits(pairs.intact, features.lanes), 0.0, normal)
     total = normal.sum(axis=0) + _spring_energy(pairs.shear, stiffness)
-    normal, stiffness = _hertz_energy(wall_pairs.hertz, wall_overlap, ratio)
+    normal, stiffness = hertz_energy(wall_pairs.hertz, wall_overlap, ratio)
     total = total + normal.sum(axis=0) + _spring_energy(wall_pairs.shear, stiffness)
     if features.bonds:
         for kind in (NORMAL, SHEAR, MOMENT):
@@ -65,7 +65,7 @@ def stored_energy(
     return np.asarray(total)
 
 
-def _hertz_energy(coefficient: Floats, overlap: Floats, shear_ratio: float) -> tuple[Floats, Floats]:
+def hertz_energy(coefficient: Floats, overlap: Floats, shear_ratio: float = 0.0) -> tuple[Floats, Floats]:
     """Energy 2/5 F_n d of Hertz contacts and their shear stiffness."""
     hertz, pressed = coefficient.astype(float)[:, None], np.maximum(overlap, 0.0)
     root = np.sqrt(pressed)

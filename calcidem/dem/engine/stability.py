@@ -328,12 +328,16 @@ def stiffest_contacts(assembly: Assembly, overlap: Floats, wall_overlap: Floats)
 
     It grows when the limit of the step falls.
     """
-    tangent = hertz_tangent(assembly.pairs.hertz, overlap)
-    at_walls = hertz_tangent(assembly.wall_pairs.hertz, wall_overlap)
-    ends = ((assembly.pairs.first, tangent), (assembly.pairs.second, tangent), (assembly.wall_pairs.disk, at_walls))
-    count = len(assembly.grains.radius)
-    total = sum(_sums(disk, count) @ stiffness for disk, stiffness in ends)
+    pairs, wall_pairs = assembly.pairs, assembly.wall_pairs
+    total = sums_at_disks(assembly, hertz_tangent(pairs.hertz, overlap), hertz_tangent(wall_pairs.hertz, wall_overlap))
     return np.asarray((_inverse_masses(assembly) * total).max(axis=0, initial=0.0))
+
+
+def sums_at_disks(assembly: Assembly, of_pairs: Floats, of_walls: Floats) -> Floats:
+    """Sums (N, L) over the contacts of each disk of values of all contacts, (M, L) and (V, L)."""
+    pairs, count = assembly.pairs, len(assembly.grains.radius)
+    ends = ((pairs.first, of_pairs), (pairs.second, of_pairs), (assembly.wall_pairs.disk, of_walls))
+    return np.asarray(sum(_sums(disk, count) @ values for disk, values in ends))
 
 
 def pair_stiffness(

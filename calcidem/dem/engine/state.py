@@ -38,13 +38,14 @@ from calcidem.dem.engine.leapfrog import (
     start_leapfrog,
 )
 from calcidem.dem.engine.portable import length, root
-from calcidem.dem.engine.readout import stored_energy
+from calcidem.dem.engine.readout import hertz_energy, stored_energy
 from calcidem.dem.engine.scene import Law, Precision, Preload, Scene
 from calcidem.dem.engine.stability import (
     critical_time_step,
     critical_time_step_of_disks,
     squared_frequencies,
     stiffest_contacts,
+    sums_at_disks,
 )
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import (
@@ -112,23 +113,10 @@ def _contact_durations(
     # Impacts of a disk do not matter if they supply at most 1 % of the energy in its own contacts, nor if all listed
     # contacts are cemented.
     loose = (~lanes_of_bits(assembly.pairs.intact, features.lanes)).any(axis=0) | (len(assembly.wall_pairs.disk) > 0)
-    matters = (0.5 * mass * approach * approach > 1e-2 * _hertz_energies(assembly, now)) & loose
+    own, _ = hertz_energy(assembly.pairs.hertz, now.overlap)
+    at_walls, _ = hertz_energy(assembly.wall_pairs.hertz, now.wall_overlap)
+    matters = (0.5 * mass * approach * approach > 1e-2 * sums_at_disks(assembly, own, at_walls)) & loose
     return np.where((inverse > 0.0) & matters, duration, np.inf), fastest
-
-
-def _hertz_energies(assembly: Assembly, now: _Instant) -> Floats:
-    """Energy (N, L) in the Hertz contacts of each disk, J/m."""
-    total = np.zeros((len(assembly.grains.radius), now.overlap.shape[1]))
-    pairs, own = assembly.pairs, assembly.wall_pairs
-    for disks, coefficient, depth in (
-        ((pairs.first, pairs.second), pairs.hertz, now.overlap),
-        ((own.disk,), own.hertz, now.wall_overlap),
-    ):
-        pressed = np.maximum(depth, 0.0)
-        energy = 0.4 * coefficient.astype(float)[:, None] * pressed * pressed * np.sqrt(pressed)
-        for disk in disks:
-            np.add.at(total, disk, energy)
-    return total
 
 
 def _wall_speeds(assembly: Assembly, reaction: Floats, time_step: Floats) -> Floats:

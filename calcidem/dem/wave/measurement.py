@@ -126,7 +126,7 @@ def measure(
     if experiment.wave.both_sides:
         others = (reading_of(section, experiment) for section in sections(experiment.once(from_other_side)))
         measured = [
-            replace(one, other_wave=other.wave) if other and other.wave.error < 1.0 else one
+            replace(one, other_wave=other.wave) if one.reading and other and other.wave.error < 1.0 else one
             for one, other in zip(measured, others, strict=True)
         ]
     seconds = (perf_counter() - seconds_compiling() - began) / len(seeds)

@@ -20,7 +20,7 @@ from calcidem.dem.engine.leapfrog import Kernel, State, run_in_place
 from calcidem.dem.engine.portable import length
 from calcidem.dem.engine.readout import look_undamped, net_forces, overlaps, wall_overlaps
 from calcidem.dem.engine.scene import Bonds, Scene
-from calcidem.dem.engine.stability import critical_time_step, hertz_tangent
+from calcidem.dem.engine.stability import critical_time_step, stiffest_contacts
 from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.gpu import gpu_steps
@@ -535,15 +535,7 @@ def cheap_limit(state: State) -> Floats:
     To the initial matrices of `stability.critical_time_step` each Hertz contact adds at most its own largest
     eigenvalue, ``max(k_n, 3 k_s)``. If stiff bonds limit the step, this is negligible at any load.
     """
-    pairs, wall_pairs, grains = state.assembly.pairs, state.assembly.wall_pairs, state.assembly.grains
-    normal = np.zeros((len(grains.radius), state.features.lanes))
-    pressed, leaning = (
-        hertz_tangent(pairs.hertz, overlaps(state)),
-        hertz_tangent(wall_pairs.hertz, wall_overlaps(state)),
-    )
-    for disk, stiffness in ((pairs.first, pressed), (pairs.second, pressed), (wall_pairs.disk, leaning)):
-        np.add.at(normal, disk, stiffness)
-    share = 2.0 * max(1.0, 3.0 * state.scene.sand.shear_ratio) * grains.inverse_mass * (1.0 + grains.damping)
-    added = (share.astype(float)[:, None] * normal).max(axis=0)
+    share = 2.0 * max(1.0, 3.0 * state.scene.sand.shear_ratio)
+    added = share * stiffest_contacts(state.assembly, overlaps(state), wall_overlaps(state))
     at_start = 2.0 / state.critical_time_step
     return np.asarray(2.0 / np.sqrt(at_start * at_start + added))

@@ -14,7 +14,7 @@ from places import TUTORIAL
 
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.dem.sample.packing_file import _read_disks
-from calcidem.storage.errors import ForeignDatabaseError
+from calcidem.storage.errors import ForeignDatabaseError, OutputRefusedError
 from calcidem.storage.netcdf import export_netcdf
 
 Invoke = Callable[..., str]
@@ -73,7 +73,9 @@ def test_unknown_endings_are_refused(database: Path, invoke: Invoke, tmp_path: P
     assert "--content" in invoke("export", database, tmp_path / "a.csv", exit_code=2)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "quick.toml").write_text("[run]", encoding="utf-8")
-    assert "is no NetCDF file" in invoke("export", database, tmp_path / "quick.toml", exit_code=2)
+    with pytest.raises(OutputRefusedError, match="is no NetCDF file"):
+        invoke("export", database, tmp_path / "quick.toml")
+    assert (tmp_path / "quick.toml").read_text(encoding="utf-8") == "[run]"
     refused = invoke("import", tmp_path / "a.nc", "--db", tmp_path / "b.db", "--plane", "xy", exit_code=2)
     assert "--plane" in refused
 
