@@ -204,6 +204,15 @@ def test_marked_peak_is_a_peak_of_the_signal(analysis: CampaignAnalysis) -> None
     assert 0 < int(np.argmax(near)) < len(near) - 1
 
 
+def test_the_marked_first_arrival_begins_where_the_pulse_reaches_a_tenth(analysis: CampaignAnalysis) -> None:
+    """``p(t) = (1 - cos 2 pi f t) / 2 = 0.1``; a line between two samples is off by ``step^2 p'' / (8 p')`` at most."""
+    arrival = load_arrival(analysis, 1, 0.34)
+    frequency = float(analysis.cells["frequency"].sel(seed=1, content=0.34))
+    begun = arrival.arrival_time("first_arrival") - arrival.distance / arrival.velocities["first_arrival"]
+    step = frequency * (arrival.time[1] - arrival.time[0])
+    assert begun * frequency == pytest.approx(np.arccos(0.8) / (2.0 * np.pi), abs=step**2 * np.pi / 3.0)
+
+
 def test_sample_without_section_is_unavailable(analysis: CampaignAnalysis) -> None:
     """A cell whose section was not kept says so."""
     with pytest.raises(UnavailableError, match="no section is stored"):

@@ -70,7 +70,7 @@ def lattice(columns: int) -> tuple[Packing, WaveRule]:
     x, y = x + RADIUS, y + RADIUS
     box = (float(x.max() + 1.01 * RADIUS), float(y.max() + RADIUS))
     packing = bare_packing(x, y, np.full(len(x), RADIUS), np.zeros((0, 2), dtype=int), box)
-    return packing, WaveRule(receiver_half_width=6.0 * RADIUS, listening_depth=4.0 * RADIUS)
+    return packing, WaveRule(receiver_half_width=6.0 * RADIUS, listening_depth=4.0 * RADIUS, boundary_thickness=0.0)
 
 
 @pytest.mark.parametrize(("columns", "stations"), [(60, 9), (9, 6)])
@@ -86,6 +86,15 @@ def test_nine_stations_stand_on_the_path(columns: int, stations: int) -> None:
         assert ((packing.x[disks] >= low) & (packing.x[disks] < high)).all()
         assert (np.abs(packing.y[disks] - packing.height / 2.0) < rule.receiver_half_width).all()
     assert not set(np.concatenate(found).tolist()) & set(listening_disks(packing, rule).tolist())
+
+
+@pytest.mark.parametrize(("layer", "receiver", "highest"), [(0.0, 9.0, 2.5), (2.5, 9.0, 1.5), (0.0, 2.0, 0.5)])
+def test_stations_stand_where_the_wave_is(layer: float, receiver: float, highest: float) -> None:
+    """As high as the receiver, at most the middle half of the strip between the layers, 21 or 16 radii high here."""
+    packing, rule = lattice(60)
+    changed = replace(rule, receiver_half_width=receiver * RADIUS, boundary_thickness=layer * RADIUS)
+    off_centre = np.abs(packing.y - packing.height / 2.0)[np.concatenate(station_disks(packing, changed))]
+    assert off_centre.max() == pytest.approx(highest * np.sqrt(3.0) * RADIUS)  # rows are the root of 3 apart
 
 
 def test_there_are_no_stations_where_one_would_be_empty() -> None:

@@ -82,8 +82,10 @@ class Arrival:
     def transmitted_onset(self) -> float:
         """Time at which the transmitted pulse rises to a tenth of its peak, the level of the first arrival, s."""
         peak = int(np.argmax(self.transmitted))
-        below = int(np.flatnonzero(self.transmitted[: peak + 1] < 0.1 * self.transmitted[peak])[-1])
-        return float(self.time[below + 1])
+        level = 0.1 * self.transmitted[peak]
+        below = int(np.flatnonzero(self.transmitted[: peak + 1] < level)[-1])
+        around = slice(below, below + 2)
+        return float(np.interp(level, self.transmitted[around], self.time[around]))
 
     def arrival_time(self, method: str) -> float:
         """Return the arrival time by a method, s.

@@ -166,11 +166,14 @@ def station_disks(packing: Packing, rule: WaveRule) -> tuple[Integers, ...]:
     """Disks of each station, starting at the transmitter: slices of equal thickness before the listening disks.
 
     There are 9 of them, fewer if slices would be thinner than the largest disk, and none if one would be empty. The
-    first eighth of the path is left out, because P and S wave have not separated there.
+    first eighth of the path is left out, because P and S wave have not separated there. They are as high as the
+    receiver, and at most the middle half of the strip between the damped layers: there the wave has more than half of
+    its energy density, and it follows the stiffness better than outside.
     """
     begin, end = 0.125 * packing.width, packing.width - rule.listening_depth
     count = min(9, max(0, int((end - begin) / (2.0 * float(packing.radius.max())))))  # 18 improve no reading
-    in_band = np.abs(packing.y - packing.height / 2.0) < rule.receiver_half_width
+    half = min(rule.receiver_half_width, 0.25 * (packing.height - 2.0 * rule.boundary_thickness))
+    in_band = np.abs(packing.y - packing.height / 2.0) < half
     slices = pairwise(np.linspace(begin, end, count + 1))
     found = tuple(np.flatnonzero(in_band & (a <= packing.x) & (packing.x < b)) for a, b in slices)
     return found if all(map(len, found)) else ()
