@@ -130,7 +130,7 @@ class CampaignStatus:
     def to_json(self) -> dict[str, Any]:
         """How far it is in JSON's types, without single cells; a number that is not known is None."""
         run = self.last_run
-        return {
+        told = {
             "campaign": self.name,
             "hash": self.hash,
             "running": self.running,
@@ -142,27 +142,31 @@ class CampaignStatus:
                 "started": f"{run.started:%Y-%m-%d %H:%M} UTC",
                 "exit_state": run.exit_state and hide_passwords(run.exit_state),
             },
-            "cells": _by_name(self.counts),
-            "vs_error": _finite_or_none(self.budget.total),
-            "reading_error": _finite_or_none(self.budget.reading),
-            "numerical_error": _finite_or_none(self.budget.numerical),
-            "seconds_left": _finite_or_none(self.seconds_left),
+            "cells": dict(sorted(self.counts.items())),
+            "vs_error": self.budget.total,
+            "reading_error": self.budget.reading,
+            "numerical_error": self.budget.numerical,
+            "seconds_left": self.seconds_left,
             "workers": self.workers,
             "contents": [
                 {
                     "content": one.content,
-                    "cells": _by_name(one.counts),
-                    "mean": _finite_or_none(one.mean),
-                    "sd": _finite_or_none(one.deviation),
-                    "reading_scatter": _finite_or_none(one.budget.scatter),
+                    "cells": dict(sorted(one.counts.items())),
+                    "mean": one.mean,
+                    "sd": one.deviation,
+                    "reading_scatter": one.budget.scatter,
                     "loud": one.budget.loud,
-                    "interval_95": [_finite_or_none(one.interval.low), _finite_or_none(one.interval.high)],
-                    "seconds_per_cell": _finite_or_none(one.seconds_per_cell),
-                    "core_seconds_left": _finite_or_none(one.seconds_left),
+                    "interval_95": [one.interval.low, one.interval.high],
+                    "seconds_per_cell": one.seconds_per_cell,
+                    "core_seconds_left": one.seconds_left,
                 }
                 for one in self.contents
             ],
         }
+        from pydantic_core import to_jsonable_python  # noqa: PLC0415 - tables for people do not need it
+
+        found: dict[str, Any] = to_jsonable_python(told, inf_nan_mode="null")
+        return found
 
     @classmethod
     def of(cls, store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> Self:
@@ -205,14 +209,6 @@ class CampaignStatus:
             columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"])
             columns["seconds"] = _sampled_seconds(store, columns)
             return cls.of(store, columns, _troubles_of(store, columns))
-
-
-def _by_name(counts: Mapping[CellStatus, int]) -> dict[str, int]:
-    return {str(status): number for status, number in sorted(counts.items())}
-
-
-def _finite_or_none(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
