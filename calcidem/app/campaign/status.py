@@ -45,7 +45,7 @@ _TROUBLES = (
 UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 """Outcomes without a velocity that a new computation would repeat."""
 
-_STATUS_BY_NAME = {status.value: status for status in CellStatus}
+_STATUS_BY_NAME = {status.value: status for status in CellStatus}  # a call of the class takes ten times as long
 
 FEWEST_TO_PLAN = 3
 """Number of velocities below which a standard deviation has no meaning."""
@@ -116,7 +116,7 @@ class CampaignStatus:
     run_number: int | None
     """Latest run, if any."""
     running: bool
-    """Whether a process writes the campaign now, as far as known."""
+    """Whether a process writes the campaign now; one on another machine until its heartbeat is five minutes old."""
     workers: int
     """Number of computing ranks in the latest run."""
     seconds_left: float
@@ -183,7 +183,7 @@ class CampaignStatus:
         counts: Counter[CellStatus] = Counter()
         for status in statuses:
             counts.update(status.counts)
-        runs = store.runs()
+        runs, holder = store.runs(), store.lease_holder()
         number, last = runs[-1] if runs else (None, None)
         workers = max(1, last.ranks - 1) if last is not None else 1
         return cls(
@@ -197,7 +197,7 @@ class CampaignStatus:
             troubles=troubles,
             last_run=last,
             run_number=number,
-            running=_is_being_written(store),
+            running=holder is not None and holder.may_live(),
             workers=workers,
             seconds_left=sum(status.seconds_left for status in statuses) / workers,
         )
@@ -232,7 +232,7 @@ def _content_status(
     """Progress of one content, from the columns of its cells and the measured and expected seconds of a cell."""
     names = columns["status"].tolist()
     found = dict(zip(columns["seed"].astype(int).tolist(), map(_STATUS_BY_NAME.__getitem__, names), strict=True))
-    counts = Counter({_STATUS_BY_NAME[name]: count for name, count in Counter(names).items()})
+    counts = Counter(found.values())
     counted = are_samples(columns["vs"], content)
     vs = columns["vs"][counted].astype(float)
     is_one = content == 0.0  # without cement all seeds are the same sample
@@ -295,15 +295,6 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
         if key in statuses  # otherwise it was planned meanwhile
     ]
     return tuple(sorted(found, key=lambda trouble: (URGENCY[trouble.status], trouble.key)))
-
-
-def _is_being_written(store: Store) -> bool:
-    """Whether a living process holds the lease of a campaign.
-
-    A process on another machine counts as living until its heartbeat is five minutes old.
-    """
-    holder = store.lease_holder()
-    return holder is not None and holder.may_live()
 
 
 class RunStage(StrEnum):
