@@ -76,6 +76,8 @@ class ContactNetwork:
         larger = grains[grains > 1]
         bonds = np.bincount(np.concatenate([first, second]), minlength=count)
         conductance, most = self._current(bonded), self._current_if_cemented
+        steps = self.graph.with_entries(np.where(bonded, 0.0, 1.0)[self.graph.entry_contacts])
+        gap = dijkstra(steps, indices=self.graph.transmitter, min_only=True)[self.graph.receiver].min()
         return NetworkFeatures(
             network_conductance=conductance / most if most > 1e-6 else None,  # a billionth leaks to the earth
             network_cemented_share=_mean(bonded, self.energy),
@@ -84,7 +86,7 @@ class ContactNetwork:
             network_anisotropy=_mean(self.cosine, self.energy * bonded),
             network_components=len(larger),
             network_largest_component=int(larger.max(initial=0)),
-            network_gap_contacts=_fewest_uncemented_contacts(self.graph, bonded),
+            network_gap_contacts=int(gap) if np.isfinite(gap) else None,
         )
 
     @cached_property
@@ -160,13 +162,6 @@ def _mean(values: ArrayLike, weight: ArrayLike) -> float | None:
     return float(np.average(np.asarray(values, dtype=np.float64), weights=factors)) if factors.any() else None
 
 
-def _fewest_uncemented_contacts(graph: ContactGraph, bonded: NDArray[np.bool_]) -> int | None:
-    """Return the fewest uncemented contacts on a path from transmitter to receiver; None without any path."""
-    steps = graph.with_entries(np.where(bonded, 0.0, 1.0)[graph.entry_contacts])
-    fewest = dijkstra(steps, indices=graph.transmitter, min_only=True)[graph.receiver].min()
-    return int(fewest) if np.isfinite(fewest) else None
-
-
 FEATURES = {
     "path_contacts": ("N", "number of contacts on the path"),
     "path_hertz_contacts": ("N_h", "number of sand contacts on the path"),
@@ -187,28 +182,6 @@ FEATURES = {
     ),
 }
 """Symbol in the paper and definition of each feature, by its name in `PathFeatures`; all are dimensionless."""
-
-
-def _measure_path(
-    path: PreferentialPath, longest_bonded_run: float, weights: ContactWeights, straight: float
-) -> PathFeatures:
-    """Compute the eight features of a path of at least one contact, for the weights of the search.
-
-    ``longest_bonded_run`` is the mean over all shortest paths, ``straight`` that of `PackingGraph`. `ValueError` for
-    equal weights, where C_d,n is undefined.
-    """
-    contacts = len(path.bonded)
-    c_d = connectivity(path.hertz_contacts, path.bonded_contacts, weights)
-    return PathFeatures(
-        path_contacts=contacts,
-        path_hertz_contacts=path.hertz_contacts,
-        path_bonded_contacts=path.bonded_contacts,
-        path_bonded_fraction=path.bonded_contacts / contacts,
-        path_longest_bonded_run_fraction=longest_bonded_run / contacts,
-        path_longest_bonded_run=longest_bonded_run,
-        path_connectivity=c_d,
-        path_normalized_connectivity=normalized_connectivity(c_d, weights, straight),
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,8 +234,19 @@ class PackingGraph:
         return ShortestPaths.search(self.graph, bonded, self.weights)
 
     def features(self, paths: ShortestPaths) -> PathFeatures:
-        """Return the features of the shortest paths of one sample."""
-        return _measure_path(paths.first(), paths.mean_longest_bonded_run(), self.weights, self.straight)
+        """Return the features of the shortest paths of one sample, of at least one contact."""
+        path, longest = paths.first(), paths.mean_longest_bonded_run()
+        contacts, c_d = len(path.bonded), connectivity(path.hertz_contacts, path.bonded_contacts, self.weights)
+        return PathFeatures(
+            path_contacts=contacts,
+            path_hertz_contacts=path.hertz_contacts,
+            path_bonded_contacts=path.bonded_contacts,
+            path_bonded_fraction=path.bonded_contacts / contacts,
+            path_longest_bonded_run_fraction=longest / contacts,
+            path_longest_bonded_run=longest,
+            path_connectivity=c_d,
+            path_normalized_connectivity=normalized_connectivity(c_d, self.weights, self.straight),
+        )
 
     def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
         """Find the row of each pair in the sorted contacts."""

@@ -39,28 +39,42 @@ _KNOWN = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ForeignDisks:
-    """Content of a file, in its unit and frame."""
+class _Rows:
+    """Numbered lines of a file split into entries, and what else the file says."""
 
     form: str
     evidence: str
     """Detected format of the file, and evidence for it."""
+    names: Sequence[str]
+    """Names of the columns."""
+    entries: list[tuple[int, list[str]]]
+    """Line and entries of each row."""
+    box: Floats | None = None
+    """(3, 2) lowest and highest x, y and z of the box in the file; None without one."""
+    unit: str = ""
+    """Unit of length that the file states; empty without one."""
+    periodic: str = ""
+    """Axes in which the box continues on its other side."""
+    skipped: list[int] = field(default_factory=list)
+    """Lines below the first disk that are not disks."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForeignDisks:
+    """Disks of a file, in its unit and frame."""
+
+    rows: _Rows
+    """Rows from which they were read."""
     lines: Integers
     """(N,) line of each disk in the file."""
     place: Floats
     """(N, 3) centres; z is 0 without such a column."""
     radius: Floats
     """(N,)."""
-    kinds: tuple[str, ...] | None = None
+    kinds: tuple[str, ...] | None
     """(N,) types, groups or materials, as text; None without such a column."""
-    box: Floats | None = None
-    """(3, 2) lowest and highest x, y and z of the box in the file; None without one."""
-    periodic: str = ""
-    """Axes in which the box continues on its other side."""
-    unit: str = ""
-    """Unit of length in the file; empty without one."""
-    skipped: tuple[int, ...] = ()
-    """Lines below the first disk that are not disks."""
+    unit: str
+    """Unit of length in the file or in the names of its columns; empty without one."""
 
     @staticmethod
     def read(file: Path, columns: Sequence[str] = (), timestep: int | None = None) -> "ForeignDisks":
@@ -86,20 +100,6 @@ class ForeignDisks:
         if columns:
             rows = replace(rows, names=columns, evidence=f"{rows.evidence}; columns as given")
         return _disks_of(file, rows)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    """Numbered lines of a file split into entries, and names of the columns; other fields as in `ForeignDisks`."""
-
-    form: str
-    evidence: str
-    names: Sequence[str]
-    entries: list[tuple[int, list[str]]]
-    box: Floats | None = None
-    unit: str = ""
-    periodic: str = ""
-    skipped: list[int] = field(default_factory=list)
 
 
 def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int | None], _Rows] | None:
@@ -279,16 +279,12 @@ def _disks_of(file: Path, rows: _Rows) -> ForeignDisks:
     if all(word.isdecimal() for word in identity) and len(set(identity)) == len(order):
         order = np.argsort([int(word) for word in identity], kind="stable")
     return ForeignDisks(
-        form=rows.form,
-        evidence=rows.evidence,
+        rows,
         lines=np.array([number for number, _ in rows.entries])[order],
         place=centres[order],
         radius=numbers[size][order] * (1.0 if size == "radius" else 0.5),
         kinds=tuple(kinds[row] for row in order) if kinds else None,
-        box=rows.box,
-        periodic=rows.periodic,
         unit=of_file,
-        skipped=tuple(rows.skipped),
     )
 
 
@@ -415,12 +411,12 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
     kept, left_out = _choose_disks(source, found, place, radius, types)
     if unit is None and not found.unit and kept.any():
         _question_unit(source, 2.0 * float(radius[kept].mean()))
-    bounds = None if found.box is None else found.box[axes[:2]] * factor
+    bounds = None if found.rows.box is None else found.rows.box[axes[:2]] * factor
     given = None if walls is None else factor * np.asarray(walls, dtype=float).reshape(2, 2)
     if given is None and bounds is not None:
         across = (np.abs(place[:, :2] - bounds.mean(axis=1)) + (1.0 - LARGEST_OVERLAP) * radius[:, None])[kept]
         for side, axis in enumerate("xyz"[number] for number in axes[:2]):
-            if axis in found.periodic and (count := int((across[:, side] > 0.5 * np.ptp(bounds[side])).sum())):
+            if axis in found.rows.periodic and (count := int((across[:, side] > 0.5 * np.ptp(bounds[side])).sum())):
                 raise PackingFileError(
                     f"{source}: the boundary in {axis} is periodic, and {count} disks reach across it; a campaign has "
                     "walls there. Give walls = left, right, floor and lid inside the box: disks beyond are left out"
@@ -447,8 +443,8 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
     return ImportedPacking(
         source=source,
         out=out,
-        form=found.form,
-        evidence=found.evidence,
+        form=found.rows.form,
+        evidence=found.rows.evidence,
         x=x,
         y=y,
         radius=radius,
@@ -517,8 +513,8 @@ def _choose_disks(
     """Disks (N,) of the given types with a size, in one plane, and sentences about the others."""
     kept = np.ones(len(radius), dtype=bool)
     left_out = []
-    if found.skipped:
-        left_out.append(f"{len(found.skipped)} lines that are no disks, the first of them line {found.skipped[0]}")
+    if skipped := found.rows.skipped:
+        left_out.append(f"{len(skipped)} lines that are no disks, the first of them line {skipped[0]}")
     counts = Counter(found.kinds or ())
     if strange := [kind for kind in types if kind not in counts]:
         known = ", ".join(sorted(counts)) or "none"

@@ -13,9 +13,8 @@ import tempfile
 import textwrap
 from pathlib import Path
 
-from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
+from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, STUDY_FIGURES
 from calcidem.analysis.figures.style import reduce_colours, render
-from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.cli.exchange import import_command
 from calcidem.app.report.page import write_report

@@ -16,17 +16,22 @@ from calcidem.analysis.contact_graph import (
     ShortestPaths,
     straight_contacts,
 )
-from calcidem.analysis.packing_graph import FEATURES, _measure_path
+from calcidem.analysis.packing_graph import FEATURES, PackingGraph
 from calcidem.storage.records import PathFeatures
 
 WEIGHTS = ContactWeights.from_ratio(0.5)
+
+
+def features_of(paths: ShortestPaths, graph: ContactGraph, straight: float) -> PathFeatures:
+    """Give the features of paths of a graph, which need neither disks nor a network."""
+    return PackingGraph(None, graph, WEIGHTS, straight, None).features(paths)  # type: ignore[arg-type]
 
 
 def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np.bool_]]) -> None:
     """The drawing's path has 4 contacts, cement on 3 of them and on 2 in a row, and is straight."""
     paths = ShortestPaths.search(*drawn_sample, WEIGHTS)
     path = paths.first()
-    found = _measure_path(path, paths.mean_longest_bonded_run(), WEIGHTS, straight_contacts(5.0, 1.0))
+    found = features_of(paths, drawn_sample[0], straight_contacts(5.0, 1.0))
     assert path.grains == (5, 6, 7, 8, 9)
     assert (found.path_contacts, found.path_hertz_contacts, found.path_bonded_contacts) == (4, 1, 3)
     assert found.path_bonded_fraction == 3 / 4
@@ -50,8 +55,9 @@ def test_features_of_any_path_fit_together(bonded: list[bool]) -> None:
     chain = ContactGraph(
         len(path.grains), np.array(list(pairwise(path.grains))), np.array([0]), np.array([len(bonded)])
     )
-    run = ShortestPaths.search(chain, bonded, WEIGHTS).mean_longest_bonded_run()
-    found = _measure_path(path, run, WEIGHTS, straight_contacts(0.1, 2.5e-3))
+    paths = ShortestPaths.search(chain, bonded, WEIGHTS)
+    assert paths.first() == path
+    found = features_of(paths, chain, straight_contacts(0.1, 2.5e-3))
     text = "".join("b" if kind else " " for kind in bonded)
     assert found.path_longest_bonded_run == max((len(run) for run in text.split()), default=0)
     assert found.path_contacts == found.path_hertz_contacts + found.path_bonded_contacts == len(bonded)

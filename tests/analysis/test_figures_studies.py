@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from calcidem.analysis.figures import style
-from calcidem.analysis.figures.velocities import STUDY_FIGURES
+from calcidem.analysis.figures.registry import STUDY_FIGURES
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.config.schema import Configuration

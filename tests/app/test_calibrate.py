@@ -11,7 +11,7 @@ import pytest
 
 from calcidem.analysis.measured import Target
 from calcidem.app.cli.exit_codes import _exit_code_of
-from calcidem.app.config.reader import load_configuration, read_configuration, read_targets
+from calcidem.app.config.reader import change_configuration, load_configuration, read_configuration, read_targets
 from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation, FrequencyTable
 from calcidem.app.studies.calibrate import FitPlan, _fit_to_targets, calibrate
 from calcidem.app.studies.study import (
@@ -20,7 +20,6 @@ from calcidem.app.studies.study import (
     point_velocities,
     refuse_unwritable,
     text_with_values,
-    with_values,
 )
 from calcidem.dem.sample.packing import Packing
 
@@ -36,7 +35,8 @@ SEEDS = tuple(range(1, 9))
 def configuration(small_configuration: Configuration) -> Configuration:
     """Give a campaign on 280 disks whose pulse is gentle enough for so short a path, and is read however uncertain."""
     wave, pick = replace(small_configuration.wave, amplitude=1e-4), replace(small_configuration.pick, largest_error=1.0)
-    return replace(small_configuration, wave=wave, pick=pick, excitation=SHORT_WAVES)
+    plan = replace(small_configuration.campaign, contents=CONTENTS)
+    return replace(small_configuration, campaign=plan, wave=wave, pick=pick, excitation=SHORT_WAVES)
 
 
 @pytest.mark.slow
@@ -64,7 +64,7 @@ def test_the_parameters_that_made_the_targets_are_found_again(
         for content, column in zip(CONTENTS, columns, strict=True)
     ]
     begun = {STIFFNESS: 0.8, MODULUS: 1.2}
-    start = with_values(configuration, {name: begun[name] * value for name, value in truth.items()})
+    start = change_configuration(configuration, {name: begun[name] * value for name, value in truth.items()})
     told: list[str] = []
     plan = FitPlan(targets, ranges, SEEDS, predict=(4.0,))
     found = calibrate(start, small_packing, plan, trials, tell=told.append)
@@ -358,7 +358,7 @@ def test_a_cluster_without_area_starts_from_its_contacts(configuration: Configur
     area = ParameterRange("pattern.cluster_area").start_value(configuration, small_packing)
     by_contacts, by_area = (
         chosen.experiment(small_packing).ordering(1).at(5.0).clusters
-        for chosen in (configuration, with_values(configuration, {"pattern.cluster_area": area}))
+        for chosen in (configuration, change_configuration(configuration, {"pattern.cluster_area": area}))
     )
     assert by_area == pytest.approx(by_contacts, abs=1)
 

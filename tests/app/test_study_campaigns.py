@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration
-from calcidem.app.studies.study import point_of_study, point_velocities, with_values
+from calcidem.app.studies.study import point_of_study, point_velocities
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 
@@ -60,7 +61,7 @@ def test_a_point_has_the_bits_of_its_cells_and_is_computed_once(
     np.testing.assert_array_equal(found.T, [expected[0.66], expected[5.0]])
     np.testing.assert_array_equal(point_velocities(more, Noting()), found)
     assert len(computed) == 1
-    tight = with_values(small_configuration, {"sand.wave_stiffness_factor": 12.0})
+    tight = change_configuration(small_configuration, {"sand.wave_stiffness_factor": 12.0})
     found = point_velocities(point_of_study(tight, database, [60.0, 0.66], [1, 2]))
     assert np.isnan(found[:, 0]).all()
     assert np.isfinite(found[:, 1]).any()

@@ -1,9 +1,11 @@
-"""All figures of a campaign: file name, title, caption, and function that draws it."""
+"""All figures of campaigns and of studies: file name, title, caption, and function that draws it."""
 
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
+import xarray as xr
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, correlations
@@ -19,17 +21,22 @@ from calcidem.analysis.figures.samples import (
 )
 from calcidem.analysis.figures.style import pick_evenly
 from calcidem.analysis.figures.velocities import (
+    draw_damping_study,
+    draw_frequency_study,
     draw_histograms,
     draw_methods,
     draw_narrowing,
     draw_range,
+    draw_reading_study,
     published_velocities,
 )
 
+Data = TypeVar("Data")
+
 
 @dataclass(frozen=True, slots=True)
-class CampaignFigure:
-    """Figure of a campaign."""
+class CampaignFigure(Generic[Data]):
+    """Figure of a campaign, or of a study of its sensitivity."""
 
     name: str
     """File name without ending."""
@@ -37,10 +44,12 @@ class CampaignFigure:
     """Title in a few words."""
     caption: str
     """Caption in sentences."""
-    draw: Callable[[CampaignAnalysis], Figure]
-    """Draws it; `UnavailableError` if the campaign lacks the data."""
+    draw: Callable[[Data], Figure]
+    """Draws it from a `CampaignAnalysis`, or from the result of a study; `UnavailableError` if data are missing."""
     pictorial: bool = False
     """Whether it shows thousands of grains, which are better drawn as pixels than as vectors."""
+    study: str = ""
+    """Study that it shows, "frequency" or "damping"; empty for a figure of the campaign itself."""
 
 
 def _measured_contents(analysis: CampaignAnalysis) -> list[float]:
@@ -92,7 +101,7 @@ def _plot_paths(analysis: CampaignAnalysis) -> Figure:
     return draw_preferential_paths(analysis.graphs[0], [ordered[0], ordered[len(ordered) // 2], ordered[-1]])
 
 
-CAMPAIGN_FIGURES = (
+CAMPAIGN_FIGURES: tuple[CampaignFigure[CampaignAnalysis], ...] = (
     CampaignFigure(
         "vs_range",
         "Vs against calcite content",
@@ -205,3 +214,32 @@ CAMPAIGN_FIGURES = (
     ),
 )
 """In the order of the report."""
+
+STUDY_FIGURES: tuple[CampaignFigure[xr.Dataset], ...] = (
+    CampaignFigure(
+        "study_reading",
+        "Peak to peak against first arrival",
+        "Vs of the same samples by two methods of reading, over excitation frequency; thin lines are samples. Marks "
+        "are hollow where transmitter and receiver are less than a wavelength apart, so that near-field effects "
+        "spoil the reading.",
+        draw_reading_study,
+        study="frequency",
+    ),
+    CampaignFigure(
+        "study_frequency",
+        "Excitation frequency",
+        "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
+        "the transmitted one, with the range over samples; dashed at the campaign's frequency. Contents are slightly "
+        "offset.",
+        draw_frequency_study,
+        study="frequency",
+    ),
+    CampaignFigure(
+        "study_damping",
+        "Local damping",
+        "Signals received in one sample with several local damping factors, and the Vs read from their peaks "
+        "(triangles) where one could be trusted.",
+        draw_damping_study,
+        study="damping",
+    ),
+)

@@ -4,8 +4,7 @@ The studies are those of reading method, damping and excitation frequency.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
@@ -312,7 +311,7 @@ _SHOWN_METHODS = ("peak", "first_arrival")
 
 
 @apply_style
-def _draw_reading_study(study: xr.Dataset) -> Figure:
+def draw_reading_study(study: xr.Dataset) -> Figure:
     """Draw Vs from peak to peak and by first arrival against frequency (Fig. 6).
 
     Marks are hollow where transmitter and receiver are less than a wavelength apart.
@@ -353,7 +352,7 @@ def _draw_reading_study(study: xr.Dataset) -> Figure:
 
 
 @apply_style
-def _draw_frequency_study(study: xr.Dataset) -> Figure:
+def draw_frequency_study(study: xr.Dataset) -> Figure:
     """Draw received frequency and Vs against transmitted frequency (Fig. 9)."""
     figure = new_figure(height=3.5, width=7.0)
     left, right = figure.subplots(1, 2)
@@ -381,7 +380,7 @@ def _draw_frequency_study(study: xr.Dataset) -> Figure:
 
 
 @apply_style
-def _draw_damping_study(study: xr.Dataset) -> Figure:
+def draw_damping_study(study: xr.Dataset) -> Figure:
     """Draw received signals for several damping factors (Fig. 7), and the arrival by the published mean velocity."""
     contents = study["content"].to_numpy()
     published = dict(published_study().velocities) if study.attrs.get("published") else {}
@@ -427,52 +426,6 @@ def _draw_damping_study(study: xr.Dataset) -> Figure:
     panels[-1, 0].set_xlabel("time (ms)")
     panels[-1, 1].set_xlabel("damping factor")
     return figure
-
-
-@dataclass(frozen=True, slots=True)
-class _StudyFigure:
-    """A figure of a sensitivity study."""
-
-    study: str
-    """Study that it shows, "frequency" or "damping"."""
-    name: str
-    """File name without ending."""
-    title: str
-    """Title in a few words."""
-    caption: str
-    """Caption in sentences."""
-    draw: Callable[[xr.Dataset], Figure]
-    """Draws it from the result of the study."""
-
-
-STUDY_FIGURES = (
-    _StudyFigure(
-        "frequency",
-        "study_reading",
-        "Peak to peak against first arrival",
-        "Vs of the same samples by two methods of reading, over excitation frequency; thin lines are samples. Marks "
-        "are hollow where transmitter and receiver are less than a wavelength apart, so that near-field effects "
-        "spoil the reading.",
-        _draw_reading_study,
-    ),
-    _StudyFigure(
-        "frequency",
-        "study_frequency",
-        "Excitation frequency",
-        "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
-        "the transmitted one, with the range over samples; dashed at the campaign's frequency. Contents are slightly "
-        "offset.",
-        _draw_frequency_study,
-    ),
-    _StudyFigure(
-        "damping",
-        "study_damping",
-        "Local damping",
-        "Signals received in one sample with several local damping factors, and the Vs read from their peaks "
-        "(triangles) where one could be trusted.",
-        _draw_damping_study,
-    ),
-)
 
 
 def _start_at_zero(axes: Axes) -> None:

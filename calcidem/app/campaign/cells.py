@@ -51,6 +51,10 @@ if sys.platform != "win32":
     import fcntl
 
 
+_VERSION = f"calcidem {__version__} with physics version {PHYSICS_VERSION}"
+"""Versions that determine the bits of a cell."""
+
+
 @dataclass(frozen=True)
 class CellComputation:
     """Computation of a batch up to the stored bytes, a `calcidem.sweep.attempt.Compute`.
@@ -91,7 +95,7 @@ class CellComputation:
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle for preparation in another process, without the URL of the database, which may have a password."""
         told = replace(self.configuration, run=replace(self.configuration.run, database=None))
-        return _prepared_computation, (told, self.packing, _version(), {**GIVEN})
+        return _prepared_computation, (told, self.packing, _VERSION, {**GIVEN})
 
     @cached_property
     def _experiment(self) -> Experiment:
@@ -127,18 +131,13 @@ class CellComputation:
         )
 
 
-def _version() -> str:
-    """Versions that determine the bits of a cell."""
-    return f"calcidem {__version__} with physics version {PHYSICS_VERSION}"
-
-
 def _prepared_computation(
     configuration: Configuration, packing: Packing, version: str, patterns: Mapping[str, Pattern]
 ) -> CellComputation:
     """Computation in a process of an executor, with compiled kernels."""
     give_patterns(patterns)
-    if _version() != version:
-        raise LaunchError(f"a worker has {_version()}, the program that stores the campaign has {version}")
+    if version != _VERSION:
+        raise LaunchError(f"a worker has {_VERSION}, the program that stores the campaign has {version}")
     keep_freed_memory()
     gpu = choose_gpu((own_rank() or 1) - 1) if configuration.run.gpu else 0  # rank 0 computes nothing
     compilations = kernel_compilations(configuration, packing)
@@ -176,7 +175,8 @@ def cell_result(
     cement, section, reading = measurement.cement, measurement.section, measurement.reading
     packing, pattern = experiment.packing, pattern_of(experiment.packing, cement)
     path, features, network = (None, None, None) if graph is None else _describe_graph(graph, pattern)
-    on_path, over_d50 = wavelengths(measurement.vs, section.frequency, section.distance, _median_diameter(packing))
+    diameter = median_diameter_by_mass(packing.radius)
+    on_path, over_d50 = wavelengths(measurement.vs, section.frequency, section.distance, diameter)
     return CellResult(
         key=CellKey(measurement.seed, measurement.content),
         status=measurement.status,
@@ -219,11 +219,6 @@ def cell_result(
     )
 
 
-@lru_cache(maxsize=4)  # cached, since every cell needs it
-def _median_diameter(packing: Packing) -> float:
-    return median_diameter_by_mass(packing.radius)
-
-
 def _describe_graph(
     packing: PackingGraph, cement: CementPattern
 ) -> tuple[GrainPath | None, PathFeatures | None, NetworkFeatures]:
@@ -251,17 +246,12 @@ def kernel_compilations(
     experiment = experiment.with_wave(unbalanced_force_ratio=1e300)
     seed, content = configuration.campaign.seed_numbers[0], max(configuration.campaign.contents)
     kernels = kernels_of(experiment, configuration.run.lanes)
-    return [
-        partial(_run_first_step, settings, content, seed, lanes, partial(tell, f"{name} ({number} of {len(kernels)})"))
-        for number, (name, settings, lanes) in enumerate(kernels, 1)
-    ]
 
+    def compile_kernel(number: int, name: str, settings: Experiment, lanes: int) -> None:
+        bonded = settings.ordering(seed).at(content).bonded
+        with watch_compiling(partial(tell, f"{name} ({number} of {len(kernels)})")):
+            recorder = prepare_recorder(settings, [bonded], settings.frequency(content), lanes, lambda: None)
+            # With a GPU the processor computes the same steps, so there are more of them.
+            recorder.record_chunk(SAMPLES_PER_CHUNK if settings.gpu else 1)
 
-def _run_first_step(
-    experiment: Experiment, content: float, seed: int, lanes: int, tell: Callable[[str, int], object]
-) -> None:
-    """Start the wave of one sample. With a GPU the processor computes the same steps, so there are more of them."""
-    bonded = experiment.ordering(seed).at(content).bonded
-    with watch_compiling(tell):
-        recorder = prepare_recorder(experiment, [bonded], experiment.frequency(content), lanes, lambda: None)
-        recorder.record_chunk(SAMPLES_PER_CHUNK if experiment.gpu else 1)
+    return [partial(compile_kernel, number, *kernel) for number, kernel in enumerate(kernels, 1)]

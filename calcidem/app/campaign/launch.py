@@ -216,8 +216,10 @@ class _Start:
         # Launchers do not notice the loss of a network.
         if seconds > self._next_hearing:
             self._next_hearing = seconds + 30.0  # s; a large database takes a tenth of one to answer
-            if self._is_silent():
-                return "rank 0 has been silent for minutes"
+            with suppress(StoreError), self._campaign() as store:
+                holder = store.lease_holder()
+                if holder is None or datetime.now(UTC) - holder.heartbeat > STALE_AFTER + LONGEST_WAIT:
+                    return "rank 0 has been silent for minutes"
         return ""
 
     def _campaign(self) -> AbstractContextManager[Store]:
@@ -229,13 +231,6 @@ class _Start:
             if runs := store.runs():
                 return runs[-1]
         return 0, None
-
-    def _is_silent(self) -> bool:
-        """Whether the heartbeat of rank 0 is too old."""
-        with suppress(StoreError), self._campaign() as store:
-            holder = store.lease_holder()
-            return holder is None or datetime.now(UTC) - holder.heartbeat > STALE_AFTER + LONGEST_WAIT
-        return False
 
     def _explanation(self) -> str:
         """Why the launcher ended, in its own last words if it has any."""

@@ -2,7 +2,7 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 from calcidem.app.campaign.identity import physics_version
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError, StoreError
-from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, CellResult, PackingRecord
+from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, PackingRecord
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import replace_database
 from calcidem.storage.sql.reading import chunks
@@ -31,18 +31,6 @@ class MergeConflictError(StoreError):
 
 
 @dataclass(frozen=True, slots=True)
-class _Conflict:
-    """A done cell with different values in the sources."""
-
-    key: CellKey
-    """The cell."""
-    velocities: Mapping[int, float]
-    """Vs, m/s, by the position of the source."""
-    quantities: tuple[str, ...]
-    """Names of the quantities that differ."""
-
-
-@dataclass(frozen=True, slots=True)
 class Merged:
     """Outcome of a merge."""
 
@@ -58,20 +46,10 @@ class Merged:
     """Number of done cells with the same values in several sources."""
     overruled: int
     """Number of cells that are done in one source and failed in another."""
-    conflicts: tuple[_Conflict, ...]
-    """Done cells with different values. With any and without a preferred source, nothing was written."""
-
-    def conflict_lines(self) -> list[str]:
-        """One line for each conflict, up to a number."""
-        lines = [
-            f"{conflict.key}: "
-            + ", ".join(
-                f"Vs {velocity:.9g} m/s in {self.sources[source]}" for source, velocity in conflict.velocities.items()
-            )
-            + f" (different: {', '.join(conflict.quantities)})"
-            for conflict in self.conflicts
-        ]
-        return [f"  {line}" for line in first_of(lines)]
+    conflicts: tuple[str, ...]
+    """Done cells with different values, a line for each: the cell, its velocities and the names of the quantities.
+    With any and without a preferred source, nothing was written.
+    """
 
     def missing_lines(self) -> list[str]:
         """One line for each content with pending cells, with their seeds as ranges."""
@@ -116,7 +94,7 @@ def merge_databases(
             merged = _merge_campaigns(campaigns, store, names, None if prefer is None else names.index(prefer))
         if merged.conflicts and prefer is None:
             raise MergeConflictError(
-                "\n".join([f"{len(merged.conflicts)} done cells have different values:", *merged.conflict_lines()])
+                "\n  ".join([f"{len(merged.conflicts)} done cells have different values:", *first_of(merged.conflicts)])
                 + "\n",
                 "Nothing was written. Such values come from a changed file or another version of calcidem; "
                 "give --prefer with the database to take.",
@@ -134,7 +112,7 @@ def _merge_campaigns(sources: Sequence[Store], target: Store, names: Sequence[st
     _refuse_other_campaigns(sources)
     packings = _join_packings(sources)
     choice: dict[CellKey, int] = {}
-    conflicts: list[_Conflict] = []
+    conflicts: list[str] = []
     shared = overruled = 0
     for key, found in sorted(_settled_cells(sources).items()):
         done = {source: values for source, values in found.items() if values is not None}
@@ -143,9 +121,9 @@ def _merge_campaigns(sources: Sequence[Store], target: Store, names: Sequence[st
         overruled += 0 < len(done) < len(found)
         quantities = zip(EXACT_QUANTITIES, *done.values(), strict=False)
         if different := tuple(name for name, *values in quantities if len(set(values)) > 1):
-            conflicts.append(
-                _Conflict(key, {source: values[0] or math.nan for source, values in done.items()}, different)
-            )
+            # The first of the quantities is the velocity.
+            said = (f"Vs {values[0] or math.nan:.9g} m/s in {names[source]}" for source, values in done.items())
+            conflicts.append(f"{key}: {', '.join(said)} (different: {', '.join(different)})")
         else:
             shared += len(done) > 1
     merged = Merged(
@@ -166,7 +144,14 @@ def _merge_campaigns(sources: Sequence[Store], target: Store, names: Sequence[st
         target.plan(source.statuses())
     numbers = _copy_history(sources, target)
     for position, source in enumerate(sources):
-        _copy_outcomes(source, position, target, choice, numbers)
+        chosen = (
+            replace(result, attempt=numbers[position, result.key, result.attempt])
+            for result in source.results(with_arrays=True)
+            # Without a number it is a later change of the source.
+            if choice.get(result.key) == position and (position, result.key, result.attempt) in numbers
+        )
+        for block in chunks(chosen, 200):
+            target.record_results(block)
     return merged
 
 
@@ -244,16 +229,3 @@ def _copy_history(sources: Sequence[Store], target: Store) -> _Numbers:
         for identity, attempt in found.items()
     )
     return {(position, key, old): numbers[key, identity] for (position, key, old), identity in copies.items()}
-
-
-def _copy_outcomes(
-    source: Store, position: int, target: Store, choice: Mapping[CellKey, int], numbers: _Numbers
-) -> None:
-    """Copy the outcomes chosen from a source, with their arrays, without later changes of the source."""
-    chosen: Iterator[CellResult] = (
-        replace(result, attempt=numbers[position, result.key, result.attempt])
-        for result in source.results(with_arrays=True)
-        if choice.get(result.key) == position and (position, result.key, result.attempt) in numbers
-    )
-    for block in chunks(chosen, 200):
-        target.record_results(block)

@@ -3,7 +3,6 @@
 import json
 import os
 import platform
-import shutil
 import subprocess
 import sys
 from datetime import UTC, datetime
@@ -56,16 +55,15 @@ def _cpu_model() -> str:
 def source_commit() -> tuple[str | None, bool | None]:
     """Commit of the running source, and whether it was changed; None if unknown, as for most wheels."""
     root = Path(__file__).parents[3]
-    git = shutil.which("git")
     if not (root / ".git").exists():
         return _installed_commit()
-    if git is None:
-        return None, None
+    command = ["git", "-C", str(root), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"]
     try:
-        commit = _ask(git, root, "rev-parse", "HEAD")
-        return commit, bool(_ask(git, root, "status", "--porcelain", "--untracked-files=no"))
-    except (OSError, subprocess.SubprocessError):
+        done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=10)  # noqa: S603 - fixed
+    except (OSError, subprocess.SubprocessError):  # also without git
         return None, None
+    commit, _, changed = done.stdout.strip().partition("-")
+    return commit, bool(changed)
 
 
 def _installed_commit() -> tuple[str | None, bool | None]:
@@ -76,10 +74,3 @@ def _installed_commit() -> tuple[str | None, bool | None]:
         return None, None
     commit = json.loads(noted or "{}").get("vcs_info", {}).get("commit_id")
     return commit, False if commit else None
-
-
-def _ask(git: str, root: Path, *arguments: str) -> str:
-    """Output of a git command in a tree."""
-    command = [git, "-C", str(root), *arguments]
-    done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=10)  # noqa: S603 - fixed arguments
-    return done.stdout.strip()

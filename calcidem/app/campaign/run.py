@@ -232,8 +232,15 @@ def prepared_store(
                 check_against_packing(configuration, stored_packing(stored.packing(), configuration.packing_hash))
     configuration.output.mkdir(parents=True, exist_ok=True)  # before hours of computation
     store = _become_master(configuration, raise_if_stopped) if _exists(configuration.database) else None
+    sink = None if store is None else StoreSink(store, ())
+
+    def keep_alive() -> None:  # a packing may take longer than a lease lasts
+        raise_if_stopped()
+        if sink is not None:
+            sink.keep_alive()
+
     try:
-        packing = provide_packing(configuration, store, _renewing(store, raise_if_stopped), watch)
+        packing = provide_packing(configuration, store, keep_alive, watch)
         doubts = check_against_packing(configuration, packing)
         if COMMAND_VARIABLE not in os.environ:  # which has said it before it started the ranks
             from calcidem.app.campaign.preview import wave_doubts  # noqa: PLC0415 - which loads the launcher
@@ -405,19 +412,6 @@ def _become_master(configuration: Configuration, raise_if_stopped: Callable[[], 
         store.close()
         raise
     return store
-
-
-def _renewing(store: Store | None, raise_if_stopped: Callable[[], None]) -> Callable[[], None]:
-    """The same check, which renews the lease as well: a packing may take longer than one lasts."""
-    if store is None:
-        return raise_if_stopped
-    sink = StoreSink(store, ())
-
-    def check() -> None:
-        raise_if_stopped()
-        sink.keep_alive()
-
-    return check
 
 
 def _acquire_lease(store: Store, raise_if_stopped: Callable[[], None]) -> tuple[str, ...]:

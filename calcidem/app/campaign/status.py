@@ -45,7 +45,7 @@ _TROUBLES = (
 UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 """Outcomes without a velocity that a new computation would repeat."""
 
-_STATUS_BY_NAME = {status.value: status for status in CellStatus}
+_STATUS_BY_NAME = {status.value: status for status in CellStatus}  # a call of the class takes ten times as long
 
 FEWEST_TO_PLAN = 3
 """Number of velocities below which a standard deviation has no meaning."""
@@ -116,7 +116,7 @@ class CampaignStatus:
     run_number: int | None
     """Latest run, if any."""
     running: bool
-    """Whether a process writes the campaign now, as far as known."""
+    """Whether a process writes the campaign now; one on another machine until its heartbeat is five minutes old."""
     workers: int
     """Number of computing ranks in the latest run."""
     seconds_left: float
@@ -130,7 +130,7 @@ class CampaignStatus:
     def to_json(self) -> dict[str, Any]:
         """How far it is in JSON's types, without single cells; a number that is not known is None."""
         run = self.last_run
-        return {
+        told = {
             "campaign": self.name,
             "hash": self.hash,
             "running": self.running,
@@ -142,27 +142,31 @@ class CampaignStatus:
                 "started": f"{run.started:%Y-%m-%d %H:%M} UTC",
                 "exit_state": run.exit_state and hide_passwords(run.exit_state),
             },
-            "cells": _by_name(self.counts),
-            "vs_error": _finite_or_none(self.budget.total),
-            "reading_error": _finite_or_none(self.budget.reading),
-            "numerical_error": _finite_or_none(self.budget.numerical),
-            "seconds_left": _finite_or_none(self.seconds_left),
+            "cells": dict(sorted(self.counts.items())),
+            "vs_error": self.budget.total,
+            "reading_error": self.budget.reading,
+            "numerical_error": self.budget.numerical,
+            "seconds_left": self.seconds_left,
             "workers": self.workers,
             "contents": [
                 {
                     "content": one.content,
-                    "cells": _by_name(one.counts),
-                    "mean": _finite_or_none(one.mean),
-                    "sd": _finite_or_none(one.deviation),
-                    "reading_scatter": _finite_or_none(one.budget.scatter),
+                    "cells": dict(sorted(one.counts.items())),
+                    "mean": one.mean,
+                    "sd": one.deviation,
+                    "reading_scatter": one.budget.scatter,
                     "loud": one.budget.loud,
-                    "interval_95": [_finite_or_none(one.interval.low), _finite_or_none(one.interval.high)],
-                    "seconds_per_cell": _finite_or_none(one.seconds_per_cell),
-                    "core_seconds_left": _finite_or_none(one.seconds_left),
+                    "interval_95": [one.interval.low, one.interval.high],
+                    "seconds_per_cell": one.seconds_per_cell,
+                    "core_seconds_left": one.seconds_left,
                 }
                 for one in self.contents
             ],
         }
+        from pydantic_core import to_jsonable_python  # noqa: PLC0415 - tables for people do not need it
+
+        found: dict[str, Any] = to_jsonable_python(told, inf_nan_mode="null")
+        return found
 
     @classmethod
     def of(cls, store: Store, columns: Mapping[str, NDArray[Any]], troubles: tuple[Trouble, ...]) -> Self:
@@ -179,7 +183,7 @@ class CampaignStatus:
         counts: Counter[CellStatus] = Counter()
         for status in statuses:
             counts.update(status.counts)
-        runs = store.runs()
+        runs, holder = store.runs(), store.lease_holder()
         number, last = runs[-1] if runs else (None, None)
         workers = max(1, last.ranks - 1) if last is not None else 1
         return cls(
@@ -193,7 +197,7 @@ class CampaignStatus:
             troubles=troubles,
             last_run=last,
             run_number=number,
-            running=_is_being_written(store),
+            running=holder is not None and holder.may_live(),
             workers=workers,
             seconds_left=sum(status.seconds_left for status in statuses) / workers,
         )
@@ -205,14 +209,6 @@ class CampaignStatus:
             columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"])
             columns["seconds"] = _sampled_seconds(store, columns)
             return cls.of(store, columns, _troubles_of(store, columns))
-
-
-def _by_name(counts: Mapping[CellStatus, int]) -> dict[str, int]:
-    return {str(status): number for status, number in sorted(counts.items())}
-
-
-def _finite_or_none(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
@@ -236,7 +232,7 @@ def _content_status(
     """Progress of one content, from the columns of its cells and the measured and expected seconds of a cell."""
     names = columns["status"].tolist()
     found = dict(zip(columns["seed"].astype(int).tolist(), map(_STATUS_BY_NAME.__getitem__, names), strict=True))
-    counts = Counter({_STATUS_BY_NAME[name]: count for name, count in Counter(names).items()})
+    counts = Counter(found.values())
     counted = are_samples(columns["vs"], content)
     vs = columns["vs"][counted].astype(float)
     is_one = content == 0.0  # without cement all seeds are the same sample
@@ -299,15 +295,6 @@ def _troubles_of(store: Store, columns: Mapping[str, NDArray[Any]]) -> tuple[Tro
         if key in statuses  # otherwise it was planned meanwhile
     ]
     return tuple(sorted(found, key=lambda trouble: (URGENCY[trouble.status], trouble.key)))
-
-
-def _is_being_written(store: Store) -> bool:
-    """Whether a living process holds the lease of a campaign.
-
-    A process on another machine counts as living until its heartbeat is five minutes old.
-    """
-    holder = store.lease_holder()
-    return holder is not None and holder.may_live()
 
 
 class RunStage(StrEnum):

@@ -4,7 +4,7 @@ import math
 from collections import Counter
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -66,7 +66,18 @@ def verify_command(
         verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
         typer.echo(f"{pluralize(len(found), 'cell')}: {verdicts}.")
     else:
-        tell_rows([_verification_row(verification) for verification in found], layout)
+        rows = [
+            {
+                "seed": one.stored.key.seed,
+                "content": one.stored.key.content,
+                "agreement": one.agreement.value,
+                "most_different": one.most_different,
+                "relative_difference": one.differences.get(one.most_different, 0.0),
+                "differences": dict(one.differences),
+            }
+            for one in found
+        ]
+        tell_rows(rows, layout)
     codes = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
     if code := codes[max(counts, key=list(Agreement).index)]:  # the worst of them
         raise typer.Exit(code)
@@ -85,20 +96,6 @@ def _verify_integrity(opened: "Campaign", layout: Format) -> None:
         typer.echo("No damage was found.")
     if damage:
         raise typer.Exit(EXIT_ERROR)
-
-
-def _verification_row(verification: "Verification") -> dict[str, Any]:
-    """Result for one cell."""
-    key, name = verification.stored.key, verification.most_different
-    size = verification.differences[name] if name else 0.0
-    return {
-        "seed": key.seed,
-        "content": key.content,
-        "agreement": verification.agreement.value,
-        "most_different": name,
-        "relative_difference": size,
-        "differences": dict(verification.differences),
-    }
 
 
 def _verification_line(verification: "Verification") -> str:

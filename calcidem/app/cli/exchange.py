@@ -18,6 +18,7 @@ from calcidem.app.cli.options import (
     refuse_options,
 )
 from calcidem.storage.records import ARRAY_RECORDS
+from calcidem.wording import first_of
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.merge import Merged
@@ -180,7 +181,7 @@ def _merge_lines(merged: "Merged", out: Path) -> list[str]:
         lines.append(f"  {merged.overruled} cells that went wrong in one database are done in another")
     if merged.conflicts:
         lines.append(f"  {len(merged.conflicts)} done cells had different values, resolved by --prefer:")
-        lines += ["  " + line for line in merged.conflict_lines()]
+        lines += [f"    {line}" for line in first_of(merged.conflicts)]
     if merged.missing:
         lines += ["Missing:", *merged.missing_lines()]
         lines.append(f"'calcidem run CONFIG --db {out}' computes them.")

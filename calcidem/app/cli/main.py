@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from importlib import import_module
 from io import TextIOWrapper
 from typing import Annotated, Any, NoReturn
@@ -18,7 +18,7 @@ import typer
 from typer.core import TyperGroup
 
 from calcidem.app.campaign.notices import CampaignWarning, listening, printable
-from calcidem.app.cli.options import IS_QUIET, IS_VERBOSE, write_notice
+from calcidem.app.cli.options import IS_QUIET, IS_VERBOSE
 from calcidem.storage.errors import keep_passwords_back
 from calcidem.sweep.ranks import THREAD_VARIABLES, launcher, whole_number
 from calcidem.version import __version__
@@ -82,7 +82,6 @@ def main() -> None:
     for variable in THREAD_VARIABLES:
         os.environ.setdefault(variable, "1")  # each rank has one core; effective only before numpy is imported
     gc.set_threshold(10_000)  # new objects; Python's 700 cost a tenth of a short command, while libraries load
-    warnings.formatwarning = _format_warning
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # unknown characters, and bytes of file names that are not text
             stream.reconfigure(errors="backslashreplace")
@@ -90,9 +89,11 @@ def main() -> None:
         os.environ["TERM"] = "dumb"
     if sys.argv[1:2] in (["merge"], ["import"], ["export"]):
         _remove_files_on_signals()
-    if wrong := _strange_argument(sys.argv[1:]):
-        sys.stderr.write(f"Error: {wrong}\n")
-        sys.exit(2)
+    for number, argument in enumerate(sys.argv[1:], 1):
+        if (shown := printable(argument)) != argument:
+            cure = "has control characters; write it without, or rename the file"
+            sys.stderr.write(f"Error: argument {number} = '{shown}': {cure}\n")
+            sys.exit(2)
     try:
         for variable in THREAD_VARIABLES:
             whole_number(variable, 100_000)
@@ -136,19 +137,19 @@ def _build_application() -> typer.Typer:
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
     )
-    application.callback()(_take_options)
+
+    @application.callback()
+    def take_options(
+        _version: Annotated[
+            bool, typer.Option("--version", help="Show the version.", callback=_show_version, is_eager=True)
+        ] = False,
+    ) -> None:
+        """Options of all commands."""
+
     for panel, commands in PANELS.items():
         for name, summary in commands.items():
             application.command(name, help=summary, rich_help_panel=panel)(lambda: None)
     return application
-
-
-def _take_options(
-    _version: Annotated[
-        bool, typer.Option("--version", help="Show the version.", callback=_show_version, is_eager=True)
-    ] = False,
-) -> None:
-    """Options of all commands."""
 
 
 def command_function(name: str) -> Callable[..., None]:
@@ -170,6 +171,9 @@ def _load_command(name: str) -> Any:  # noqa: ANN401 - as above
 def _with_common_options(name: str, function: Callable[..., None]) -> Callable[..., None]:
     """Function of a command with the options of all commands."""
 
+    def write(sentence: str) -> None:  # separate from the result
+        typer.echo(printable(sentence), err=True)
+
     @functools.wraps(function)
     def command(*, quiet: bool, verbose: bool, **given: Any) -> None:  # noqa: ANN401 - what the function takes
         IS_QUIET.set(quiet)
@@ -177,7 +181,7 @@ def _with_common_options(name: str, function: Callable[..., None]) -> Callable[.
         warnings.simplefilter("ignore", CampaignWarning)  # which are written as sentences
         begin = time.perf_counter()
         try:
-            with listening(write_notice, least=logging.ERROR if quiet else logging.INFO):
+            with listening(write, least=logging.ERROR if quiet else logging.INFO):
                 function(**given)
         finally:
             if verbose:
@@ -192,20 +196,3 @@ def _with_common_options(name: str, function: Callable[..., None]) -> Callable[.
     command.__signature__ = signature.replace(parameters=[*signature.parameters.values(), *options])  # type: ignore[attr-defined]  # which typer reads
     command.__annotations__ = function.__annotations__ | _COMMON_OPTIONS
     return command
-
-
-def _format_warning(
-    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
-) -> str:
-    """Show warnings for users in one line, others with their origin."""
-    if issubclass(category, FutureWarning):
-        return printable(f"Warning: {message}\n")
-    return printable(f"{filename}:{lineno}: {category.__name__}: {message}\n" + (f"  {line}\n" if line else ""))
-
-
-def _strange_argument(arguments: Sequence[str]) -> str:
-    """Message about an argument with control characters; empty without any."""
-    for number, argument in enumerate(arguments, 1):
-        if (shown := printable(argument)) != argument:
-            return f"argument {number} = '{shown}': has control characters; write it without, or rename the file"
-    return ""

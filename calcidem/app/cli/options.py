@@ -1,7 +1,6 @@
 """Arguments and options that several commands have, and notices on a terminal. Imports no large library."""
 
 import math
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -10,19 +9,11 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.campaign.notices import printable
-
 IS_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
 """Whether only results and errors are written; each command sets it."""
 
 IS_VERBOSE: ContextVar[bool] = ContextVar("verbose", default=False)
 """Whether tracebacks of errors and the time of a command are wanted, too."""
-
-
-def write_notice(text: str) -> None:
-    """Write a sentence to standard error, separate from the result."""
-    sys.stderr.write(printable(f"{text}\n"))
-    sys.stderr.flush()
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import math
 import sys
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
@@ -80,16 +79,10 @@ def tell_study(result: "StudyResult", layout: Format, table: Path | None) -> Non
 
 
 def _json_value(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row
-    """A value with null for numbers that JSON lacks."""
-    if value is None or isinstance(value, str | int):  # most are
-        return value
-    if isinstance(value, Mapping):
-        return {str(name): _json_value(inner) for name, inner in value.items()}
-    if hasattr(value, "item"):
-        value = value.item()
-    if isinstance(value, list | tuple):
-        return [_json_value(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    """A value with null for numbers that JSON lacks, and without types of NumPy."""
+    from pydantic_core import to_jsonable_python
+
+    return to_jsonable_python(value, inf_nan_mode="null", fallback=lambda scalar: scalar.item())
 
 
 def _flat(rows: RecordRows, names: Sequence[str]) -> list[dict[str, Any]]:
@@ -106,7 +99,7 @@ def _as_csv(rows: RecordRows, names: Sequence[str]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(rows[0] if rows else names)
-    writer.writerows([spreadsheet_value(_json_value(value)) for value in row.values()] for row in rows)
+    writer.writerows([spreadsheet_value(value) for value in row.values()] for row in _json_value(rows))
     return stream.getvalue()
 
 

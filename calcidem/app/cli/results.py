@@ -200,10 +200,6 @@ def serve_command(
     os._exit(0)  # without waiting for a thread that reads a slow or locked database
 
 
-Columns = Mapping[str, NDArray[Any]]
-"""Columns of equal length by name of their quantity, as from `StoreReader.table`."""
-
-
 def query_command(
     database: Database,
     content: OnlyContents = None,
@@ -295,8 +291,8 @@ def _split_list(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def as_rows(columns: Columns) -> RecordRows:
-    """Columns as rows of Python objects; missing real numbers are NaN, other missing values None."""
+def as_rows(columns: Mapping[str, NDArray[Any]]) -> RecordRows:
+    """Columns by quantity as rows of Python objects; missing real numbers are NaN, other missing values None."""
     from calcidem.storage.records import QUANTITY_BY_NAME
 
     values: list[list[Any]] = []

@@ -121,14 +121,9 @@ def init_command(
     _write_new(file, text, f"run it with 'calcidem run {file}', or {another}")
     typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
     if given:
-        _tell_decisions(text)
-
-
-def _tell_decisions(text: str) -> None:
-    """Tell what a configuration of a sand decides, with its reasons."""
-    for key, value, reason in re.findall(r"(?m)^(\w+) = (.*?) +# (.*)", text):
-        if key in {"file", "height", "diameter", "stress", "bond_modulus", "frequency", "amplitude", "slowest"}:
-            tell(f"  {key} = {value}: {reason}")
+        decisions = "file|height|diameter|stress|bond_modulus|frequency|amplitude|slowest"
+        found = re.findall(rf"(?m)^({decisions}) = (.*?) +# (.*)", text)
+        tell("\n".join(f"  {key} = {value}: {reason}" for key, value, reason in found))
 
 
 def _write_new(file: Path, text: str, remedy: str) -> None:

@@ -56,9 +56,9 @@ def change_configuration(origin: Configuration | str | os.PathLike[str], values:
     ``values`` are by section and key, such as ``{"wave.amplitude": 1e-4}``. `ConfigurationError` with all problems.
     """
     if isinstance(origin, Configuration):
-        return read_configuration(_with_values({}, values), base=origin)
+        return read_configuration(put_values({}, values), base=origin)
     document, text = parse_file(Path(origin))
-    _with_values(document, values)
+    put_values(document, values)
     try:
         return read_configuration(document, os.fspath(origin), Path(origin).parent)
     except ConfigurationError as error:
@@ -69,7 +69,7 @@ def change_configuration(origin: Configuration | str | os.PathLike[str], values:
         raise ConfigurationError(error.source, problems) from None
 
 
-def _with_values(document: dict[str, Any], values: Mapping[str, object]) -> dict[str, Any]:
+def put_values(document: dict[str, Any], values: Mapping[str, object]) -> dict[str, Any]:
     """Sections with each value set by its name; what should be a table and is none is left for the reader to refuse."""
     for name, value in values.items():
         *sections, key = name.split(".")

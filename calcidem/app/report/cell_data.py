@@ -9,6 +9,7 @@ from itertools import groupby
 from typing import Any
 
 import numpy as np
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from numpy.typing import ArrayLike, NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
@@ -210,6 +211,17 @@ def _steps(values: ArrayLike) -> list[int]:
 def _compress(described: object) -> str:
     """Return data for the page: JSON, deflated, in base64."""
     return pack(json.dumps(described, separators=(",", ":"), allow_nan=False).encode())
+
+
+def page_templates(*packages: str) -> Environment:
+    """Templates of the report and of the live page in these packages; an unknown name in one is an error."""
+    return Environment(
+        loader=ChoiceLoader([PackageLoader(package) for package in packages]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
 
 
 def pack(content: bytes) -> str:

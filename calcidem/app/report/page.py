@@ -8,23 +8,21 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlations
 from calcidem.analysis.distribution import tabulate
-from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
+from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, STUDY_FIGURES, CampaignFigure, Data
 from calcidem.analysis.figures.style import render, save
-from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.analysis.measured import Target
 from calcidem.analysis.packing_graph import installed_features
 from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
 from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.patterns import with_patterns
-from calcidem.app.report.cell_data import gather_cell_data, pack
+from calcidem.app.report.cell_data import gather_cell_data, pack, page_templates
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
 from calcidem.app.report.tables import Table
 from calcidem.input_file import open_input
@@ -69,10 +67,8 @@ _MEANINGS: Mapping[str, str] = {
 class _Picture:
     """Figure in a page."""
 
-    name: str
-    title: str
-    caption: str
-    """Name, title and caption as in the registry."""
+    entry: CampaignFigure[Any]
+    """Its name, title and caption."""
     source: str = ""
     """Picture: a data URI, or the contents of the block `packed`; empty without one."""
     inches: float = 0.0
@@ -80,13 +76,11 @@ class _Picture:
     """Width for which the size of its letters was chosen, and width over height."""
     reason: str = ""
     """Reason for a missing picture."""
-    pictorial: bool = False
-    """Whether it shows grains, whose colours do not change on dark screens."""
 
     @property
     def packed(self) -> str:
         """Name of the page's block with its compressed data; empty for a data URI."""
-        return f"picture-{self.name}" if self.source and not self.pictorial else ""
+        return f"picture-{self.entry.name}" if self.source and not self.entry.pictorial else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,33 +162,26 @@ def _render_page(
         watch(len(sections), parts)
         sections.append(_make_section(plan, analysis))
     watch(len(sections), parts)
-    drawn = (
-        _picture_of(entry.draw(studies[entry.study]), entry.name, entry.title, entry.caption, pictorial=False)
-        for entry in STUDY_FIGURES
-        if entry.study in studies
-    )
-    sections.append(_PageSection("sensitivity", "Sensitivity", pictures=tuple(drawn)))
-    environment = Environment(
-        loader=PackageLoader("calcidem.app.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    drawn = tuple(_draw_picture(entry, studies[entry.study]) for entry in STUDY_FIGURES if entry.study in studies)
+    sections.append(_PageSection("sensitivity", "Sensitivity", pictures=drawn))
     shown = [section for section in sections if section.tables or section.pictures or section.folded]
     pictures = [picture for section in shown for picture in section.pictures]
     # A page of 3 MB loads in a second. Tables, style and script take 0.2 MB. Cells get as much beside many pictures.
     room = max(200_000, 3_000_000 - 200_000 - sum(len(picture.source) for picture in pictures))
     record, (blocks, remarks) = analysis.store.record, gather_cell_data(analysis, room)
-    return environment.get_template("report.html").render(
-        name=record.name,
-        identity=_identity(analysis.store),
-        written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
-        facts=_key_facts(analysis),
-        blocks=blocks | {picture.packed: picture.source for picture in pictures if picture.packed},
-        remarks=remarks,
-        sections=shown,
-        explained_terms=_explained_terms,
+    return (
+        page_templates("calcidem.app.report")
+        .get_template("report.html")
+        .render(
+            name=record.name,
+            identity=_identity(analysis.store),
+            written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+            facts=_key_facts(analysis),
+            blocks=blocks | {picture.packed: picture.source for picture in pictures if picture.packed},
+            remarks=remarks,
+            sections=shown,
+            explained_terms=_explained_terms,
+        )
     )
 
 
@@ -258,22 +245,20 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
     return remarks + notes_on(analysis.store.table(NOTE_QUANTITIES))
 
 
-def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture:
-    """Draw one figure, or return the reason why it cannot be drawn."""
-    figure, reason = make_or_explain(entry.draw, analysis)
+def _draw_picture(entry: CampaignFigure[Data], data: Data) -> _Picture:
+    """Draw a figure for a self-contained page, grains as pixels, curves as compressed vectors; or say why it is not.
+
+    The colours of grains do not change on dark screens.
+    """
+    figure, reason = make_or_explain(entry.draw, data)
     if figure is None:
-        return _Picture(entry.name, entry.title, entry.caption, reason=reason)
-    return _picture_of(figure, entry.name, entry.title, entry.caption, pictorial=entry.pictorial)
-
-
-def _picture_of(figure: Figure, name: str, title: str, caption: str, *, pictorial: bool) -> _Picture:
-    """Return a figure as part of a self-contained page: grains as pixels, curves as compressed vectors."""
-    if pictorial:
+        return _Picture(entry, reason=reason)
+    if entry.pictorial:
         source = f"data:image/png;base64,{b64encode(render(figure, 'png', colours=256)).decode()}"
     else:
         source = pack(render(figure, "svg"))
     ratio = round(figure.get_figwidth() / figure.get_figheight(), 4)
-    return _Picture(name, title, caption, source, figure.get_figwidth(), ratio, pictorial=pictorial)
+    return _Picture(entry, source, figure.get_figwidth(), ratio)
 
 
 def _explained_terms(table: Table) -> tuple[tuple[str, str], ...]:

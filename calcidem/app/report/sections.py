@@ -22,6 +22,7 @@ from calcidem.app.report.tables import RESULT_TABLES, Table, with_bounds
 from calcidem.storage.records import RunRecord, flat_parameters
 from calcidem.wording import ABSENT, decimal, duration, significant
 
+Data = TypeVar("Data")
 Made = TypeVar("Made")
 
 _UNKNOWN = "unknown"
@@ -325,9 +326,9 @@ PAGE_SECTIONS = (
 )
 
 
-def make_or_explain(make: Callable[[CampaignAnalysis], Made], analysis: CampaignAnalysis) -> tuple[Made | None, str]:
+def make_or_explain(make: Callable[[Data], Made], data: Data) -> tuple[Made | None, str]:
     """Return the result of a function and no reason, or None and the reason why data are missing."""
     try:
-        return make(analysis), ""
+        return make(data), ""
     except UnavailableError as error:
         return None, str(error)

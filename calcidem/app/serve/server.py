@@ -17,17 +17,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
-from typing import Any, TypeVar
+from typing import Any
 from urllib.parse import parse_qs
 
 import uvicorn
 from anyio import to_thread
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.convertors import IntegerConvertor, register_url_convertor
@@ -46,13 +45,12 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from calcidem.app.report.cell_data import page_templates
 from calcidem.app.serve.address import PageAddress
 from calcidem.app.serve.feed import CampaignFeed, Event
 from calcidem.storage.errors import StoreError, UnknownCellError, hide_passwords, keep_passwords_back
 from calcidem.storage.records import LARGEST_SEED, canonical_content, checked_seed
 from calcidem.sweep.ranks import available_cores, die_with_parent
-
-T = TypeVar("T")
 
 
 @dataclass(eq=False)
@@ -83,7 +81,8 @@ class Hub:
     async def refresh(self) -> None:
         """Read all databases once, and send the changes."""
         for feed in self.feeds:
-            for event in await _in_thread(feed.refresh):
+            # At its end the server does not wait for a thread that reads a database.
+            for event in await to_thread.run_sync(feed.refresh, abandon_on_cancel=True):
                 self._tell(event)
 
     async def listen(self) -> AsyncIterator[str]:
@@ -93,7 +92,7 @@ class Hub:
         self._wake.set()
         try:
             for feed in self.feeds:
-                yield _as_event(("status", await _in_thread(feed.status)))
+                yield _as_event(("status", await to_thread.run_sync(feed.status, abandon_on_cancel=True)))
             while True:
                 try:
                     text = await asyncio.wait_for(queue.get(), 15.0)  # s, for proxies
@@ -129,11 +128,6 @@ class Hub:
             queue.put_nowait(text)
 
 
-async def _in_thread(read: Callable[[], T]) -> T:
-    """Read a database; the server does not wait for it at its end."""
-    return await to_thread.run_sync(read, abandon_on_cancel=True)
-
-
 def _as_event(event: Event) -> str:
     name, content = event
     return f"event: {name}\ndata: {json.dumps(content, allow_nan=False)}\n\n"
@@ -144,7 +138,7 @@ _TIME_LIMIT = 600.0
 
 _PROGRAM = """
 import os, runpy, sys
-from calcidem.sweep.ranks import die_with_parent, die_with_parent
+from calcidem.sweep.ranks import die_with_parent
 parent = int(sys.argv.pop(1))
 if sys.platform == "linux":
     die_with_parent(parent)
@@ -334,13 +328,7 @@ class _LiveApplication:
 
 def _fixed(hub: Hub) -> dict[str, tuple[str, str]]:
     """Type and text of the page, its style and its script, by address; made from those of the report."""
-    environment = Environment(
-        loader=ChoiceLoader([PackageLoader("calcidem.app.serve"), PackageLoader("calcidem.app.report")]),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    environment = page_templates("calcidem.app.serve", "calcidem.app.report")
     page = environment.get_template("live.html").render(campaigns=len(hub.feeds), remarks=())
     return {
         "/": ("text/html", page),
@@ -487,15 +475,6 @@ class _Number(IntegerConvertor):
 register_url_convertor("number", _Number())
 
 
-class _Server(uvicorn.Server):
-    """Leaves signals to the caller, since uvicorn would raise them again at its end."""
-
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Handle none."""
-        yield
-
-
 @dataclass(frozen=True, slots=True)
 class LivePage:
     """Campaigns to show, and address."""
@@ -519,7 +498,7 @@ class LivePage:
     async def _serve(self, hub: Hub, ready: Callable[[], None]) -> None:
         movies = MovieMaker()
         application = _Guard(_LiveApplication(hub, movies).routes(), self.address)
-        server = _Server(
+        server = uvicorn.Server(
             uvicorn.Config(
                 application,
                 log_level="error",
@@ -532,6 +511,7 @@ class LivePage:
                 backlog=32,  # three times as many can be accepted before the oldest are closed
             )
         )
+        server.capture_signals = nullcontext  # type: ignore[assignment,method-assign]  # which it would raise again
 
         async def end_in_order() -> None:
             try:

@@ -314,13 +314,8 @@ def accuracy(
         rows = [asdict(cell) for cell in study.cells]
         return StudyResult(text, page, rows, told, figures={"": partial(draw_error_against_run_time, study)})
 
-    known = {} if former is None or not former.exists() else _read_parts(former, identity)
+    known = {part.content: part for part in read_former(former, identity, "parts", list[ContentErrors])}
     return result(run_study(cells, compared, rounds=rounds, known=known, tell=lambda study: tell(result(study))))
-
-
-def _read_parts(file: Path, identity: Mapping[str, object]) -> dict[float, ContentErrors]:
-    """Results of an earlier start by content; `OutputRefusedError` if they are not of the same study."""
-    return {part.content: part for part in read_former(file, identity, "parts", list[ContentErrors])}
 
 
 def choose_settings(cells: Cells, only: Sequence[str]) -> list[Setting]:

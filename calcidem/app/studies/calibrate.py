@@ -15,8 +15,9 @@ from scipy.optimize import lsq_linear
 
 from calcidem.analysis.measured import Target
 from calcidem.app.config.checks import check_against_packing, cross_check
+from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
-from calcidem.app.studies.study import ParameterRange, check_ranges, point_of_study, point_velocities, with_values
+from calcidem.app.studies.study import ParameterRange, check_ranges, point_of_study, point_velocities
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 
@@ -260,7 +261,7 @@ def calibrate(
 
     def velocities(values: ParameterValues, contents: Sequence[float] = contents) -> Floats:
         try:
-            tried = with_values(configuration, values)
+            tried = change_configuration(replace(configuration, campaign=planned.campaign), values)
         except ValueError:  # refused values give no velocity
             return np.full((len(plan.seeds), len(contents)), np.nan)
         return point_velocities(point_of_study(tried, database, contents, plan.seeds), executor)
@@ -312,19 +313,20 @@ def _fit_to_targets(
         for i, target in enumerate(plan.met)
     )
     doubts += [text for row in contents for text in _doubts_of_content(row)]
+    unknown = np.full(len(names), math.nan)
+    fitted = FittedParameters(
+        values=_values_at(names, point),
+        deviations=_values_at(names, unknown),
+        correlation=np.outer(unknown, unknown),
+        at_limit=(),
+        contents=contents,
+        trials=len(fit.trials),
+        chi_square=math.nan,
+        freedom=fit.wanted - len(names),
+        doubts=tuple(doubts),
+    )
     if not slopes.size:
-        unknown = np.full(len(names), math.nan)
-        return FittedParameters(
-            values=_values_at(names, point),
-            deviations=dict(zip(names, unknown.tolist(), strict=True)),
-            correlation=np.outer(unknown, unknown),
-            at_limit=(),
-            contents=contents,
-            trials=len(fit.trials),
-            chi_square=math.nan,
-            freedom=fit.wanted - len(names),
-            doubts=tuple(doubts),
-        )
+        return fitted
     errors, moves = fit.errors(point), slopes.any(axis=0)
     slopes, missed = _slopes_of_all(fit, point, slopes)
     inverse = np.linalg.pinv(slopes / errors[:, None]) / errors
@@ -332,9 +334,9 @@ def _fit_to_targets(
     deviation = np.where(moves, np.sqrt(np.diag(covariance)), np.nan)
     doubts += [f"{names[i]} does not change Vs at these contents: remove it" for i in np.flatnonzero(~moves)]
     at_limit = np.isclose(point[:, None], limits, atol=1e-6).any(axis=1)
-    chi_square, freedom = float(np.sum((fit.deviation(point) / errors) ** 2)), fit.wanted - len(names)
+    chi_square = float(np.sum((fit.deviation(point) / errors) ** 2))
     doubts += [f"{names[i]} ended at a limit of its range: widen it, or remove it" for i in np.flatnonzero(at_limit)]
-    if chi_square > 4.0 * max(1, freedom):  # above that, deviations are not random
+    if chi_square > 4.0 * max(1, fitted.freedom):  # above that, deviations are not random
         doubts.append(
             "the targets are not met within their errors: free other parameters; the deviations are too small"
         )
@@ -348,15 +350,13 @@ def _fit_to_targets(
         replace(row, mean_band=bands.get((row.content, "vs")), sd_band=bands.get((row.content, "sd")))
         for row in contents
     )
-    return FittedParameters(
-        values=_values_at(names, point),
+    return replace(
+        fitted,
         deviations=_values_at(names, point + np.log(deviation)),
         correlation=covariance / np.outer(deviation, deviation),
         at_limit=tuple(names[i] for i in np.flatnonzero(at_limit)),
         contents=banded,
-        trials=len(fit.trials),
         chi_square=chi_square,
-        freedom=freedom,
         doubts=tuple(doubts),
         intervals=dict(zip(names, intervals, strict=False)),
     )

@@ -52,27 +52,22 @@ class SignalReading:
         """Velocity by a method with its standard error."""
         return f"{self.velocities[method]:.1f} \u00b1 {self.errors[method]:.1g} m/s"
 
+    @apply_style
     def plot(self) -> Figure:
         """Draw both signals, each over its peak, with the three arrivals; `matplotlib` saves the figure."""
-        return _draw(self)
-
-
-@apply_style
-def _draw(reading: SignalReading) -> Figure:
-    figure, axes, _ = new_panel(height=2.6)
-    draw_signal_pair(axes, reading.arrival)
-    begin, end = (float(reading.arrival.time[place]) for place in (0, -1))
-    axes.set_xlim(1e3 * begin, 1e3 * min(end, 2.0 * reading.arrival.arrival_time("peak") - begin))  # ms
-    for line, name in enumerate(reading.velocities):
-        text = f"{METHOD_STYLES[name][0]}:\n{reading.label(name)}"
-        axes.text(1.01, 1 - 0.3 * line, text, va="top", fontsize=8, transform=axes.transAxes)
-    axes.text(
-        1.01, 0.1, f"they differ by\n{100.0 * reading.spread:.2g} %", va="top", fontsize=8, transform=axes.transAxes
-    )
-    axes.set_title("received signal reversed" if reading.is_reversed else "")
-    axes.set_xlabel("time (ms)")
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5)
-    return figure
+        figure, axes, _ = new_panel(height=2.6)
+        draw_signal_pair(axes, self.arrival)
+        begin, end = (float(self.arrival.time[place]) for place in (0, -1))
+        axes.set_xlim(1e3 * begin, 1e3 * min(end, 2.0 * self.arrival.arrival_time("peak") - begin))  # ms
+        for line, name in enumerate(self.velocities):
+            text = f"{METHOD_STYLES[name][0]}:\n{self.label(name)}"
+            axes.text(1.01, 1 - 0.3 * line, text, va="top", fontsize=8, transform=axes.transAxes)
+        told = f"they differ by\n{100.0 * self.spread:.2g} %"
+        axes.text(1.01, 0.1, told, va="top", fontsize=8, transform=axes.transAxes)
+        axes.set_title("received signal reversed" if self.is_reversed else "")
+        axes.set_xlabel("time (ms)")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5)
+        return figure
 
 
 def read_signal(

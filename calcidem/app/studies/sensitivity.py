@@ -18,12 +18,12 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calcidem.analysis.distribution import Change, paired_changes
-from calcidem.analysis.figures.velocities import STUDY_FIGURES
+from calcidem.analysis.figures.registry import STUDY_FIGURES
 from calcidem.analysis.published import published_study
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.patterns import stored_experiment
 from calcidem.app.campaign.run import run
-from calcidem.app.config.reader import parse_file, read_configuration
+from calcidem.app.config.reader import parse_file, put_values, read_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
 from calcidem.app.studies.study import Cells, StudyResult, markdown_table
 from calcidem.dem.kernels.layout import Floats
@@ -104,7 +104,8 @@ def read_variants(path: str | os.PathLike[str], database: str) -> tuple[Variant,
         )
         raise ConfigurationError(source, [Problem(f"{place}: {words}") for place, words in found]) from None
     base, _ = parse_file(Path(path).parent / listed.configuration)
-    _change(base, "run", {"database": database, "store_sections": False}, "part")
+    put_values(base, {"run.database": database, "run.store_sections": False})
+    _omit(base, "run.part")
     known = {REFERENCE, *(variant.name for variant in listed.variant)}
     problems = [
         Problem(f'variant "{variant.name}": against = "{variant.against}" is none of the variants; correct it')
@@ -163,26 +164,20 @@ def variant_table(variants: Sequence[Variant]) -> StudyResult:
     return StudyResult(markdown_table(header, rows) + "\n")
 
 
-def _change(document: dict[str, Any], section: str, values: Mapping[str, Any], *without: str) -> None:
-    """Change keys of a section, and omit some; entries that are not tables are left for the reader to refuse."""
-    table = document.setdefault(section, {})
-    if isinstance(table, dict):
-        table.update(values)
-        for key in without:
+def _omit(document: dict[str, Any], *names: str) -> None:
+    """Omit keys by section and key; entries that are not tables are left for the reader to refuse."""
+    for name in names:
+        section, _, key = name.partition(".")
+        if isinstance(table := document.setdefault(section, {}), dict):
             table.pop(key, None)
 
 
 def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, source: str) -> Variant:
     """Variant of the configuration ``base``."""
-    document = deepcopy(dict(base))
-    for place, value in entry.change.items():
-        section, _, key = place.partition(".")
-        _change(document, section, {key: value})
-    for place in entry.without:
-        section, _, key = place.partition(".")
-        _change(document, section, {}, key)
+    document = put_values(deepcopy(dict(base)), entry.change)
+    _omit(document, *entry.without, "campaign.until", "campaign.most_seeds")
     own = {"name": entry.name, "seeds": entry.seeds or plan.seeds, "contents": entry.contents or plan.contents}
-    _change(document, "campaign", own, "until", "most_seeds")
+    put_values(document, {f"campaign.{key}": value for key, value in own.items()})
     folder = (Path(source).parent / plan.configuration).parent
     configuration = read_configuration(document, f"{source}, {entry.name}", folder)
     return Variant(entry.name, entry.choice, entry.value, entry.against, configuration)
@@ -368,18 +363,17 @@ def run_studies(
     return {name: _STUDIES[name](experiment, **chosen).assign_attrs(published=published) for name in names}
 
 
-def _mean_of_seeds(vs: xr.DataArray) -> str:
-    """Mean of velocities, m/s, with the number of those that could be read unless that is all."""
-    read = int(vs.notnull().sum())
-    return number(float(vs.mean()), ".0f") + (f" ({read} of {vs.size} read)" if 0 < read < vs.size else "")
-
-
 def vary_one(varied: str, database: str, contents: Sequence[float] | None, campaign_name: str | None) -> StudyResult:
     """Run one study; its table has the mean of Vs from peak to peak (m/s) over content and varied parameter."""
     study = run_studies(database, [varied], contents=contents, campaign_name=campaign_name)[varied]
     found, unit = study["vs_peak"], " Hz" if varied == "frequency" else ""
+
+    def mean_of_seeds(vs: xr.DataArray) -> str:
+        read = int(vs.notnull().sum())
+        return number(float(vs.mean()), ".0f") + (f" ({read} of {vs.size} read)" if 0 < read < vs.size else "")
+
     rows = [
-        (f"{content:g}", *(_mean_of_seeds(found.sel({"content": content, varied: value})) for value in study[varied]))
+        (f"{content:g}", *(mean_of_seeds(found.sel({"content": content, varied: value})) for value in study[varied]))
         for content in study["content"].values
     ]
     table = markdown_table(("content, %", *(f"{value:g}{unit}" for value in study[varied].values)), rows) + "\n"

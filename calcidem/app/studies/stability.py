@@ -114,7 +114,7 @@ def stability(
         "scenes": scenes,
         "draw": draw,
     }
-    former = read_former(kept, identity, "rows", list[dict[str, Any]]) if kept is not None and kept.exists() else []
+    former = read_former(kept, identity, "rows", list[dict[str, Any]])
     rows: list[dict[str, Any]] = []
     for name, group in groups.items():
         for number, drawn in enumerate(group):

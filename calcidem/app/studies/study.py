@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from statistics import median
 from time import process_time
-from typing import Any, Self, TypeVar, get_type_hints
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -31,9 +31,10 @@ from calcidem.analysis.figures.style import save
 from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.packing import provide_packing, stored_packing
 from calcidem.app.campaign.run import run
-from calcidem.app.config.checks import check_against_packing, cross_check
-from calcidem.app.config.reader import read_configuration
-from calcidem.app.config.schema import SECTIONS, Configuration, ConfigurationError, Problem
+from calcidem.app.config.checks import check_against_packing
+from calcidem.app.config.examples import KeyReference, key_references
+from calcidem.app.config.reader import change_configuration, read_configuration
+from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
@@ -88,8 +89,13 @@ class StudyResult:
         yield table
 
 
-def read_former(file: Path, identity: Mapping[str, object], name: str, kind: type[_Kind]) -> _Kind:
-    """Results ``name`` of an earlier start in a JSON file; `OutputRefusedError` if they are not of the same study."""
+def read_former(file: Path | None, identity: Mapping[str, object], name: str, kind: type[_Kind]) -> _Kind:
+    """Results ``name`` of an earlier start in a JSON file, none without a file.
+
+    `OutputRefusedError` if they are not of the same study.
+    """
+    if file is None or not file.exists():
+        return kind()
     try:
         told = json.loads(read_text(file, 100_000_000))  # bytes; 100 settings of 1,000 cells have fewer
         results = TypeAdapter(kind).validate_python(told[name])
@@ -277,8 +283,8 @@ class ParameterRange:
 
         A key without a value starts at the geometric mean of its range. `ValueError` if there is neither.
         """
-        attribute, key = _variable_keys()[self.name]
-        value = getattr(getattr(configuration, attribute), key)
+        key = _variable_keys()[self.name]
+        value = getattr(getattr(configuration, key.attribute), key.name)
         if self.name == "pattern.cluster_area" and value is None:
             value = _area_of_clusters(configuration, packing)
         if not isinstance(value, float) or value <= 0.0:
@@ -318,35 +324,22 @@ def _range_problems(configuration: Configuration, chosen: ParameterRange) -> Ite
     for value in (chosen.low, chosen.high):
         if 0.0 < value < math.inf:
             try:
-                changed = with_values(configuration, {name: value})
-            except ValueError as error:
-                yield Problem(f"{name.split('.')[0]}.{error}", (name,))
+                changed = change_configuration(configuration, {name: value})
+            except ConfigurationError as error:
+                yield from (problem for problem in error.problems if name in problem.fields)
                 continue
-            yield from (problem for problem in cross_check(changed) if name in problem.fields)
             if changed.packing_hash != configuration.packing_hash:
                 yield Problem(f"{name}: every value changes the packing; vary a key of the wave stage", (name,))
                 return
 
 
-def _variable_keys() -> dict[str, tuple[str, str]]:
-    """Attribute of `Configuration` and field in it, for each ``section.key`` of the wave stage that is a number."""
+def _variable_keys() -> dict[str, KeyReference]:
+    """Each ``section.key`` of the wave stage that is a number."""
     return {
-        f"{section}.{name}": (attribute, name)
-        for section, types in SECTIONS.items()
-        if section not in {"campaign", "packing", "run"}
-        for attribute, kind in types.items()
-        for name, hint in get_type_hints(kind).items()
-        if hint in (float, float | None) and f"{section}.{name}" != "pattern.sand_density"  # the file has sand.density
+        f"{key.section}.{key.name}": key
+        for key in key_references()
+        if key.kind == "number" and key.section not in {"campaign", "packing", "run"}
     }
-
-
-def with_values(configuration: Configuration, values: Mapping[str, float]) -> Configuration:
-    """Configuration with changed parameters."""
-    changed = configuration
-    for name, value in values.items():
-        attribute, key = _variable_keys()[name]
-        changed = replace(changed, **{attribute: replace(getattr(changed, attribute), **{key: float(value)})})
-    return changed
 
 
 def _area_of_clusters(configuration: Configuration, packing: Packing) -> float:
@@ -386,7 +379,10 @@ def refuse_unwritable(text: str, configuration: Configuration, values: Mapping[s
         document = tomllib.loads(text_with_values(text, {"campaign.name": file.stem, **values}))
     except ValueError as error:
         raise ConfigurationError(os.fspath(file), [Problem(problem)]) from error
-    if read_configuration(document, os.fspath(file), file.parent).hash != with_values(configuration, rounded).hash:
+    if (
+        read_configuration(document, os.fspath(file), file.parent).hash
+        != change_configuration(configuration, rounded).hash
+    ):
         raise ConfigurationError(os.fspath(file), [Problem(problem)])
 
 
