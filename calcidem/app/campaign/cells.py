@@ -40,7 +40,6 @@ from calcidem.storage.records import (
     CementPattern,
     GrainPath,
     NetworkFeatures,
-    PackedResult,
     PathFeatures,
 )
 from calcidem.sweep.ranks import keep_freed_memory, own_rank
@@ -63,7 +62,7 @@ class CellComputation:
     packing: Packing
     """Configuration and packing of the campaign."""
 
-    def __call__(self, batch: Batch[Cell], raise_if_stopped: Callable[[], None], /) -> Sequence[PackedResult]:
+    def __call__(self, batch: Batch[Cell], raise_if_stopped: Callable[[], None], /) -> Sequence[CellResult]:
         """Measure the cells of a batch, which have the same content."""
         run, experiment = self.configuration.run, self._experiment
         content = batch.cells[0][1]
@@ -86,7 +85,7 @@ class CellComputation:
                 replace(result, static_speed=found.speed if found.error <= LARGEST_STATIC_ERROR else None)
                 for result, found in zip(results, speeds, strict=True)
             ]
-        return tuple(result.packed() for result in results)
+        return tuple(result.pack() for result in results)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle for preparation in another process, without the URL of the database, which may have a password."""
