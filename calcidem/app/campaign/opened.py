@@ -106,9 +106,9 @@ class Sample:
             raise ValueError(f"{file} ends with '{suffix}': give it one of the endings {', '.join(SUFFIXES)}")
         with write_atomically(file) as temporary:
             if suffix == ".csv":
-                from calcidem.dem.sample.packing_file import write_packing_csv  # noqa: PLC0415 - loads the engine
+                from calcidem.dem.sample.packing_file import write_disks_csv  # noqa: PLC0415 - loads the engine
 
-                write_packing_csv(self.packing, temporary)
+                write_disks_csv(self.packing.x, self.packing.y, self.packing.radius, temporary)
             else:
                 _write_vtu(self, temporary)
         return file

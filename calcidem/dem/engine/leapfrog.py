@@ -394,12 +394,12 @@ def look_ahead(state: State) -> State:
     """
     ahead = duplicate(state)
     if state.steps == 0:
-        _halt(ahead)
+        halt(ahead)
     run_kernel(ahead, 1, no_recording(state))
     return ahead
 
 
-def _halt(state: State) -> None:
+def halt(state: State) -> None:
     """Bring disks and walls to rest, in place."""
     state.motion.velocity[...] = 0.0
     state.assembly.walls.motion[:, SPEEDS] = 0.0
@@ -414,10 +414,14 @@ def start_leapfrog(state: State) -> State:
     """
     dt = state.time_step.astype(state.motion.velocity.dtype)
     probe = duplicate(state)
-    _halt(probe)
+    halt(probe)
     run_kernel(probe, 1, no_recording(state))
-    # A relaxed packing continues from forces at the limit of friction; rounding alone can put them beyond it.
-    current = _with_contacts_of(state, probe) if state.features.midpoint else duplicate(state)
+    current = duplicate(state)
+    if state.features.midpoint:
+        # A relaxed packing continues from forces at the limit of friction; rounding alone can put them beyond it.
+        contacts = replace(current.assembly, pairs=probe.assembly.pairs, wall_pairs=probe.assembly.wall_pairs)
+        current = replace(current, assembly=contacts)
+        current.account[CONTACT_LOSS] = probe.account[CONTACT_LOSS]
     kick = probe.motion.velocity / 2.0
     if state.features.damping:
         alpha = state.assembly.grains.damping[:, None, None]
@@ -428,21 +432,6 @@ def start_leapfrog(state: State) -> State:
     walls.motion[:, PATHS] += dt * walls.motion[:, SPEEDS]
     walls.reaction[...] = probe.assembly.walls.reaction
     return replace(current, steps=state.steps + 1)
-
-
-def _with_contacts_of(state: State, probe: State) -> State:
-    """Copy of a state with the contact histories and losses of another state at the same position."""
-    pairs, wall_pairs = probe.assembly.pairs, probe.assembly.wall_pairs
-    assembly = replace(
-        state.assembly,
-        pairs=state.assembly.pairs._replace(
-            intact=pairs.intact, shear=pairs.shear, root=pairs.root, bond_force=pairs.bond_force
-        ),
-        wall_pairs=state.assembly.wall_pairs._replace(shear=wall_pairs.shear, root=wall_pairs.root),
-    )
-    current = duplicate(replace(state, assembly=assembly))
-    current.account[CONTACT_LOSS] = probe.account[CONTACT_LOSS]
-    return current
 
 
 def change_step(state: State, ahead: State, step: Floats) -> State:

@@ -28,11 +28,6 @@ FARTHEST = 1e30
 """m; keeps distances of disks and their squares finite."""
 
 
-def write_packing_csv(packing: Packing, file: Path) -> None:
-    """Write the disks of a packing, see `write_disks_csv`."""
-    write_disks_csv(packing.x, packing.y, packing.radius, file)
-
-
 def write_disks_csv(x: Floats, y: Floats, radius: Floats, file: Path) -> None:
     """Write disks: a header line, then x, y and radius (N,) of each in m, without loss of digits."""
     with file.open("w", newline="", encoding="utf-8") as stream:
