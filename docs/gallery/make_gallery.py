@@ -11,6 +11,7 @@ import json
 import sys
 import tempfile
 import textwrap
+from itertools import chain
 from pathlib import Path
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
@@ -73,7 +74,11 @@ def drawn_studies() -> dict[str, bytes]:
     from chromium import find_chromium, open_chromium  # noqa: PLC0415 - a helper of the tests
 
     studies = run_studies(QUICK)
-    found = {entry.name: render(entry.draw(studies[entry.study]), "png") for entry in STUDY_FIGURES}
+    found = {
+        entry.name: render(entry.draw(study), "png")
+        for varied, study in studies.items()
+        for entry in STUDY_FIGURES[varied]
+    }
     program = find_chromium()
     if program is None:
         return found
@@ -107,7 +112,7 @@ def gallery_page(*, captions: bool = False) -> str:
         ),
         "",
     ]
-    for entry in (*FIGURES, *STUDY_FIGURES):
+    for entry in chain(FIGURES, *STUDY_FIGURES.values()):
         lines += [f"## {entry.title}", "", f"![Figure]({entry.name}.png)", ""]  # as the heading says
         lines += [textwrap.fill(entry.caption, _LINE), ""] if captions else []
     lines += ["## The report", "", "At two widths: the first screen and one of the cells.", ""]

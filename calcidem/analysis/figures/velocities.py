@@ -4,8 +4,7 @@ The studies are those of reading method, damping and excitation frequency.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
@@ -33,6 +32,7 @@ from calcidem.analysis.figures.style import (
     SKY,
     VERMILION,
     VS_LABEL,
+    FigureEntry,
     apply_style,
     letter_panels,
     new_figure,
@@ -66,7 +66,7 @@ def draw_range(
     ``cells`` has vs (m/s), vs_error and pulse_effect along (seed, content), NaN where missing. `UnavailableError` if
     no content has a velocity.
     """
-    rows = _rows_with_velocity(distributions)
+    rows = rows_with_velocity(distributions)
     figure, axes, placed = new_panel(height=4.4)
     close = 0.7  # %; contents up to this are so close together that they have a panel of their own
     low = [row for row in rows if row.content <= close]
@@ -101,7 +101,8 @@ def draw_range(
     return figure
 
 
-def _rows_with_velocity(distributions: Sequence[ContentDistribution]) -> list[ContentDistribution]:
+def rows_with_velocity(distributions: Sequence[ContentDistribution]) -> list[ContentDistribution]:
+    """Contents with a velocity; `UnavailableError` without any."""
     if found := [row for row in distributions if row.vs.n]:
         return found
     raise UnavailableError("no sample has a velocity")
@@ -194,7 +195,7 @@ def draw_histograms(
 
     `UnavailableError` if no content has a velocity.
     """
-    rows = pick_evenly(_rows_with_velocity(distributions), 24)
+    rows = pick_evenly(rows_with_velocity(distributions), 24)
     columns = min(4, len(rows))
     lines = math.ceil(len(rows) / columns)
     figure = new_figure(height=0.45 + 1.5 * lines)
@@ -429,50 +430,36 @@ def _draw_damping_study(study: xr.Dataset) -> Figure:
     return figure
 
 
-@dataclass(frozen=True, slots=True)
-class _StudyFigure:
-    """A figure of a sensitivity study."""
-
-    study: str
-    """Study that it shows, "frequency" or "damping"."""
-    name: str
-    """File name without ending."""
-    title: str
-    """Title in a few words."""
-    caption: str
-    """Caption in sentences."""
-    draw: Callable[[xr.Dataset], Figure]
-    """Draws it from the result of the study."""
-
-
-STUDY_FIGURES = (
-    _StudyFigure(
-        "frequency",
-        "study_reading",
-        "Peak to peak against first arrival",
-        "Vs of the same samples by two methods of reading, over excitation frequency; thin lines are samples. Marks "
-        "are hollow where transmitter and receiver are less than a wavelength apart, so that near-field effects "
-        "spoil the reading.",
-        _draw_reading_study,
+STUDY_FIGURES: dict[str, tuple[FigureEntry[xr.Dataset], ...]] = {
+    "frequency": (
+        FigureEntry(
+            "study_reading",
+            "Peak to peak against first arrival",
+            "Vs of the same samples by two methods of reading, over excitation frequency; thin lines are samples. "
+            "Marks are hollow where transmitter and receiver are less than a wavelength apart, so that near-field "
+            "effects spoil the reading.",
+            _draw_reading_study,
+        ),
+        FigureEntry(
+            "study_frequency",
+            "Excitation frequency",
+            "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
+            "the transmitted one, with the range over samples; dashed at the campaign's frequency. Contents are "
+            "slightly offset.",
+            _draw_frequency_study,
+        ),
     ),
-    _StudyFigure(
-        "frequency",
-        "study_frequency",
-        "Excitation frequency",
-        "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
-        "the transmitted one, with the range over samples; dashed at the campaign's frequency. Contents are slightly "
-        "offset.",
-        _draw_frequency_study,
+    "damping": (
+        FigureEntry(
+            "study_damping",
+            "Local damping",
+            "Signals received in one sample with several local damping factors, and the Vs read from their peaks "
+            "(triangles) where one could be trusted.",
+            _draw_damping_study,
+        ),
     ),
-    _StudyFigure(
-        "damping",
-        "study_damping",
-        "Local damping",
-        "Signals received in one sample with several local damping factors, and the Vs read from their peaks "
-        "(triangles) where one could be trusted.",
-        _draw_damping_study,
-    ),
-)
+}
+"""Figures of each sensitivity study."""
 
 
 def _start_at_zero(axes: Axes) -> None:

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlations
 from calcidem.analysis.distribution import tabulate
-from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
-from calcidem.analysis.figures.style import render, save
+from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
+from calcidem.analysis.figures.style import FigureEntry, render, save
 from calcidem.analysis.figures.velocities import STUDY_FIGURES
 from calcidem.analysis.measured import Target
 from calcidem.analysis.packing_graph import installed_features
@@ -169,9 +169,10 @@ def _render_page(
         sections.append(_make_section(plan, analysis))
     watch(len(sections), parts)
     drawn = (
-        _picture_of(entry.draw(studies[entry.study]), entry.name, entry.title, entry.caption, pictorial=False)
-        for entry in STUDY_FIGURES
-        if entry.study in studies
+        _picture_of(entry.draw(studies[varied]), entry.name, entry.title, entry.caption, pictorial=False)
+        for varied, entries in STUDY_FIGURES.items()
+        if varied in studies
+        for entry in entries
     )
     sections.append(_PageSection("sensitivity", "Sensitivity", pictures=tuple(drawn)))
     environment = Environment(
@@ -258,7 +259,7 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
     return remarks + notes_on(analysis.store.table(NOTE_QUANTITIES))
 
 
-def _draw_picture(entry: CampaignFigure, analysis: CampaignAnalysis) -> _Picture:
+def _draw_picture(entry: FigureEntry[CampaignAnalysis], analysis: CampaignAnalysis) -> _Picture:
     """Draw one figure, or return the reason why it cannot be drawn."""
     figure, reason = make_or_explain(entry.draw, analysis)
     if figure is None:

@@ -383,5 +383,5 @@ def vary_one(varied: str, database: str, contents: Sequence[float] | None, campa
         for content in study["content"].values
     ]
     table = markdown_table(("content, %", *(f"{value:g}{unit}" for value in study[varied].values)), rows) + "\n"
-    figures = {entry.name: partial(entry.draw, study) for entry in STUDY_FIGURES if entry.study == varied}
+    figures = {entry.name: partial(entry.draw, study) for entry in STUDY_FIGURES[varied]}
     return StudyResult(table, dataset=study, figures=figures, formats=("png", "svg", "pdf"))
