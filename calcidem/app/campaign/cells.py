@@ -24,7 +24,6 @@ from calcidem.dem.sample.cement import (
     CementOrdering,
     Pattern,
     content_of_contacts,
-    give_patterns,
 )
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import Check, check_content, kernels_of
@@ -135,7 +134,7 @@ def _prepared_computation(
     configuration: Configuration, packing: Packing, version: str, patterns: Mapping[str, Pattern]
 ) -> CellComputation:
     """Computation in a process of an executor, with compiled kernels."""
-    give_patterns(patterns)
+    GIVEN.update(patterns)
     if _version() != version:
         raise LaunchError(f"a worker has {_version()}, the program that stores the campaign has {version}")
     keep_freed_memory()

@@ -33,7 +33,7 @@ from calcidem.app.campaign.status import (
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.gpu import refuse_missing_gpu
-from calcidem.dem.sample.cement import Pattern, give_patterns
+from calcidem.dem.sample.cement import GIVEN, Pattern
 from calcidem.dem.sample.packing import Packing, PackingStage
 from calcidem.ends import DECIDED_BY_PHYSICS, CellStatus
 from calcidem.storage.errors import (
@@ -124,7 +124,7 @@ def run(
     from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - as above
     from calcidem.app.config.reader import change_configuration  # noqa: PLC0415 - the reader, which workers do not need
 
-    give_patterns(patterns or {})
+    GIVEN.update(patterns or {})
     values = dict(set or {})
     values |= {"run.database": os.fspath(db)} if db is not None else {}
     values |= {"run.output": os.fspath(output)} if output is not None else {}

@@ -204,17 +204,13 @@ class Store(StoreReader):
         Attempts without an outcome are withdrawn, unless the run was cut off by a death or hanging of a worker.
         """
         with self._writing() as connection:
-            self._change_run(exit_state=exit_state, ended=as_utc(ended))
+            ending = update(RUN).where(RUN.c.id == self._run_id).values(exit_state=exit_state, ended=as_utc(ended))
+            if not connection.execute(ending).rowcount:
+                raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
             if not cut_off:
                 unended = and_(ATTEMPT.c.run_id == self._run_id, ATTEMPT.c.outcome == CellStatus.RUNNING.value)
                 connection.execute(delete(ATTEMPT).where(unended))
         self._run_id = None
-
-    def _change_run(self, **values: object) -> None:
-        with self._writing() as connection:
-            changed = connection.execute(update(RUN).where(RUN.c.id == self._run_id).values(**values))
-            if not changed.rowcount:
-                raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
 
     # Lease
 
