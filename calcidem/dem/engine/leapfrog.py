@@ -124,18 +124,6 @@ def _histories(features: Features) -> list[str]:
     return [name for name, used in uses.items() if used]
 
 
-def _stiffnesses(features: Features) -> list[str]:
-    """Constants that determine the forces of a pair."""
-    uses = {
-        "tangent": features.linear,
-        "hertz": not features.linear,
-        "mindlin": not features.linear,
-        "bond": features.bonds,
-        "linear": features.linear_group,
-    }
-    return [name for name, used in uses.items() if used]
-
-
 def _bundle_pairs(pairs: Pairs, bundles: _Bundles, radius: Floats, features: Features) -> Pairs:
     """Pairs in bundles: (B, 8) for (M,) and (B, K, 8) for (M, K); disks become the first row of their records.
 
@@ -152,7 +140,8 @@ def _bundle_pairs(pairs: Pairs, bundles: _Bundles, radius: Floats, features: Fea
 
     constants = ["geometry", *([] if features.linear else ["friction"]), *(["strength"] if features.breakage else [])]
     fields = {name: dealt(getattr(pairs, name)) for name in constants}
-    for name in _stiffnesses(features):
+    stiffnesses = ["tangent"] if features.linear else ["hertz", "mindlin"]
+    for name in [*stiffnesses, *(["bond"] if features.bonds else []), *(["linear"] if features.linear_group else [])]:
         fields[name] = dealt(getattr(pairs, name))
         np.moveaxis(fields[name], -1, 1)[bundles.filling] = 0.0
     for name in _histories(features):
@@ -413,9 +402,7 @@ def start_leapfrog(state: State) -> State:
     time zero, before any motion, in scenes that resolve impacts. In others the first step cuts them off.
     """
     dt = state.time_step.astype(state.motion.velocity.dtype)
-    probe = duplicate(state)
-    halt(probe)
-    run_kernel(probe, 1, no_recording(state))
+    probe = look_ahead(replace(state, steps=0))
     current = duplicate(state)
     if state.features.midpoint:
         # A relaxed packing continues from forces at the limit of friction; rounding alone can put them beyond it.
