@@ -236,7 +236,7 @@ class _Master:
                 self._hand_out(workers, commits)
             commits.advance()
             if level is not StopLevel.NONE:
-                self._schedule.put_back(workers.cancel())
+                self._schedule.extend(workers.cancel())
             if (end := self._reason_to_end(workers, level)) is not None:
                 return end
             self._beat()

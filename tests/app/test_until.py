@@ -125,7 +125,7 @@ def test_a_sweep_computes_what_is_asked_for_meanwhile(pool: int | None) -> None:
     where = None if pool is None else ThreadPoolExecutor(pool)
     end = run_sweep(where, batches(demand.cells), measured, sink, more=lambda found: batches(demand.take_in(found)))
     assert end.exit_code == 0
-    assert len(sink.cells) == len(set(sink.cells)) == end.tally.settled
+    assert len(sink.cells) == len(set(sink.cells)) == end.tally.total()
     assert set(sink.cells) == set(computed({}, random.Random(1)))
 
 
