@@ -15,7 +15,7 @@ import numpy as np
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import change_configuration
 from calcidem.app.studies.accuracy import CellError, covered_share
-from calcidem.dem.wave.measurement import measure_all
+from calcidem.dem.wave.measurement import measure
 
 _FILE = Path(__file__).resolve().parents[2] / "calcidem" / "app" / "config" / "presets" / "paper.toml"
 _CONTENTS = (0.0, 0.11, 0.23, 0.34, 0.45, 0.55, 0.66, 1.24, 1.88, 2.55, 3.17, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)  # percent
@@ -46,8 +46,8 @@ def main() -> None:
     for content in given.contents:
         first, count = given.seeds
         seeds = range(first, first + (count if content else 1))  # without cement all samples are the same
-        cells = measure_all(experiment, content, seeds, lanes=lanes)
-        exact = measure_all(finer, content, seeds)
+        cells = measure(experiment, content, seeds, lanes=lanes)
+        exact = measure(finer, content, seeds)
         new = [CellError.compare("", *pair) for pair in zip(cells, exact, strict=True)]
         found += new
         for name, rows in ((f"{content:g}", new), ("all", found)):

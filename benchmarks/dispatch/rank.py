@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from calcidem.app.campaign.run import StoreSink
-from calcidem.storage.records import CellKey, PackedResult
+from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.attempt import StopRequest
 from calcidem.sweep.ranks import run_on_ranks
@@ -80,7 +80,7 @@ class Sleep:
     """A computation that takes as long as it is told."""
 
     times: Sequence[float]
-    payload: tuple[PackedResult, ...]
+    payload: tuple[CellResult, ...]
 
     def __call__(self, batch: Batch[Cell], raise_if_stopped: Callable[[], None]) -> Sequence[Any]:
         """Give outcomes after the batch's time, without a payload the cells themselves."""
@@ -102,17 +102,17 @@ def durations(batches: int, mean: float) -> list[float]:
     return [mean * (1.0 + SPREAD * (2.0 * (position + 0.5) / batches - 1.0)) for position in order]
 
 
-def real_outcomes(database: str) -> tuple[PackedResult, ...]:
+def real_outcomes(database: str) -> tuple[CellResult, ...]:
     """As many outcomes as a batch has, with cement and sections; the sections are kept of one seed, so others share them."""
     with Store(database, read_only=True) as store:
         store.use_campaign()
         stored = [result for result in store.results(with_arrays=True) if result.key.content > 0.0]
     sections = {result.key.content: result.section for result in stored if result.section is not None}
     complete = (replace(result, section=sections[result.key.content]) for result in stored)
-    return tuple(islice(cycle(result.packed() for result in complete), CELLS))
+    return tuple(islice(cycle(result.pack() for result in complete), CELLS))
 
 
-def moved(payload: Sequence[PackedResult], batch: Batch[Cell]) -> tuple[PackedResult, ...]:
+def moved(payload: Sequence[CellResult], batch: Batch[Cell]) -> tuple[CellResult, ...]:
     """Outcomes as if they were those of a batch, but for the checksums of their arrays."""
     return tuple(replace(result, key=CellKey(*cell)) for result, cell in zip(payload, batch.cells, strict=True))
 

@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from calcidem.analysis.contact_graph import ContactGraph, ContactWeights, contacts_on_path
+from calcidem.analysis.contact_graph import ContactGraph, ContactWeights, connectivity, contacts_on_path
 from calcidem.analysis.intervals import BOOTSTRAP_SEED, Interval
 
 _ROUND_OFF = 1e-12
@@ -185,28 +185,23 @@ def _complete_values(table: xr.Dataset) -> tuple[list[str], NDArray[np.float64]]
     return names, np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, np.nan)
 
 
-def _fisher_interval(
-    coefficient: NDArray[np.float64], n: ArrayLike, level: float = 0.95, lost_freedom: ArrayLike = 0
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Ends of the interval of Pearson's coefficients; NaN with three or fewer samples less ``lost_freedom``."""
-    freedom = np.asarray(n) - np.asarray(lost_freedom) - 3.0
-    half = float(stats.norm.ppf((1 + level) / 2)) / np.sqrt(np.where(freedom > 0.0, freedom, np.nan))
-    with np.errstate(divide="ignore"):  # a coefficient of one has an infinite z, and tanh returns one
-        z = np.arctanh(coefficient)
-    return np.tanh(z - half), np.tanh(z + half)
-
-
 def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str], level: float) -> xr.Dataset:
-    """Correlation matrix of samples in groups (n, variables), each variable relative to its mean in the group."""
+    """Correlation matrix of samples in groups (n, variables), each variable relative to its mean in the group.
+
+    With three or fewer samples less those lost to means, Fisher's interval is NaN.
+    """
     pearson, count, lost = _pearson_matrix(groups, len(names))
     spearman, *_ = _pearson_matrix([stats.rankdata(group, axis=0) for group in groups], len(names))
-    low, high = _fisher_interval(pearson, count, level, lost)
+    freedom = count - lost - 3.0
+    half = float(stats.norm.ppf((1 + level) / 2)) / np.sqrt(np.where(freedom > 0.0, freedom, np.nan))
+    with np.errstate(divide="ignore"):  # a coefficient of one has an infinite z, and tanh returns one
+        z = np.arctanh(pearson)
     square = ("variable", "other")
     return xr.Dataset(
         {
             "pearson": (square, pearson),
-            "pearson_low": (square, low),
-            "pearson_high": (square, high),
+            "pearson_low": (square, np.tanh(z - half)),
+            "pearson_high": (square, np.tanh(z + half)),
             "spearman": (square, spearman),
             "n": sum(map(len, groups)),
         },
@@ -297,9 +292,7 @@ def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, hig
 
     def shortest(ratio: float, known: _PathLine | None = None) -> _PathLine:
         weights = ContactWeights.from_ratio(ratio)
-        at_most = (
-            np.inf if known is None else known.hertz_contacts * weights.hertz + known.bonded_contacts * weights.bond
-        )
+        at_most = np.inf if known is None else connectivity(*known, weights)
         return _PathLine(*contacts_on_path(graph, mask, weights, at_most))
 
     def between(left: _PathLine, right: _PathLine) -> list[_PathLine]:

@@ -230,33 +230,16 @@ def describe_contents(
     counts = count_outcomes(vs, status)
     columns = arrange_matrix(vs).to_numpy().T
     errors = np.full_like(columns, np.nan) if error is None else arrange_matrix(error).to_numpy().T
-    return tuple(
-        ContentDistribution(
-            content=float(content),
-            missing=int(missing),
-            failed=int(failed),
-            vs=_describe_content(content, column, of_column, level),
-        )
-        for content, missing, failed, column, of_column in zip(
-            vs["content"].to_numpy(),
-            counts["missing"].to_numpy(),
-            counts["failed"].to_numpy(),
-            columns,
-            errors,
-            strict=True,
-        )
-    )
-
-
-def _describe_content(
-    content: float, vs: NDArray[np.float64], error: NDArray[np.float64], level: float
-) -> Distribution:
-    """Distribution of the distinct samples of a content."""
-    counted = are_samples(vs, content)
-    found = Distribution.of_sample(vs[counted], level)
-    if content > 0.0 or not counted.any():
-        return found
-    return replace(found, mean_interval=Interval.of_velocity(found.mean, float(error[counted][0]), level))
+    numbers = (vs["content"].to_numpy().tolist(), counts["missing"].to_numpy(), counts["failed"].to_numpy())
+    found = []
+    for content, missing, failed, column, error_there in zip(*numbers, columns, errors, strict=True):
+        counted = are_samples(column, content)
+        described = Distribution.of_sample(column[counted], level)
+        if content == 0.0 and counted.any():
+            interval = Interval.of_velocity(described.mean, float(error_there[counted][0]), level)
+            described = replace(described, mean_interval=interval)
+        found.append(ContentDistribution(content, int(missing), int(failed), described))
+    return tuple(found)
 
 
 def tabulate(distributions: tuple[ContentDistribution, ...]) -> xr.Dataset:

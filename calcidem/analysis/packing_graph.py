@@ -77,7 +77,7 @@ class ContactNetwork:
         bonds = np.bincount(np.concatenate([first, second]), minlength=count)
         conductance, most = self._current(bonded), self._current_if_cemented
         steps = self.graph.with_entries(np.where(bonded, 0.0, 1.0)[self.graph.entry_contacts])
-        gap = dijkstra(steps, indices=self.graph.transmitter, min_only=True)[self.graph.receiver].min()
+        fewest = dijkstra(steps, indices=self.graph.transmitter, min_only=True)[self.graph.receiver].min()
         return NetworkFeatures(
             network_conductance=conductance / most if most > 1e-6 else None,  # a billionth leaks to the earth
             network_cemented_share=_mean(bonded, self.energy),
@@ -86,7 +86,7 @@ class ContactNetwork:
             network_anisotropy=_mean(self.cosine, self.energy * bonded),
             network_components=len(larger),
             network_largest_component=int(larger.max(initial=0)),
-            network_gap_contacts=int(gap) if np.isfinite(gap) else None,
+            network_gap_contacts=int(fewest) if np.isfinite(fewest) else None,
         )
 
     @cached_property
@@ -204,17 +204,11 @@ class PackingGraph:
         """Number the contacts for fast lookup by patterns."""
         object.__setattr__(self, "_keys", _contact_keys(self.graph.pairs, self.graph.grain_count))
 
-    def bonded(self, cement: CementPattern) -> NDArray[np.bool_]:
-        """Return True for cemented contacts of the graph, shape (m,).
+    def kinds(self, cement: CementPattern) -> NDArray[np.uint8]:
+        """Return 0 (sand), 1 (P) or 2 (C) for each contact of the graph, shape (m,).
 
         `ValueError` if the pattern cements two grains that do not touch.
         """
-        mask = np.zeros(self.graph.contact_count, dtype=np.bool_)
-        mask[self._rows(cement.contacts)] = True
-        return mask
-
-    def kinds(self, cement: CementPattern) -> NDArray[np.uint8]:
-        """Return 0 (sand), 1 (P) or 2 (C) for each contact of the graph, shape (m,); errors as for `bonded`."""
         kinds = np.zeros(self.graph.contact_count, dtype=np.uint8)
         kinds[self._rows(cement.contacts)] = cement.kind
         return kinds

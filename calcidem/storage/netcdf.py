@@ -157,12 +157,13 @@ def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:
         selection = Selection(block.tolist(), contents.tolist())
         names = [name for name in QUANTITY_BY_NAME if name not in INDEX_NAMES]
         matrices = as_matrices(store.table(tuple(QUANTITY_BY_NAME), selection), names, block, contents)
-        for found in chunks(store.arrays(selection) if wanted else (), 1000):  # cells with arrays in memory
+        for found in chunks(store.results(selection, with_arrays=wanted) if wanted else (), 1000):  # cells in memory
             for name in wanted:
-                kept = [(key, arrays[name]) for key, arrays in found if name in arrays]
+                kept = [cell for cell in found if getattr(cell, name) is not None]
                 if kept:
-                    keys, records = zip(*kept, strict=True)
-                    _append_records(file.createGroup(name), "cell", ARRAY_RECORDS[name], records, _key_columns(keys))
+                    own = _key_columns([cell.key for cell in kept])
+                    records = [getattr(cell, name) for cell in kept]
+                    _append_records(file.createGroup(name), "cell", ARRAY_RECORDS[name], records, own)
         for name, matrix in matrices.items():
             is_whole = QUANTITY_BY_NAME[name].kind == "whole"  # real with missing values
             file[name][first : first + block.size] = QUANTITY_BY_NAME[name].as_column(matrix) if is_whole else matrix

@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 _NO_NUMBER = -1  # stands for None among whole numbers in files; real values are 0 or more
 
 
+Kind = Literal["real", "whole", "text"]
+
+
 class Bound(StrEnum):
     """Bound of a quantity, besides being finite; the value is the remedy in messages."""
 
@@ -43,7 +46,7 @@ class Quantity:
     is_needed: bool = False
     """Whether a done cell must have it."""
     name: str = ""
-    kind: Literal["real", "whole", "text"] = "real"
+    kind: Kind = "real"
     is_optional: bool = False
     """Name and type of the field; set by `Record.quantities`."""
     needs: tuple[str, ...] = ()
@@ -126,10 +129,17 @@ class Record:  # noqa: PLW1641 - records that are keys have the hash that `datac
     __slots__ = ()
 
     @classmethod
+    @cache
     def quantities(cls) -> tuple[Quantity, ...]:
         """Return the quantities, in the order of the fields."""
-        owner: Any = cls
-        return _quantities_of(owner)
+        found = []
+        for name, hint, note in _annotated_fields(cls):
+            if isinstance(note, Quantity):
+                plain = get_args(hint)[0]
+                (kind,) = {*(get_args(plain) or (plain,))} - {NoneType}
+                word: Kind = "text" if issubclass(kind, str) else "whole" if issubclass(kind, int) else "real"
+                found.append(replace(note, name=name, kind=word, is_optional=kind is not plain))
+        return tuple(found)
 
     @classmethod
     def arrays(cls) -> dict[str, Along]:
@@ -193,24 +203,15 @@ def _freeze(field: str, values: object, element: type[Any], along: Along, length
     return array
 
 
-@cache
-def _quantities_of(record: type) -> tuple[Quantity, ...]:
-    return tuple(
-        replace(note, name=name, kind=_kind_of(hint), is_optional=NoneType in get_args(get_args(hint)[0]))
-        for name, hint, note in _annotated_fields(record)
-        if isinstance(note, Quantity)
-    )
-
-
 @cache  # cached for millions of records
 def _checked(
-    record: type,
+    record: type[Any],
 ) -> tuple[tuple[str, ...], tuple[tuple[str, Bound], ...], tuple[tuple[str, type[Any], Along], ...]]:
     """Names of all fields; bounds; element type and annotation of each array (bytes are no array)."""
     arrays = [(name, get_args(hint)[0], note) for name, hint, note in _annotated_fields(record)]
     return (
         tuple(field.name for field in fields(record)),
-        tuple((q.name, q.bound) for q in _quantities_of(record) if q.bound is not Bound.NONE),
+        tuple((q.name, q.bound) for q in record.quantities() if q.bound is not Bound.NONE),
         tuple(
             (name, get_args(get_args(kind)[1])[0], note)
             for name, kind, note in arrays
@@ -222,9 +223,3 @@ def _checked(
 def _annotated_fields(record: type) -> list[tuple[str, Any, Any]]:
     hints = get_type_hints(record, include_extras=True)
     return [(name, hint, note) for name, hint in hints.items() for note in getattr(hint, "__metadata__", ())]
-
-
-def _kind_of(hint: Any) -> Literal["real", "whole", "text"]:  # noqa: ANN401 - a type hint
-    plain = get_args(hint)[0]
-    (kind,) = {choice for choice in get_args(plain) or (plain,) if choice is not NoneType}
-    return "text" if issubclass(kind, str) else "whole" if issubclass(kind, int) else "real"

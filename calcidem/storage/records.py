@@ -9,7 +9,7 @@ import io
 import json
 import math
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from functools import lru_cache, partial
@@ -186,21 +186,15 @@ NORMAL_95 = 1.96
 MOST_PULSE_EFFECT = 0.02
 """Relative standard error by the strength of the pulse above which velocities do not belong to the sample."""
 
-Root = Callable[[Any], Any]
-
-
-def _vs_error(root: Root, reading: Any, numerical: Any, pulse: Any) -> Any:  # noqa: ANN401 - number, array or column
-    """Total of three independent parts."""
-    return root(reading * reading + numerical * numerical + pulse * pulse)
-
-
 DERIVED_QUANTITIES = (
     Quantity(
         *("1", "relative standard error of vs by reading, simulation and pulse", "error budget"),
         name="vs_error",
         is_optional=True,
         needs=("reading_error", "numerical_error", "pulse_effect"),
-        formula=_vs_error,
+        formula=lambda root, reading, numerical, pulse: root(
+            reading * reading + numerical * numerical + pulse * pulse  # three independent parts
+        ),
     ),
 )
 """Quantities that are not stored; each follows from stored ones, and is missing if one of these is."""
@@ -353,6 +347,8 @@ class CellResult(Record):
     section: RecordedSection | None = None
     cement: CementPattern | None = None
     """Arrays, if stored and requested by the query (`ARRAY_RECORDS`)."""
+    packed: tuple[tuple[str, bytes], ...] = ()
+    """Arrays that `pack` has compressed, each after the name of its field, which is None instead."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", CellStatus(self.status))
@@ -381,19 +377,22 @@ class CellResult(Record):
         parts = [part for part in (self, self.features, self.network) if part is not None]
         return {q.name: getattr(part, q.name) for part in parts for q in part.quantities()}
 
-    def packed(self) -> "PackedResult":
-        """Convert it to the columns of its rows, with compressed arrays."""
-        records = {name: record for name in ARRAY_RECORDS if (record := getattr(self, name)) is not None}
-        arrays = {
-            name: pack_arrays({field.name: np.asarray(getattr(record, field.name)) for field in fields(record)})
-            for name, record in records.items()
-        }
-        return PackedResult(self.key, self.values(), arrays)
+    def pack(self) -> Self:
+        """Return it with its arrays compressed; workers do so, since the one process that stores has no time to."""
+        found = {name: record for name in ARRAY_RECORDS if (record := getattr(self, name)) is not None}
+        blobs = (
+            (name, pack_arrays({field.name: np.asarray(getattr(record, field.name)) for field in fields(record)}))
+            for name, record in found.items()
+        )
+        absent: dict[str, Any] = dict.fromkeys(found)
+        return replace(self, **absent, packed=(*self.packed, *blobs)) if found else self
 
     @property
     def vs_error(self) -> float | None:
         """Relative standard error of vs by reading, simulation and pulse; 1.96 of it on either side hold 95 %."""
-        return self._derived("vs_error")
+        total = QUANTITY_BY_NAME["vs_error"]
+        parts = [getattr(self, name) for name in total.needs]
+        return None if total.formula is None or None in parts else float(total.formula(math.sqrt, *parts))
 
     @property
     def vs_interval(self) -> tuple[float, float] | None:
@@ -419,13 +418,6 @@ class CellResult(Record):
         arrays = f"<p>With the arrays {kept}.</p>" if kept else ""
         return f"<table><tr><th>quantity</th><th>value</th><th>meaning</th></tr>{body}</table>{arrays}"
 
-    def _derived(self, name: str) -> float | None:
-        quantity = QUANTITY_BY_NAME[name]
-        values = [getattr(self, needed) for needed in quantity.needs]
-        if quantity.formula is None or None in values:
-            return None
-        return float(quantity.formula(math.sqrt, *values))
-
     def _check_status(self) -> None:
         if self.status is CellStatus.DONE:
             missing = [q.name for q in CellResult.quantities() if q.is_needed and getattr(self, q.name) is None]
@@ -438,34 +430,6 @@ class CellResult(Record):
             raise ValueError(f"CellResult.vs is {self.vs} but the status is {self.status}; only a done cell has a vs.")
         if not self.reason:
             raise ValueError(f"CellResult.reason is empty but the status is {self.status}; say why in a sentence.")
-
-
-@dataclass(frozen=True, slots=True)
-class PackedResult:
-    """Outcome of one cell as the columns of its rows, with compressed arrays (`CellResult.packed`).
-
-    Workers make it, since the one process that stores the outcomes of all workers has no time to compress them.
-    """
-
-    key: CellKey
-    columns: dict[str, Any]
-    """Quantities by name, except seed and content. The storing process replaces attempt, rank and host."""
-    arrays: dict[str, bytes]
-    """Compressed arrays by the name of their field."""
-
-    @property
-    def status(self) -> CellStatus:
-        """Outcome of the cell."""
-        return CellStatus(self.columns["status"])
-
-    @property
-    def attempt(self) -> int:
-        """Number of the attempt."""
-        return int(self.columns["attempt"])
-
-    def packed(self) -> Self:
-        """Return it unchanged."""
-        return self
 
 
 ARRAY_RECORDS: dict[str, type[GrainPath | RecordedSection | CementPattern]] = {

@@ -27,31 +27,6 @@ class SweepInterrupted(BaseException):
     """The sweep ends now and drops the batch; not an Exception, so that no computation catches it."""
 
 
-class Deadline:
-    """Check that a computation calls every 0.1 to 0.5 s, between chunks of compiled work.
-
-    Python signal handlers and timers cannot interrupt compiled code, so the computation has to call this check. The
-    limit is in seconds from now, None for none.
-    """
-
-    def __init__(self, time_limit: float | None) -> None:
-        self._time_limit = time_limit
-        self._start = time.monotonic()
-
-    def __call__(self) -> None:
-        """Return if time is left.
-
-        `_TimeLimitReached` if the batch has used up its time; `SweepInterrupted` if the sweep has to end at once.
-        """
-        if IS_INTERRUPTED.get()():
-            raise SweepInterrupted
-        elapsed = time.monotonic() - self._start
-        if self._time_limit is not None and elapsed > self._time_limit:
-            raise _TimeLimitReached(
-                f"not finished after {elapsed:.1f} s; the time limit of a batch is {self._time_limit:g} s"
-            )
-
-
 class Compute(Protocol[CellT, ResultT_co]):
     """Computation of a batch, given by the caller of a sweep."""
 
@@ -69,11 +44,23 @@ def attempt(
 ) -> BatchOutcome[CellT, ResultT]:
     """Compute a batch; return its results or its failure as data.
 
-    `SweepInterrupted` if the sweep has to end at once; the batch is dropped.
+    The time limit is in seconds from now, None for none. `SweepInterrupted` if the sweep has to end at once; the batch
+    is dropped.
     """
     start = time.monotonic()
+
+    def raise_if_stopped() -> None:
+        # The computation calls it, since signal handlers and timers of Python cannot interrupt compiled code.
+        if IS_INTERRUPTED.get()():
+            raise SweepInterrupted
+        elapsed = time.monotonic() - start
+        if time_limit is not None and elapsed > time_limit:
+            raise _TimeLimitReached(
+                f"not finished after {elapsed:.1f} s; the time limit of a batch is {time_limit:g} s"
+            )
+
     try:
-        results = tuple(compute(batch, Deadline(time_limit)))
+        results = tuple(compute(batch, raise_if_stopped))
         return BatchOutcome(batch, time.monotonic() - start, results=results)
     except _TimeLimitReached as error:
         failure = Failure(CellStatus.TIMED_OUT, str(error))

@@ -48,26 +48,21 @@ def launcher(variables: Mapping[str, str] = os.environ) -> str | None:
 def own_rank(variables: Mapping[str, str] = os.environ) -> int | None:
     """Return the number of this MPI rank, from 0, None without one; `LaunchError` as `whole_number`."""
     names = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
-    ranks = (whole_number(name, 100_000, variables, least=0) for name in names)
+    ranks = (whole_number(name, variables, least=0) for name in names)
     return next((rank for rank in ranks if rank is not None), None)
 
 
-def whole_number(name: str, largest: int, variables: Mapping[str, str] = os.environ, *, least: int = 1) -> int | None:
-    """Return the whole number from `least` to `largest` in an environment variable, None if it is not set or empty.
+def whole_number(name: str, variables: Mapping[str, str] = os.environ, *, least: int = 1) -> int | None:
+    """Return the whole number up to 100,000 in an environment variable, None if it is not set or empty.
 
-    `LaunchError` for any other value.
+    `LaunchError` for any other value, or one below `least`.
     """
     text = variables.get(name, "").strip()
     if not text:
         return None
-    if not (text.isascii() and text.isdigit() and len(text) <= len(str(largest)) and least <= int(text) <= largest):
-        raise LaunchError(f"{name}={text}: set it to a whole number from {least} to {largest}, or unset it")
+    if not (text.isascii() and text.isdigit() and len(text) <= 6 and least <= int(text) <= 100_000):
+        raise LaunchError(f"{name}={text}: set it to a whole number from {least} to 100000, or unset it")
     return int(text)
-
-
-def requested_tasks(variables: Mapping[str, str] = os.environ) -> int | None:
-    """Return the number of tasks of this Slurm job, None outside of Slurm; `LaunchError` as `whole_number`."""
-    return whole_number("SLURM_NTASKS", 100_000, variables)
 
 
 def refuse_singletons(variables: Mapping[str, str] = os.environ) -> None:
@@ -78,7 +73,7 @@ def refuse_singletons(variables: Mapping[str, str] = os.environ) -> None:
     shell that `salloc` opens is a step of one task.
     """
     name = "SLURM_STEP_NUM_TASKS" if variables.get("SLURM_STEP_NUM_TASKS") else "SLURM_NTASKS"
-    tasks = whole_number(name, 100_000, variables) or 1
+    tasks = whole_number(name, variables) or 1
     if tasks > 1 and launcher(variables) is None:
         raise LaunchError(
             f"{name} is {tasks}, but this process is the only MPI rank: `srun python` starts independent programs; use "

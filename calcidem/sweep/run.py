@@ -88,7 +88,14 @@ class GroupCommit(Generic[CellT]):
             self._next_begin = time.monotonic() + 0.1
             group, self._waiting = self._waiting, []
             marks, self._marks = self._marks, []
-            self._groups.append((self._thread.submit(_store_all, self._sink, marks, group), group))
+            self._groups.append((self._thread.submit(self._store, marks, group), group))
+
+    def _store(self, marks: Sequence[Batch[CellT]], outcomes: Sequence[BatchOutcome[CellT, Any]]) -> None:
+        """Store marks before outcomes, which complete them."""
+        if marks:
+            self._sink.mark(marks)
+        if outcomes:
+            self._sink.store(outcomes)
 
     def _acknowledge(self) -> None:
         """Wait for the oldest group; show its outcomes."""
@@ -112,14 +119,6 @@ class GroupCommit(Generic[CellT]):
         """Store the waiting outcomes; a pending error is raised first."""
         with self._thread, suppress(*(() if error is None else (Exception,))):
             self.flush()
-
-
-def _store_all(sink: Sink, marks: Sequence[Batch[Any]], outcomes: Sequence[BatchOutcome[Any, Any]]) -> None:
-    """Store marks before outcomes, which complete them."""
-    if marks:
-        sink.mark(marks)
-    if outcomes:
-        sink.store(outcomes)
 
 
 More: TypeAlias = Callable[[Sequence[BatchOutcome[CellT, Any]]], Iterable[Batch[CellT]]]
@@ -237,7 +236,7 @@ class _Master:
                 self._hand_out(workers, commits)
             commits.advance()
             if level is not StopLevel.NONE:
-                self._schedule.put_back(workers.cancel())
+                self._schedule.extend(workers.cancel())
             if (end := self._reason_to_end(workers, level)) is not None:
                 return end
             self._beat()

@@ -4,7 +4,7 @@ Also what a sweep shows and how it ends: progress, states, exit codes and errors
 """
 
 import traceback
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -183,18 +183,6 @@ class BatchOutcome(Generic[CellT, ResultT]):
             )
 
 
-@dataclass(slots=True)
-class Tally:
-    """Counts of a sweep so far."""
-
-    settled: int = 0
-    """Number of cells with a final outcome of any kind."""
-    failed: int = 0
-    timed_out: int = 0
-    quarantined: int = 0
-    """Number of these cells without a result."""
-
-
 @dataclass
 class Schedule(Generic[CellT]):
     """Batches still to be handed out.
@@ -214,7 +202,8 @@ class Schedule(Generic[CellT]):
 
     batches: Sequence[Batch[CellT]]
     """Batches in the order of computation; the identifiers must differ."""
-    tally: Tally = field(default_factory=Tally)
+    tally: Counter[CellStatus] = field(default_factory=Counter)
+    """Cells with a final outcome by what they ended with; all that have a result count as done."""
 
     def __post_init__(self) -> None:
         """Queue the batches."""
@@ -229,17 +218,13 @@ class Schedule(Generic[CellT]):
         return len(self._queue)
 
     def extend(self, batches: Iterable[Batch[CellT]]) -> tuple[Batch[CellT], ...]:
-        """Queue further batches after the others; return them with their new numbers."""
+        """Queue batches after the others, new ones or ones not begun; return them with their new numbers."""
         further = tuple(
             replace(batch, identifier=number) for number, batch in enumerate(batches, self._next_identifier)
         )
         self._queue.extend(further)
         self._next_identifier += len(further)
         return further
-
-    def put_back(self, batches: Iterable[Batch[CellT]]) -> None:
-        """Queue batches that were taken and have not begun."""
-        self._queue.extend(batches)
 
     def take(self) -> Batch[CellT] | None:
         """Remove and return the next batch, or None if there is none."""
@@ -248,15 +233,13 @@ class Schedule(Generic[CellT]):
     def settle(self, outcome: BatchOutcome[CellT, ResultT]) -> BatchOutcome[CellT, ResultT] | None:
         """Return an outcome if it is final, None if its cells are computed again."""
         cells = len(outcome.batch.cells)
-        kind = None if outcome.failure is None else outcome.failure.kind
+        kind = CellStatus.DONE if outcome.failure is None else outcome.failure.kind
         if kind in {CellStatus.FAILED, CellStatus.QUARANTINED} and cells > 1:
             parts = outcome.batch.split(self._next_identifier)
             self._next_identifier += len(parts)
             self._queue.extendleft(reversed(parts))
             return None
-        self.tally.settled += cells
-        if kind is not None:
-            setattr(self.tally, kind.value, getattr(self.tally, kind.value) + cells)
+        self.tally[kind] += cells
         return outcome
 
 
@@ -293,8 +276,8 @@ class SweepEnd:
     """Reason for the end."""
     detail: str = ""
     """One sentence for the user; may be empty."""
-    tally: Tally = field(default_factory=Tally)
-    """Numbers of cells."""
+    tally: Counter[CellStatus] = field(default_factory=Counter)
+    """See `Schedule`."""
     seconds: float = 0.0
     """Wall time of the sweep in s."""
 

@@ -5,7 +5,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, ConnectionPatch, Polygon, Rectangle
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.figures.registry import CampaignFigure
 from calcidem.analysis.figures.samples import (
     COLOURS,
     draw_bands,
@@ -24,6 +23,7 @@ from calcidem.analysis.figures.style import (
     SKY,
     VERMILION,
     VS_LABEL,
+    FigureEntry,
     apply_style,
     letter_panels,
     new_figure,
@@ -188,20 +188,20 @@ def spectral_damping_ratio(section: RecordedSection, velocity: float, clamp: flo
 
 
 PAPER_FIGURES = (
-    CampaignFigure(
+    FigureEntry(
         "method",
         "The method (Fig. 1)",
         "One packing, cement at random places by seed, a wave through each sample, and the velocities of all.",
         draw_method,
         pictorial=True,
     ),
-    CampaignFigure(
+    FigureEntry(
         "cement_volume",
         "Cement of a contact (Fig. 3)",
         "Between two disks, as wide as d_c, less the segments S of the disks: Eq. 2.",
         draw_cement_volume,
     ),
-    CampaignFigure(
+    FigureEntry(
         "damping_ratio",
         "Damping ratio (Fig. 8)",
         "Loss of amplitude between the stations of a section. It contains what patches of cement scatter.",

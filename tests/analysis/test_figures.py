@@ -21,7 +21,7 @@ from places import TUTORIAL
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import style
-from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, CampaignFigure
+from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.relations import _law_text, _symbol
 from calcidem.analysis.figures.samples import (
     COLOURS,
@@ -42,7 +42,9 @@ pytestmark = pytest.mark.slow
     [entry if entry.name == "vs_range" else pytest.param(entry, marks=pytest.mark.full) for entry in CAMPAIGN_FIGURES],
     ids=lambda entry: entry.name,
 )
-def test_a_figure_is_written_in_every_format(entry: CampaignFigure, analysis: CampaignAnalysis) -> None:
+def test_a_figure_is_written_in_every_format(
+    entry: style.FigureEntry[CampaignAnalysis], analysis: CampaignAnalysis
+) -> None:
     """It becomes PNG (150 dpi), SVG and PDF."""
     figure = entry.draw(analysis)
     png, svg, pdf = style.save(figure, Path.cwd(), entry.name)
@@ -53,7 +55,7 @@ def test_a_figure_is_written_in_every_format(entry: CampaignFigure, analysis: Ca
 
 
 @pytest.mark.parametrize("entry", CAMPAIGN_FIGURES, ids=lambda entry: entry.name)
-def test_every_figure_is_drawn(entry: CampaignFigure, analysis: CampaignAnalysis) -> None:
+def test_every_figure_is_drawn(entry: style.FigureEntry[CampaignAnalysis], analysis: CampaignAnalysis) -> None:
     """Each figure has labelled scales, lettered panels and free curves."""
     figure = entry.draw(analysis)
     panels = [axes for axes in figure.axes if axes.axison and axes.get_label() != "<colorbar>"]

@@ -61,7 +61,7 @@ def test_pattern_of_another_packing_is_refused(analysis: CampaignAnalysis) -> No
     graph = analysis.graphs[0]
     assert (0, 1) not in {tuple(pair) for pair in graph.graph.pairs.tolist()}
     with pytest.raises(ValueError, match="grains 0 and 1 are joined in the pattern but do not touch"):
-        graph.bonded(far)
+        graph.kinds(far)
 
 
 def test_band_without_grains_is_refused(analysis: CampaignAnalysis) -> None:

@@ -52,13 +52,13 @@ def test_a_pattern_of_the_program_orders_the_contacts(small_packing: Packing, mo
     rule = CementRule(drawn_by="up", threshold=100.0)
     (problem,) = cross_check(Configuration(pattern=rule))
     assert 'pattern.drawn_by = "up": no installed package has this pattern' in str(problem)
-    cement.give_patterns({"up": lambda points, _: np.argsort(points[:, 1])})
+    cement.GIVEN.update({"up": lambda points, _: np.argsort(points[:, 1])})
     cemented = draw_cement(small_packing, rule, seed=1, root_seed=0).at(1.0).bonded
     height = small_packing.y[small_packing.pairs].mean(axis=1)
     assert cemented.any()
     assert height[cemented].max() < height[~cemented].min() + 2e-3  # m; contact points are not quite the means
     assert replace(Configuration(), pattern=rule).hash != Configuration().hash
-    cement.give_patterns({"up": lambda points, _: np.arange(len(points) - 1)})
+    cement.GIVEN.update({"up": lambda points, _: np.arange(len(points) - 1)})
     with pytest.raises(ValueError, match="no permutation"):
         draw_cement(small_packing, rule, seed=1, root_seed=0)
 

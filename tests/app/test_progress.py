@@ -139,16 +139,16 @@ def wait_for(name):
 
 if "OMPI_COMM_WORLD_RANK" in os.environ or "PMI_RANK" in os.environ:
     wait_for("starting")
-from calcidem.sweep.attempt import Deadline
-begin, begun = Deadline.__init__, []
+from calcidem.sweep import workers
+attempt, begun = workers.attempt, []
 
-def hold(deadline, *arguments):
-    begun.append(deadline)
+def hold(batch, *arguments):
+    begun.append(batch)
     if len(begun) > 1:
         wait_for("computing")
-    begin(deadline, *arguments)
+    return attempt(batch, *arguments)
 
-Deadline.__init__ = hold
+workers.attempt = hold
 """
 """Python runs this when it starts. Ranks wait until the terminal has shown that they are started, and batches after a
 process's first until it has shown that one is done: on a fast or a busy machine both might be over before."""

@@ -16,7 +16,7 @@ from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.schema import Configuration
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreLockedError
-from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, PackedResult, canonical_hash
+from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, canonical_hash
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, BatchOutcome
@@ -63,9 +63,9 @@ BATCH = Batch(0, ((1, 5.0), (2, 5.0)))
 NUMBERS = {"frequency": 15e3, "time_step": 8e-8, "stability_limit": 1e-7, "steps": 9}
 
 
-def outcome_of(*keys: CellKey) -> BatchOutcome[tuple[int, float], PackedResult]:
+def outcome_of(*keys: CellKey) -> BatchOutcome[tuple[int, float], CellResult]:
     """Outcome of cells that are done."""
-    results = tuple(CellResult(key, CellStatus.DONE, vs=900.0, **NUMBERS).packed() for key in keys)
+    results = tuple(CellResult(key, CellStatus.DONE, vs=900.0, **NUMBERS).pack() for key in keys)
     return BatchOutcome(Batch(0, tuple((key.seed, key.content) for key in keys)), 1.0, results, rank=1, host="here")
 
 
@@ -129,7 +129,7 @@ def test_a_sample_without_cement_that_fails_fails_for_all_seeds(tmp_path: Path, 
     with Store(tmp_path / "one.db") as store:
         store.begin_campaign(replace(PLAN, contents=(0.0,)))
         store.begin_run(describe_run(3))
-        outcome = CellResult(bare[0], failed, "an error", **NUMBERS).packed()
+        outcome = CellResult(bare[0], failed, "an error", **NUMBERS).pack()
         StoreSink(store, bare).store([replace(outcome_of(bare[0]), results=(outcome,))])
         assert {cell.status for cell in store.results()} == {failed}
         store.retry([failed], [bare[1]])

@@ -19,7 +19,7 @@ from calcidem.app.campaign.run import CampaignRun, retry_cells
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import CampaignPlan, Configuration, ConfigurationError, WantedIntervals
 from calcidem.ends import CellStatus
-from calcidem.storage.records import CellKey, CellResult, PackedResult
+from calcidem.storage.records import CellKey, CellResult
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import Batch, BatchOutcome, Cell, plan_batches
 
@@ -50,7 +50,7 @@ def velocity(cell: Cell) -> float:
     )
 
 
-def measured(batch: Batch[Cell], _raise_if_stopped: Callable[[], None]) -> Sequence[PackedResult]:
+def measured(batch: Batch[Cell], _raise_if_stopped: Callable[[], None]) -> Sequence[CellResult]:
     """Stand in for a measurement."""
     results = []
     numerics = {"frequency": 8e3, "time_step": 1e-7, "stability_limit": 2e-7, "steps": 1}
@@ -60,7 +60,7 @@ def measured(batch: Batch[Cell], _raise_if_stopped: Callable[[], None]) -> Seque
         found = CellResult(
             CellKey(*cell), status, "unread", vs=vs if np.isfinite(vs) else None, seconds=0.0, **numerics
         )
-        results.append(found.packed())
+        results.append(found.pack())
     return results
 
 
@@ -103,7 +103,7 @@ class KeepingSink:
     def __init__(self) -> None:
         self.cells: list[Cell] = []
 
-    def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> None:
+    def store(self, outcomes: Sequence[BatchOutcome[Cell, CellResult]]) -> None:
         """Keep."""
         self.cells += [cell for outcome in outcomes for cell in outcome.batch.cells]
 
@@ -125,7 +125,7 @@ def test_a_sweep_computes_what_is_asked_for_meanwhile(pool: int | None) -> None:
     where = None if pool is None else ThreadPoolExecutor(pool)
     end = run_sweep(where, batches(demand.cells), measured, sink, more=lambda found: batches(demand.take_in(found)))
     assert end.exit_code == 0
-    assert len(sink.cells) == len(set(sink.cells)) == end.tally.settled
+    assert len(sink.cells) == len(set(sink.cells)) == end.tally.total()
     assert set(sink.cells) == set(computed({}, random.Random(1)))
 
 

@@ -10,6 +10,7 @@ from waves import DISTANCE, FREQUENCY, guided, section, silence
 from calcidem.app.campaign.cells import cell_result
 from calcidem.dem.engine import leapfrog
 from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave import check, measurement
@@ -308,16 +309,19 @@ def test_errors_of_the_check_are_part_of_the_effective_error_and_may_refuse_vs(
 
 def test_seeds_are_measured_in_batches_of_the_kernels_width(monkeypatch: pytest.MonkeyPatch, quiet: Experiment) -> None:
     """All of them, in order."""
-    batches: list[list[int]] = []
+    seeds, batches = [5, 3, 1, 2, 4], list[list[bytes]]()
 
-    def measured(_experiment: Experiment, _content: float, seeds: list[int], **_options: object) -> list[int]:
-        batches.append(seeds)
-        return seeds
+    def sent(_experiment: Experiment, bonded: list[Flags], _frequency: float, **_options: object) -> list[bytes]:
+        batches.append([flags.tobytes() for flags in bonded])
+        return batches[-1]
 
-    monkeypatch.setattr(measurement, "measure", measured)
-    found: list[object] = list(measurement.measure_all(quiet, 0.0, [5, 3, 1, 2, 4], lanes=2))
-    assert found == [5, 3, 1, 2, 4]
-    assert batches == [[5, 3], [1, 2], [4]]
+    monkeypatch.setattr(measurement, "send_waves", sent)
+    monkeypatch.setattr(measurement, "interpret", lambda _, one: one)
+    found = measure(replace(quiet, is_checked=False), CONTENT, seeds, lanes=2)
+    assert [one.seed for one in found] == seeds
+    patterns = [quiet.ordering(seed).at(CONTENT).bonded.tobytes() for seed in seeds]
+    assert [one.section for one in found] == patterns
+    assert batches == [patterns[:2], patterns[2:4], patterns[4:]]
 
 
 def test_both_sides_give_their_mean_with_the_error_of_a_mean(quiet: Experiment) -> None:

@@ -7,19 +7,12 @@ from hypothesis import strategies as st
 from scenes import GROUPED, HERTZ, RADIUS, SOFT, SOFT_CEMENT, jumble, throw
 
 from calcidem.dem.engine import state as state_module
-from calcidem.dem.engine.assembly import assemble, is_among, listed_pairs, near_pairs
+from calcidem.dem.engine.assembly import assemble, listed_pairs, near_pairs
 from calcidem.dem.engine.leapfrog import State, _renew_neighbours
 from calcidem.dem.engine.readout import contact_forces
 from calcidem.dem.engine.scene import Bonds, Law, Scene, Wall
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import DISTANCE, NORMAL_X, NORMAL_Y
-
-
-@given(st.lists(st.integers(0, 5)), st.sets(st.integers(0, 5)))
-def test_values_are_found_in_a_sorted_array(values: list[int], known: set[int]) -> None:
-    """As in a set, also behind its end."""
-    found = is_among(np.array(values, dtype=np.int64), np.array(sorted(known), dtype=np.int64))
-    assert found.tolist() == [value in known for value in values]
 
 
 @given(st.integers(0, 2**20), st.integers(2, 40), st.floats(0.0, 2.0))

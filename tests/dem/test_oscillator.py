@@ -6,7 +6,7 @@ from scenes import LINEAR, RADIUS, SOFT_CEMENT, jumble, pair_scene
 
 from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.scene import Bonds, Cement, Sand, Scene
-from calcidem.dem.engine.stability import critical_time_step_of_disks, squared_frequencies
+from calcidem.dem.engine.stability import critical_time_step_of_disks, stiffest_disks
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import Floats
 
@@ -104,7 +104,8 @@ def test_the_limit_is_that_of_the_disk_with_the_highest_frequency_of_all(share: 
     for seed in range(20):
         scene = jumble(seed, count=40, share_bonded=share, damping=np.linspace(0.0, 1.0, 40))
         state = start(scene, features=choose_features(scene, "finite", 4), steps_per_contact=0.0)
-        of_all = squared_frequencies(scene, state.assembly, state.features, None, None)
+        disks, of_all = stiffest_disks(scene, state.assembly, state.features, None, None, share=0.0)
+        assert len(disks) == scene.count
         found = critical_time_step_of_disks(scene, state.assembly, state.features)
         assert np.array_equal(found, 2.0 / np.sqrt(of_all.max(axis=0)))
         assert np.all(found <= state.critical_time_step)

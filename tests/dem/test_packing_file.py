@@ -13,7 +13,7 @@ from calcidem.dem.engine.state import UnstableRunError
 from calcidem.dem.sample import compaction
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingFileError, PackingRule
-from calcidem.dem.sample.packing_file import FARTHEST, _numbered_disks, _read_disks, packing_from_csv, write_packing_csv
+from calcidem.dem.sample.packing_file import FARTHEST, _numbered_disks, _read_disks, packing_from_csv, write_disks_csv
 from calcidem.input_file import InputFileError, Table
 
 RULE = PackingRule(width=0.02, height=0.03)
@@ -29,7 +29,7 @@ def packing() -> Packing:
 def test_a_packing_that_went_through_a_file_comes_to_rest_where_it_was(packing: Packing, tmp_path: Path) -> None:
     """The disks of a file are pressed to the same stress and stay where they were, but for a little sliding."""
     file = tmp_path / "packing.csv"
-    write_packing_csv(packing, file)
+    write_disks_csv(packing.x, packing.y, packing.radius, file)
     again = packing_from_csv(file, SAND, RULE)
     assert again.report.unbalanced_ratio < RULE.unbalanced_force_ratio
     assert again.report.wall_stress[LID] == pytest.approx(RULE.stress, rel=1e-3)
@@ -43,7 +43,7 @@ def test_a_packing_that_went_through_a_file_comes_to_rest_where_it_was(packing: 
 def test_files_keep_every_bit_and_may_have_more(packing: Packing, tmp_path: Path) -> None:
     """What is written is read to the last bit; comments, further columns and another order are fine."""
     file = tmp_path / "packing.csv"
-    write_packing_csv(packing, file)
+    write_disks_csv(packing.x, packing.y, packing.radius, file)
     lines = file.read_text().splitlines()
     mixed = ["# my packing", "radius, name, y, x"]
     mixed += [f"{radius},disk,{y},{x}" for x, y, radius in (line.split(",") for line in lines[1:])]
@@ -136,7 +136,7 @@ def test_files_that_are_no_packings_are_refused(
 ) -> None:
     """Each mistake in a file is told with its line and its cure."""
     file = tmp_path / "packing.csv"
-    write_packing_csv(packing, file)
+    write_disks_csv(packing.x, packing.y, packing.radius, file)
     file.write_text("\n".join(change(file.read_text().splitlines())))
     with pytest.raises(PackingFileError, match=message):
         packing_from_csv(file, SAND, RULE)

@@ -8,7 +8,7 @@ from calcidem.sweep.ranks import (
     own_rank,
     refuse_ranks_off_linux,
     refuse_singletons,
-    requested_tasks,
+    whole_number,
 )
 from calcidem.sweep.schedule import LaunchError
 
@@ -38,14 +38,14 @@ def test_other_launches_are_accepted(variables: dict[str, str]) -> None:
 def test_a_number_of_tasks_that_is_none_is_refused(text: str) -> None:
     """The error names variable, value and remedy, and nothing of that size is ever begun."""
     with pytest.raises(LaunchError, match=r"SLURM_NTASKS=.*set it to a whole number from 1 to 100000, or unset it"):
-        requested_tasks({"SLURM_NTASKS": text})
+        whole_number("SLURM_NTASKS", {"SLURM_NTASKS": text})
 
 
 def test_tasks_are_counted() -> None:
     """The number of tasks of a job is taken as it is; outside of one there is none."""
-    assert requested_tasks({"SLURM_NTASKS": " 12 "}) == 12
-    assert requested_tasks({"SLURM_NTASKS": ""}) is None
-    assert requested_tasks({}) is None
+    assert whole_number("SLURM_NTASKS", {"SLURM_NTASKS": " 12 "}) == 12
+    assert whole_number("SLURM_NTASKS", {"SLURM_NTASKS": ""}) is None
+    assert whole_number("SLURM_NTASKS", {}) is None
 
 
 def test_ranks_are_for_linux() -> None:

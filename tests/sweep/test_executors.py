@@ -172,7 +172,7 @@ def test_a_cell_that_kills_the_workers_of_dask_is_quarantined_alone(sink: "Memor
     """Dask goes on without the workers that a batch took down; its company is computed."""
     end = run_sweep(Scripted(KilledWorker), planned(), Fault("", tmp_path), sink)
     assert end.state is SweepState.COMPLETE
-    assert end.tally.quarantined == 1
+    assert end.tally[CellStatus.QUARANTINED] == 1
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell != BAD_CELL}
 
 

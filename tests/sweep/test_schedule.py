@@ -57,7 +57,7 @@ def test_a_single_cell_that_raised_is_settled() -> None:
     assert batch is not None
     outcome = failed(batch)
     assert schedule.settle(outcome) is outcome
-    assert (schedule.tally.settled, schedule.tally.failed, len(schedule)) == (1, 1, 0)
+    assert (schedule.tally.total(), schedule.tally[CellStatus.FAILED], len(schedule)) == (1, 1, 0)
 
 
 def test_a_batch_that_timed_out_is_settled_as_a_whole() -> None:
@@ -66,7 +66,7 @@ def test_a_batch_that_timed_out_is_settled_as_a_whole() -> None:
     batch = schedule.take()
     assert batch is not None
     assert schedule.settle(failed(batch, CellStatus.TIMED_OUT)) is not None
-    assert (schedule.tally.settled, schedule.tally.timed_out, len(schedule)) == (2, 2, 0)
+    assert (schedule.tally.total(), schedule.tally[CellStatus.TIMED_OUT], len(schedule)) == (2, 2, 0)
 
 
 def test_the_cell_that_takes_down_workers_is_quarantined_alone() -> None:
@@ -82,4 +82,4 @@ def test_the_cell_that_takes_down_workers_is_quarantined_alone() -> None:
             done.extend(batch.cells)
     assert sorted(done) == ["fine", "good"]
     assert [outcome and outcome.batch.cells for outcome in settled] == [None, ("deadly",)]
-    assert (schedule.tally.settled, schedule.tally.quarantined) == (3, 1)
+    assert (schedule.tally.total(), schedule.tally[CellStatus.QUARANTINED]) == (3, 1)

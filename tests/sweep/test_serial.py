@@ -70,13 +70,13 @@ def test_an_exception_costs_only_its_cell(sink: "MemorySink") -> None:
     assert failure.failure.kind is CellStatus.FAILED
     assert failure.failure.message == "ArithmeticError: seven is not supported"
     assert "refuse_seven" in failure.failure.traceback
-    assert end.tally.failed == 1
+    assert end.tally[CellStatus.FAILED] == 1
 
 
 def test_exit_is_a_failure_of_the_cell(sink: "MemorySink") -> None:
     """A computation that calls sys.exit does not end the program."""
     end = run_sweep(None, [Batch(0, (1,))], lambda _batch, _check: sys.exit(1), sink)
-    assert end.tally.failed == 1
+    assert end.tally[CellStatus.FAILED] == 1
 
 
 def test_a_wrong_number_of_results_is_a_failure(sink: "MemorySink") -> None:
@@ -90,7 +90,7 @@ def test_a_wrong_number_of_results_is_a_failure(sink: "MemorySink") -> None:
 def test_the_time_limit_is_a_failure_of_the_batch(sink: "MemorySink") -> None:
     """A batch that asks after its time is up becomes timed out."""
     end = run_sweep(None, [Batch(0, (1, 2))], wait, sink, time_limit=0.05)
-    assert end.tally.timed_out == 2
+    assert end.tally[CellStatus.TIMED_OUT] == 2
     failure = sink.outcomes[0].failure
     assert failure is not None
     assert failure.kind is CellStatus.TIMED_OUT

@@ -1,14 +1,12 @@
 """All figures of campaigns and of studies: file name, title, caption, and function that draws it."""
 
-from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Generic, TypeVar
 
 import xarray as xr
 from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, correlations
+from calcidem.analysis.distribution import ContentDistribution
 from calcidem.analysis.figures.relations import draw_conductance, draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import (
     Arrival,
@@ -19,7 +17,7 @@ from calcidem.analysis.figures.samples import (
     draw_signals,
     load_arrival,
 )
-from calcidem.analysis.figures.style import pick_evenly
+from calcidem.analysis.figures.style import FigureEntry, pick_evenly
 from calcidem.analysis.figures.velocities import (
     draw_damping_study,
     draw_frequency_study,
@@ -29,34 +27,8 @@ from calcidem.analysis.figures.velocities import (
     draw_range,
     draw_reading_study,
     published_velocities,
+    rows_with_velocity,
 )
-
-Data = TypeVar("Data")
-
-
-@dataclass(frozen=True, slots=True)
-class CampaignFigure(Generic[Data]):
-    """Figure of a campaign, or of a study of its sensitivity."""
-
-    name: str
-    """File name without ending."""
-    title: str
-    """Title in a few words."""
-    caption: str
-    """Caption in sentences."""
-    draw: Callable[[Data], Figure]
-    """Draws it from a `CampaignAnalysis`, or from the result of a study; `UnavailableError` if data are missing."""
-    pictorial: bool = False
-    """Whether it shows thousands of grains, which are better drawn as pixels than as vectors."""
-    study: str = ""
-    """Study that it shows, "frequency" or "damping"; empty for a figure of the campaign itself."""
-
-
-def _measured_contents(analysis: CampaignAnalysis) -> list[float]:
-    """Contents with a velocity; `UnavailableError` without any."""
-    if found := [row.content for row in analysis.distributions if row.vs.n]:
-        return found
-    raise UnavailableError("no sample has a velocity")
 
 
 def _varied_contents(analysis: CampaignAnalysis) -> list[float]:
@@ -67,9 +39,9 @@ def _varied_contents(analysis: CampaignAnalysis) -> list[float]:
     raise UnavailableError("no content has 3 different velocities")
 
 
-def _first_arrival_at(analysis: CampaignAnalysis, content: float) -> Arrival:
+def _first_arrival_at(analysis: CampaignAnalysis, row: ContentDistribution) -> Arrival:
     """Signals of the first seed with a velocity at a content."""
-    return load_arrival(analysis, int(analysis.vs.sel(content=content).dropna("seed")["seed"][0]), content)
+    return load_arrival(analysis, int(analysis.vs.sel(content=row.content).dropna("seed")["seed"][0]), row.content)
 
 
 def _plot_cemented_samples(analysis: CampaignAnalysis) -> Figure:
@@ -88,8 +60,8 @@ def _plot_cemented_samples(analysis: CampaignAnalysis) -> Figure:
 def _plot_measurement(analysis: CampaignAnalysis) -> Figure:
     arrival: Arrival | None = None
     with suppress(UnavailableError):  # then without signals
-        contents = _measured_contents(analysis)
-        arrival = _first_arrival_at(analysis, contents[len(contents) // 2])
+        rows = rows_with_velocity(analysis.distributions)
+        arrival = _first_arrival_at(analysis, rows[len(rows) // 2])
     return draw_measurement(analysis.graphs[0], analysis.config.get("wave", {}), arrival)
 
 
@@ -101,8 +73,8 @@ def _plot_paths(analysis: CampaignAnalysis) -> Figure:
     return draw_preferential_paths(analysis.graphs[0], [ordered[0], ordered[len(ordered) // 2], ordered[-1]])
 
 
-CAMPAIGN_FIGURES: tuple[CampaignFigure[CampaignAnalysis], ...] = (
-    CampaignFigure(
+CAMPAIGN_FIGURES: tuple[FigureEntry[CampaignAnalysis], ...] = (
+    FigureEntry(
         "vs_range",
         "Vs against calcite content",
         "The bands hold 95 % and 50 % of the samples; of fewer than 20 each is a dot with the 95 % interval of its "
@@ -112,7 +84,7 @@ CAMPAIGN_FIGURES: tuple[CampaignFigure[CampaignAnalysis], ...] = (
             analysis.cells, analysis.distributions, published_velocities(analysis), analysis.measured
         ),
     ),
-    CampaignFigure(
+    FigureEntry(
         "histograms",
         "Distribution of Vs at each content",
         "Bars and ticks are the samples, the line is the normal distribution with their mean and standard "
@@ -120,7 +92,7 @@ CAMPAIGN_FIGURES: tuple[CampaignFigure[CampaignAnalysis], ...] = (
         "are coloured where it is below 0.05.",
         lambda analysis: draw_histograms(analysis.vs, analysis.distributions, analysis.measured),
     ),
-    CampaignFigure(
+    FigureEntry(
         "samples",
         "Cemented samples",
         "Samples of one seed from P contacts alone to clusters (C); below, the framed parts enlarged. A contact "
@@ -128,7 +100,7 @@ CAMPAIGN_FIGURES: tuple[CampaignFigure[CampaignAnalysis], ...] = (
         _plot_cemented_samples,
         pictorial=True,
     ),
-    CampaignFigure(
+    FigureEntry(
         "measurement",
         "Measurement of Vs",
         "The transmitter, a band of the left wall or its grains, moves up for one pulse; the shear wave crosses the "
@@ -137,22 +109,22 @@ CAMPAIGN_FIGURES: tuple[CampaignFigure[CampaignAnalysis], ...] = (
         _plot_measurement,
         pictorial=True,
     ),
-    CampaignFigure(
+    FigureEntry(
         "signals",
         "Signals and their arrivals",
         "Transmitted (grey) and received (blue) signal, each over its peak, with the arrival by each method. Peak and "
         "cross-correlation count from the transmitted peak, the first arrival from the transmitted onset.",
         lambda analysis: draw_signals(
-            [_first_arrival_at(analysis, content) for content in pick_evenly(_measured_contents(analysis), 5)]
+            [_first_arrival_at(analysis, row) for row in pick_evenly(rows_with_velocity(analysis.distributions), 5)]
         ),
     ),
-    CampaignFigure(
+    FigureEntry(
         "methods",
         "Three methods to read the arrival",
         "Median and central 80 % of the samples for each method to read the travel time.",
         lambda analysis: draw_methods(analysis.cells, analysis.measured),
     ),
-    CampaignFigure(
+    FigureEntry(
         "dispersion",
         "Phase velocity against frequency",
         "Power of the space-time sections of a content, stacked with the delays of plane waves and averaged over the "
@@ -160,7 +132,7 @@ CAMPAIGN_FIGURES: tuple[CampaignFigure[CampaignAnalysis], ...] = (
         "below 25 % and the power above 0.3; the diamond is the limit of long waves. At 0 % there is one sample.",
         lambda analysis: draw_dispersion(analysis.dispersions),
     ),
-    CampaignFigure(
+    FigureEntry(
         "paths",
         "Slow, middle and fast sample of one content",
         "The slowest sample, the one in the middle and the fastest at one content, with the path of smallest "
@@ -168,21 +140,21 @@ CAMPAIGN_FIGURES: tuple[CampaignFigure[CampaignAnalysis], ...] = (
         _plot_paths,
         pictorial=True,
     ),
-    CampaignFigure(
+    FigureEntry(
         "correlations",
         "Correlation of path features and Vs",
         "Over all contents every feature correlates with Vs, since both grow with content. Within one the mean is "
         "subtracted and the rest divided by the scatter there, so that contents count alike.",
         lambda analysis: draw_correlations(correlations(analysis.table)),
     ),
-    CampaignFigure(
+    FigureEntry(
         "network_correlations",
         "Correlation of features of the whole sample and Vs",
         "As before, for features of the cement as a network between the walls. Its conductance G follows the scatter "
         "of Vs within one content best.",
         lambda analysis: draw_correlations(correlations(analysis.network_table)),
     ),
-    CampaignFigure(
+    FigureEntry(
         "weight_scan",
         "Weight of a cemented contact",
         "Correlation of C_d,n with Vs over the ratio of the two contact weights; the shortest path of every "
@@ -191,21 +163,21 @@ CAMPAIGN_FIGURES: tuple[CampaignFigure[CampaignAnalysis], ...] = (
         "taken as the best.",
         draw_ratio_scan,
     ),
-    CampaignFigure(
+    FigureEntry(
         "laws",
         "Vs against connectivity",
         "Fits of Vs = a C^b + c for each choice of weights, and at the mean connectivity of each content with 10 "
         "samples or more the interval in which 95 % of new samples fall.",
         draw_laws,
     ),
-    CampaignFigure(
+    FigureEntry(
         "conductance",
         "Vs against the conductance of the cement",
         "Cement as a network of conductors between the side walls: one law for all contents, and fast samples of a "
         "content conduct more.",
         draw_conductance,
     ),
-    CampaignFigure(
+    FigureEntry(
         "narrowing",
         "Monte-Carlo error against number of seeds",
         "Half-width of the 95 % intervals of mean, standard deviation and skewness, forecast from the samples "
@@ -215,8 +187,8 @@ CAMPAIGN_FIGURES: tuple[CampaignFigure[CampaignAnalysis], ...] = (
 )
 """In the order of the report."""
 
-STUDY_FIGURES: tuple[CampaignFigure[xr.Dataset], ...] = (
-    CampaignFigure(
+STUDY_FIGURES: tuple[FigureEntry[xr.Dataset], ...] = (
+    FigureEntry(
         "study_reading",
         "Peak to peak against first arrival",
         "Vs of the same samples by two methods of reading, over excitation frequency; thin lines are samples. Marks "
@@ -225,7 +197,7 @@ STUDY_FIGURES: tuple[CampaignFigure[xr.Dataset], ...] = (
         draw_reading_study,
         study="frequency",
     ),
-    CampaignFigure(
+    FigureEntry(
         "study_frequency",
         "Excitation frequency",
         "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
@@ -234,7 +206,7 @@ STUDY_FIGURES: tuple[CampaignFigure[xr.Dataset], ...] = (
         draw_frequency_study,
         study="frequency",
     ),
-    CampaignFigure(
+    FigureEntry(
         "study_damping",
         "Local damping",
         "Signals received in one sample with several local damping factors, and the Vs read from their peaks "

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import wraps
 from io import BytesIO
 from pathlib import Path
 from string import ascii_lowercase
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 import matplotlib.style
 import numpy as np
@@ -80,6 +81,24 @@ _STYLE: dict[Any, Any] = {
     "svg.fonttype": "path",
     "pdf.fonttype": 42,
 }
+
+
+@dataclass(frozen=True, slots=True)
+class FigureEntry(Generic[T]):
+    """Figure that is drawn from a campaign, or from a study of settings, and its texts."""
+
+    name: str
+    """File name without ending."""
+    title: str
+    """Title in a few words."""
+    caption: str
+    """Caption in sentences."""
+    draw: Callable[[T], Figure]
+    """Draws it from a `CampaignAnalysis`, or from the result of a study; `UnavailableError` if data are missing."""
+    pictorial: bool = False
+    """Whether it shows thousands of grains, which are better drawn as pixels than as vectors."""
+    study: str = ""
+    """Study that it shows, "frequency" or "damping"; empty for a figure of the campaign itself."""
 
 
 class _StyledFigure(Figure):

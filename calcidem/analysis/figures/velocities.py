@@ -65,7 +65,7 @@ def draw_range(
     ``cells`` has vs (m/s), vs_error and pulse_effect along (seed, content), NaN where missing. `UnavailableError` if
     no content has a velocity.
     """
-    rows = _rows_with_velocity(distributions)
+    rows = rows_with_velocity(distributions)
     figure, axes, placed = new_panel(height=4.4)
     close = 0.7  # %; contents up to this are so close together that they have a panel of their own
     low = [row for row in rows if row.content <= close]
@@ -100,7 +100,8 @@ def draw_range(
     return figure
 
 
-def _rows_with_velocity(distributions: Sequence[ContentDistribution]) -> list[ContentDistribution]:
+def rows_with_velocity(distributions: Sequence[ContentDistribution]) -> list[ContentDistribution]:
+    """Contents with a velocity; `UnavailableError` without any."""
     if found := [row for row in distributions if row.vs.n]:
         return found
     raise UnavailableError("no sample has a velocity")
@@ -193,7 +194,7 @@ def draw_histograms(
 
     `UnavailableError` if no content has a velocity.
     """
-    rows = pick_evenly(_rows_with_velocity(distributions), 24)
+    rows = pick_evenly(rows_with_velocity(distributions), 24)
     columns = min(4, len(rows))
     lines = math.ceil(len(rows) / columns)
     figure = new_figure(height=0.45 + 1.5 * lines)

@@ -24,7 +24,6 @@ from calcidem.dem.sample.cement import (
     CementOrdering,
     Pattern,
     content_of_contacts,
-    give_patterns,
 )
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import Check, check_content, kernels_of
@@ -40,7 +39,6 @@ from calcidem.storage.records import (
     CementPattern,
     GrainPath,
     NetworkFeatures,
-    PackedResult,
     PathFeatures,
 )
 from calcidem.sweep.ranks import keep_freed_memory, own_rank
@@ -67,7 +65,7 @@ class CellComputation:
     packing: Packing
     """Configuration and packing of the campaign."""
 
-    def __call__(self, batch: Batch[Cell], raise_if_stopped: Callable[[], None], /) -> Sequence[PackedResult]:
+    def __call__(self, batch: Batch[Cell], raise_if_stopped: Callable[[], None], /) -> Sequence[CellResult]:
         """Measure the cells of a batch, which have the same content."""
         run, experiment = self.configuration.run, self._experiment
         content = batch.cells[0][1]
@@ -90,7 +88,7 @@ class CellComputation:
                 replace(result, static_speed=found.speed if found.error <= LARGEST_STATIC_ERROR else None)
                 for result, found in zip(results, speeds, strict=True)
             ]
-        return tuple(result.packed() for result in results)
+        return tuple(result.pack() for result in results)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle for preparation in another process, without the URL of the database, which may have a password."""
@@ -135,8 +133,8 @@ def _prepared_computation(
     configuration: Configuration, packing: Packing, version: str, patterns: Mapping[str, Pattern]
 ) -> CellComputation:
     """Computation in a process of an executor, with compiled kernels."""
-    give_patterns(patterns)
-    if version != _VERSION:
+    GIVEN.update(patterns)
+    if _VERSION != version:
         raise LaunchError(f"a worker has {_VERSION}, the program that stores the campaign has {version}")
     keep_freed_memory()
     gpu = choose_gpu((own_rank() or 1) - 1) if configuration.run.gpu else 0  # rank 0 computes nothing
@@ -226,7 +224,7 @@ def _describe_graph(
 
     There is no path if no chain of contacts joins transmitter and receiver.
     """
-    bonded = packing.bonded(cement)
+    bonded = packing.kinds(cement) > 0
     network = packing.network.features(bonded)
     if network.network_gap_contacts is None:
         return None, None, network

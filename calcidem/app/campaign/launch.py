@@ -36,7 +36,7 @@ from calcidem.sweep.ranks import (
     die_with_parent,
     launcher,
     refuse_ranks_off_linux,
-    requested_tasks,
+    whole_number,
 )
 from calcidem.sweep.schedule import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepState
 
@@ -63,7 +63,7 @@ class Launch:
 
     def __post_init__(self) -> None:
         """Count the ranks; `LaunchError` if Slurm's number of tasks is none."""
-        object.__setattr__(self, "ranks", self.ranks or (requested_tasks() or available_cores()) + 1)
+        object.__setattr__(self, "ranks", self.ranks or (whole_number("SLURM_NTASKS") or available_cores()) + 1)
 
     def run(self, load: Callable[[], Configuration], view: RunView) -> int:
         """Run calcidem under an MPI launcher and return its exit code.

@@ -106,9 +106,9 @@ class Sample:
             raise ValueError(f"{file} ends with '{suffix}': give it one of the endings {', '.join(SUFFIXES)}")
         with write_atomically(file) as temporary:
             if suffix == ".csv":
-                from calcidem.dem.sample.packing_file import write_packing_csv  # noqa: PLC0415 - loads the engine
+                from calcidem.dem.sample.packing_file import write_disks_csv  # noqa: PLC0415 - loads the engine
 
-                write_packing_csv(self.packing, temporary)
+                write_disks_csv(self.packing.x, self.packing.y, self.packing.radius, temporary)
             else:
                 _write_vtu(self, temporary)
         return file
@@ -442,7 +442,7 @@ class Campaign(Closable):
         """
         index, cement = self._cement(seed, content)
         packed = self._graphs[index]
-        return packed.graph.to_networkx(packed.bonded(cement), packed.weights)
+        return packed.graph.to_networkx(packed.kinds(cement) > 0, packed.weights)
 
     def sample(self, *, seed: int, content: float) -> Sample:
         """Rebuild a sample before the pulse: the same disks, forces and cement, to the last bit.
@@ -618,7 +618,7 @@ def predict_velocity(
     if pattern is not None and table.shape[1]:
         graph = analysis.graphs[0]
         try:
-            found = graph.network.features(graph.bonded(pattern)).network_conductance or math.nan
+            found = graph.network.features(graph.kinds(pattern) > 0).network_conductance or math.nan
         except ValueError as error:
             raise QueryError(f"{error}.", "Give the contacts of a sample of this campaign.") from error
         features, known = np.array([math.log(found)]), table[others, 0]

@@ -8,7 +8,7 @@ import numpy as np
 
 from calcidem.app.config.schema import CampaignPlan, Configuration
 from calcidem.dem.wave.experiment import WAVELENGTHS
-from calcidem.storage.records import PackedResult, canonical_content
+from calcidem.storage.records import CellResult, canonical_content
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.schedule import Batch, BatchOutcome, Cell, plan_batches
@@ -88,13 +88,13 @@ class SeedDemand:
         """All cells needed so far."""
         return [(seed, content) for content, count in self._counts.items() for seed in range(1, count + 1)]
 
-    def take_in(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> list[Cell]:
+    def take_in(self, outcomes: Sequence[BatchOutcome[Cell, CellResult]]) -> list[Cell]:
         """Add outcomes; return unknown cells that are needed only now."""
         known: dict[Cell, float] = {}
         for outcome in outcomes:
             for place, cell in enumerate(outcome.batch.cells):
-                vs = None if outcome.results is None else outcome.results[place].columns.get("vs")
-                known[cell] = np.nan if vs is None else float(vs)
+                vs = None if outcome.results is None else outcome.results[place].vs
+                known[cell] = np.nan if vs is None else vs
         self._learn(known)
         found: list[Cell] = []
         for content in sorted({content for _, content in known} & self._counts.keys()):

@@ -33,7 +33,7 @@ from calcidem.app.campaign.status import (
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.kernels.gpu import refuse_missing_gpu
-from calcidem.dem.sample.cement import Pattern, give_patterns
+from calcidem.dem.sample.cement import GIVEN, Pattern
 from calcidem.dem.sample.packing import Packing, PackingStage
 from calcidem.ends import DECIDED_BY_PHYSICS, CellStatus
 from calcidem.storage.errors import (
@@ -43,7 +43,7 @@ from calcidem.storage.errors import (
     StoreLockedError,
     StoreUnavailableError,
 )
-from calcidem.storage.records import AttemptCount, CellKey, CellResult, PackedResult
+from calcidem.storage.records import AttemptCount, CellKey, CellResult
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
@@ -124,7 +124,7 @@ def run(
     from calcidem.app.campaign.opened import open_campaign  # noqa: PLC0415 - as above
     from calcidem.app.config.reader import change_configuration  # noqa: PLC0415 - the reader, which workers do not need
 
-    give_patterns(patterns or {})
+    GIVEN.update(patterns or {})
     values = dict(set or {})
     values |= {"run.database": os.fspath(db)} if db is not None else {}
     values |= {"run.output": os.fspath(output)} if output is not None else {}
@@ -361,7 +361,7 @@ class CampaignRun:
         for key in sorted(deadly):
             tell(f"quarantined: {key}: {reason}")
 
-    def _more(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]]) -> tuple[Batch[Cell], ...]:
+    def _more(self, outcomes: Sequence[BatchOutcome[Cell, CellResult]]) -> tuple[Batch[Cell], ...]:
         """Further batches that the outcomes require, if the configuration has `until`."""
         if self.demand is None:
             return ()
@@ -508,7 +508,7 @@ class StoreSink:
         if self._bare:
             done = Selection(contents=0.0, statuses=DECIDED_BY_PHYSICS)
             computed = next(self._store.results(done, with_arrays=True), None)
-            repeated = [] if computed is None else self._repetitions(computed.packed())
+            repeated = [] if computed is None else self._repetitions(computed.pack())
             self._store.record_results(repeated)
             return {result.key for result in repeated}
         return set()
@@ -520,7 +520,7 @@ class StoreSink:
         self._counts |= self._with_patience(lambda: self._store.record_running(keys))
         self._running.update(keys)
 
-    def store(self, outcomes: Sequence[BatchOutcome[Cell, PackedResult]], /) -> None:
+    def store(self, outcomes: Sequence[BatchOutcome[Cell, CellResult]], /) -> None:
         """Write the outcomes in one transaction."""
         self._plan_further()
         results = [result for outcome in outcomes for result in self._results(outcome)]
@@ -560,37 +560,29 @@ class StoreSink:
                     tell(f"Waiting for another process that has locked the database ({error.problem})")
                     time.sleep(1.0)
 
-    def _results(self, outcome: BatchOutcome[Cell, PackedResult]) -> list[PackedResult]:
+    def _results(self, outcome: BatchOutcome[Cell, CellResult]) -> list[CellResult]:
         found = list(outcome.results or ())
         if outcome.failure is not None:
             seconds = outcome.seconds / len(outcome.batch.cells)
             reason = f"{outcome.failure.message}\n{outcome.failure.traceback}".strip()
             keys = [CellKey(*cell) for cell in outcome.batch.cells]
-            found = [CellResult(key, outcome.failure.kind, reason, seconds=seconds).packed() for key in keys]
-        origin = {"rank": outcome.rank, "host": outcome.host}
+            found = [CellResult(key, outcome.failure.kind, reason, seconds=seconds) for key in keys]
         found = [
-            replace(result, columns=result.columns | origin | {"attempt": self._attempt_of(result.key)})
+            replace(result, rank=outcome.rank, host=outcome.host, attempt=self._attempt_of(result.key))
             for result in found
         ]
         return found + [
             repeated for result in found if result.key.content == 0.0 for repeated in self._repetitions(result)
         ]
 
-    def _repetitions(self, computed: PackedResult) -> list[PackedResult]:
+    def _repetitions(self, computed: CellResult) -> list[CellResult]:
         """Outcome of a sample without cement for the other seeds to be stored, which are the same sample.
 
         They have no computing time, rank or host, and a velocity with the reason that it is that of another seed.
         """
-        told = (
-            computed.columns["reason"]
-            or f"without cement all seeds are one sample, computed as seed {computed.key.seed}"
-        )
-        changed = {"reason": told, "seconds": None, "rank": None, "host": None}
-        return [
-            replace(computed, key=key, columns=computed.columns | changed | {"attempt": self._attempt_of(key)})
-            for key in self._bare
-            if key != computed.key
-        ]
+        told = computed.reason or f"without cement all seeds are one sample, computed as seed {computed.key.seed}"
+        common = replace(computed, reason=told, seconds=None, rank=None, host=None)
+        return [replace(common, key=key, attempt=self._attempt_of(key)) for key in self._bare if key != computed.key]
 
     def _attempt_of(self, key: CellKey) -> int:
         """Number of the attempt that gave an outcome: of the one that was marked, or the next."""

@@ -515,13 +515,11 @@ class ProgressReporter(Progress):
     def on_end(self, end: SweepEnd) -> None:
         """Report the end."""
         self.show_cells(at_once=True)
-        tally = end.tally
+        failures = (CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.QUARANTINED)
         parts = [
             f"{end.state} after {duration(end.seconds)}",
-            f"{tally.settled} cells settled",
-            f"{tally.failed} failed" if tally.failed else "",
-            f"{tally.timed_out} timed out" if tally.timed_out else "",
-            f"{tally.quarantined} quarantined" if tally.quarantined else "",
+            f"{end.tally.total()} cells settled",
+            *(f"{end.tally[kind]} {kind.replace('_', ' ')}" for kind in failures if end.tally[kind]),
             end.detail,
         ]
         tell(", ".join(part for part in parts if part))

@@ -96,7 +96,7 @@ def main() -> None:
             sys.exit(2)
     try:
         for variable in THREAD_VARIABLES:
-            whole_number(variable, 100_000)
+            whole_number(variable)
         sys.argv[1:] = keep_passwords_back(sys.argv[1:])
         _build_application()()
     except Exception as error:  # noqa: BLE001 - the last resort: whatever it is, it is told in one message

@@ -15,15 +15,15 @@ import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlations
 from calcidem.analysis.distribution import tabulate
-from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, STUDY_FIGURES, CampaignFigure, Data
-from calcidem.analysis.figures.style import render, save
+from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, STUDY_FIGURES
+from calcidem.analysis.figures.style import FigureEntry, render, save
 from calcidem.analysis.measured import Target
 from calcidem.analysis.packing_graph import installed_features
 from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
 from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack, page_templates
-from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, SectionPlan, make_or_explain
+from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, Data, SectionPlan, make_or_explain
 from calcidem.app.report.tables import Table
 from calcidem.input_file import open_input
 from calcidem.storage.errors import OutputRefusedError
@@ -67,7 +67,7 @@ _MEANINGS: Mapping[str, str] = {
 class _Picture:
     """Figure in a page."""
 
-    entry: CampaignFigure[Any]
+    entry: FigureEntry[Any]
     """Its name, title and caption."""
     source: str = ""
     """Picture: a data URI, or the contents of the block `packed`; empty without one."""
@@ -245,7 +245,7 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
     return remarks + notes_on(analysis.store.table(NOTE_QUANTITIES))
 
 
-def _draw_picture(entry: CampaignFigure[Data], data: Data) -> _Picture:
+def _draw_picture(entry: FigureEntry[Data], data: Data) -> _Picture:
     """Draw a figure for a self-contained page, grains as pixels, curves as compressed vectors; or say why it is not.
 
     The colours of grains do not change on dark screens.

@@ -40,7 +40,7 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import check_content
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.measurement import Measurement, measure_all
+from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.section import Section
 from calcidem.input_file import read_text
 from calcidem.storage.errors import OutputRefusedError
@@ -171,7 +171,7 @@ class Cells:
         return {
             (cell.seed, content): cell
             for content in contents or self.contents
-            for cell in measure_all(experiment, content, seeds, lanes=lanes)
+            for cell in measure(experiment, content, seeds, lanes=lanes)
         }
 
     def _width(self, seeds: Sequence[int]) -> int:

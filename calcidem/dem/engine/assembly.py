@@ -14,16 +14,12 @@ from calcidem.dem.engine.scene import Preload, Scene
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.laws import SMALLEST_ROOT
 from calcidem.dem.kernels.layout import (
-    DISTANCE,
     NORMAL,
     NORMAL_PATH,
-    NORMAL_X,
-    NORMAL_Y,
     OVERLAP,
     REFERENCE_OVERLAP,
     SHEAR,
     SPEEDS,
-    XY,
     Flags,
     Floats,
     Grains,
@@ -31,8 +27,6 @@ from calcidem.dem.kernels.layout import (
     Pairs,
     WallPairs,
     Walls,
-    X,
-    Y,
 )
 
 
@@ -92,12 +86,6 @@ def pair_keys(pairs: Integers, count: int) -> npt.NDArray[np.int64]:
     return keys
 
 
-def is_among(values: npt.NDArray[np.int64], ascending: npt.NDArray[np.int64]) -> Flags:
-    """(M,) True where a value is in the sorted array."""
-    place = np.searchsorted(ascending, values)
-    return np.asarray(np.append(ascending, -1)[place] == values)
-
-
 def lanes_of_bits(bits: Integers, lanes: int) -> Flags:
     """(M, L) flags from words (M,) whose bit l is lane l."""
     return ((bits[:, None] >> np.arange(lanes, dtype=np.uint32)) & 1).astype(bool)
@@ -139,7 +127,7 @@ def assemble(
     present = centres[order][:, :, samples]
     near = near_pairs(present, radius, skin) if len(samples) else np.zeros((0, 2), dtype=np.int64)
     listed = pair_keys(near, scene.count)
-    across = cemented[~is_among(cemented, listed)]  # cement that spans a gap
+    across = cemented[~np.isin(cemented, listed)]  # cement that spans a gap
     if len(across):
         listed = np.unique(np.concatenate([listed, across]))
     walls = _assemble_walls(scene, lanes, dtype) if old is None else old.walls
@@ -252,7 +240,7 @@ def share_assembly(single: Assembly, scene: Scene, lanes: int) -> Assembly | Non
     places = np.zeros(0, dtype=np.int64)
     if scene.bonds is not None:
         cemented = pair_keys(np.argsort(single.order)[np.asarray(scene.bonds.pairs)], scene.count)
-        listed = pair_keys(np.column_stack([pairs.first, pairs.second]), scene.count)
+        listed = pair_keys(listed_pairs(single), scene.count)
         places = np.searchsorted(listed, cemented)
         if not np.array_equal(np.append(listed, -1)[places], cemented):
             return None
@@ -278,31 +266,6 @@ def overlap_roots(overlap: Floats, lanes: int, dtype: npt.DTypeLike) -> Floats:
     """(M, L) square roots of overlaps (M,), the same in all lanes."""
     values = np.maximum(np.sqrt(np.maximum(overlap, 0.0)), SMALLEST_ROOT)
     return aligned_copy(np.repeat(values[:, None], lanes, axis=1).astype(dtype))
-
-
-def pair_overlaps(assembly: Assembly, displacement: Floats, *, linear: bool) -> Floats:
-    """(M, L) overlaps of the listed pairs after displacements (N, 3, L), m; see `Features.linear`."""
-    pairs = assembly.pairs
-    moved = displacement[:, XY].astype(float)
-    apart = moved[pairs.second] - moved[pairs.first]
-    n_x, n_y, distance, overlap = (
-        pairs.geometry[:, column, None].astype(float) for column in (NORMAL_X, NORMAL_Y, DISTANCE, OVERLAP)
-    )
-    further: Floats = n_x * apart[:, X] + n_y * apart[:, Y]
-    if not linear:
-        now = length(n_x * distance + apart[:, X], n_y * distance + apart[:, Y])
-        further = (2.0 * distance * further + (apart[:, X] ** 2 + apart[:, Y] ** 2)) / (now + distance)
-    return overlap - further
-
-
-def wall_pair_overlaps(assembly: Assembly, displacement: Floats) -> Floats:
-    """(V, L) overlaps of the listed wall pairs after displacements (N, 3, L), m."""
-    wall_pairs, walls = assembly.wall_pairs, assembly.walls
-    normal = walls.normal[wall_pairs.wall].astype(float)
-    moved = displacement[wall_pairs.disk, XY].astype(float)
-    away = normal[:, X, None] * moved[:, X] + normal[:, Y, None] * moved[:, Y]
-    closer: Floats = walls.motion[wall_pairs.wall, NORMAL_PATH] - away
-    return wall_pairs.overlap.astype(float)[:, None] + closer
 
 
 def _near_walls(scene: Scene, reference: Floats, centres: Floats, reach: Floats, moved: Floats) -> Integers:
@@ -412,7 +375,7 @@ def _preload_of_pairs(scene: Scene, assembly: Assembly, preload: Preload) -> Flo
     # Swapping the ends reverses both n and the relative motion, so the value stays the same.
     keys = pair_keys(np.argsort(assembly.order)[given.astype(np.int64)], scene.count)
     listed = pair_keys(listed_pairs(assembly), scene.count)
-    known = is_among(keys, listed)
+    known = np.isin(keys, listed)
     shear = np.zeros(len(listed))
     shear[np.searchsorted(listed, keys[known])] = forces[known]
     return shear

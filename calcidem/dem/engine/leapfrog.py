@@ -124,18 +124,6 @@ def _histories(features: Features) -> list[str]:
     return [name for name, used in uses.items() if used]
 
 
-def _stiffnesses(features: Features) -> list[str]:
-    """Constants that determine the forces of a pair."""
-    uses = {
-        "tangent": features.linear,
-        "hertz": not features.linear,
-        "mindlin": not features.linear,
-        "bond": features.bonds,
-        "linear": features.linear_group,
-    }
-    return [name for name, used in uses.items() if used]
-
-
 def _bundle_pairs(pairs: Pairs, bundles: _Bundles, radius: Floats, features: Features) -> Pairs:
     """Pairs in bundles: (B, 8) for (M,) and (B, K, 8) for (M, K); disks become the first row of their records.
 
@@ -152,7 +140,8 @@ def _bundle_pairs(pairs: Pairs, bundles: _Bundles, radius: Floats, features: Fea
 
     constants = ["geometry", *([] if features.linear else ["friction"]), *(["strength"] if features.breakage else [])]
     fields = {name: dealt(getattr(pairs, name)) for name in constants}
-    for name in _stiffnesses(features):
+    stiffnesses = ["tangent"] if features.linear else ["hertz", "mindlin"]
+    for name in [*stiffnesses, *(["bond"] if features.bonds else []), *(["linear"] if features.linear_group else [])]:
         fields[name] = dealt(getattr(pairs, name))
         np.moveaxis(fields[name], -1, 1)[bundles.filling] = 0.0
     for name in _histories(features):
@@ -394,12 +383,12 @@ def look_ahead(state: State) -> State:
     """
     ahead = duplicate(state)
     if state.steps == 0:
-        _halt(ahead)
+        halt(ahead)
     run_kernel(ahead, 1, no_recording(state))
     return ahead
 
 
-def _halt(state: State) -> None:
+def halt(state: State) -> None:
     """Bring disks and walls to rest, in place."""
     state.motion.velocity[...] = 0.0
     state.assembly.walls.motion[:, SPEEDS] = 0.0
@@ -413,11 +402,13 @@ def start_leapfrog(state: State) -> State:
     time zero, before any motion, in scenes that resolve impacts. In others the first step cuts them off.
     """
     dt = state.time_step.astype(state.motion.velocity.dtype)
-    probe = duplicate(state)
-    _halt(probe)
-    run_kernel(probe, 1, no_recording(state))
-    # A relaxed packing continues from forces at the limit of friction; rounding alone can put them beyond it.
-    current = _with_contacts_of(state, probe) if state.features.midpoint else duplicate(state)
+    probe = look_ahead(replace(state, steps=0))
+    current = duplicate(state)
+    if state.features.midpoint:
+        # A relaxed packing continues from forces at the limit of friction; rounding alone can put them beyond it.
+        contacts = replace(current.assembly, pairs=probe.assembly.pairs, wall_pairs=probe.assembly.wall_pairs)
+        current = replace(current, assembly=contacts)
+        current.account[CONTACT_LOSS] = probe.account[CONTACT_LOSS]
     kick = probe.motion.velocity / 2.0
     if state.features.damping:
         alpha = state.assembly.grains.damping[:, None, None]
@@ -428,21 +419,6 @@ def start_leapfrog(state: State) -> State:
     walls.motion[:, PATHS] += dt * walls.motion[:, SPEEDS]
     walls.reaction[...] = probe.assembly.walls.reaction
     return replace(current, steps=state.steps + 1)
-
-
-def _with_contacts_of(state: State, probe: State) -> State:
-    """Copy of a state with the contact histories and losses of another state at the same position."""
-    pairs, wall_pairs = probe.assembly.pairs, probe.assembly.wall_pairs
-    assembly = replace(
-        state.assembly,
-        pairs=state.assembly.pairs._replace(
-            intact=pairs.intact, shear=pairs.shear, root=pairs.root, bond_force=pairs.bond_force
-        ),
-        wall_pairs=state.assembly.wall_pairs._replace(shear=wall_pairs.shear, root=wall_pairs.root),
-    )
-    current = duplicate(replace(state, assembly=assembly))
-    current.account[CONTACT_LOSS] = probe.account[CONTACT_LOSS]
-    return current
 
 
 def change_step(state: State, ahead: State, step: Floats) -> State:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calcidem.dem.engine.assembly import Assembly, lanes_of_bits, listed_pairs, pair_overlaps, wall_pair_overlaps
+from calcidem.dem.engine.assembly import Assembly, lanes_of_bits, listed_pairs
 from calcidem.dem.engine.leapfrog import State, look_ahead
 from calcidem.dem.engine.portable import length, three_halves
 from calcidem.dem.engine.scene import Scene
@@ -16,13 +16,19 @@ from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import (
     CONTACT_LOSS,
     DAMPING_LOSS,
+    DISTANCE,
     LOAD_WORK,
     MOMENT,
     NORMAL,
+    NORMAL_PATH,
+    NORMAL_X,
+    NORMAL_Y,
+    OVERLAP,
     REFERENCE_OVERLAP,
     SHEAR,
     STIFFNESS,
     WALL_WORK,
+    XY,
     Flags,
     Floats,
     Integers,
@@ -168,12 +174,27 @@ class Energies:
 
 def overlaps(state: State) -> Floats:
     """(M, L) overlaps of the listed pairs, m; negative for a gap."""
-    return pair_overlaps(state.assembly, state.motion.displacement, linear=state.features.linear)
+    pairs = state.assembly.pairs
+    moved = state.motion.displacement[:, XY].astype(float)
+    apart = moved[pairs.second] - moved[pairs.first]
+    n_x, n_y, distance, overlap = (
+        pairs.geometry[:, column, None].astype(float) for column in (NORMAL_X, NORMAL_Y, DISTANCE, OVERLAP)
+    )
+    further: Floats = n_x * apart[:, X] + n_y * apart[:, Y]
+    if not state.features.linear:
+        now = length(n_x * distance + apart[:, X], n_y * distance + apart[:, Y])
+        further = (2.0 * distance * further + (apart[:, X] ** 2 + apart[:, Y] ** 2)) / (now + distance)
+    return overlap - further
 
 
 def wall_overlaps(state: State) -> Floats:
     """(V, L) overlaps of the listed wall pairs, m."""
-    return wall_pair_overlaps(state.assembly, state.motion.displacement)
+    wall_pairs, walls = state.assembly.wall_pairs, state.assembly.walls
+    normal = walls.normal[wall_pairs.wall].astype(float)
+    moved = state.motion.displacement[wall_pairs.disk, XY].astype(float)
+    away = normal[:, X, None] * moved[:, X] + normal[:, Y, None] * moved[:, Y]
+    closer: Floats = walls.motion[wall_pairs.wall, NORMAL_PATH] - away
+    return wall_pairs.overlap.astype(float)[:, None] + closer
 
 
 def contact_forces(state: State, lane: int = 0, ahead: State | None = None) -> ContactForces:

@@ -4,7 +4,7 @@ A scene is built from plain arrays and checked once.
 """
 
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -221,7 +221,7 @@ class Bonds:
         if self.lanes is not None:
             shape = np.shape(self.lanes)
             require(shape == (len(pairs),), "bonds.lanes", shape, f"give shape ({len(pairs)},)")
-        known = ("preserve", "zero", "pfc_absolute")
+        known = get_args(Installation)
         require(self.installation in known, "installation", self.installation, f"choose one of {', '.join(known)}")
         if self.installation == "pfc_absolute":
             cure = "needs linear_modulus > 0 for its linear group"

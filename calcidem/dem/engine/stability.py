@@ -135,17 +135,21 @@ def critical_time_step_of_disks(
     O'Sullivan & Bray (2004), doi:10.1108/02644400410519794, show that the critical time step depends on the present
     contacts, and that rules of thumb overestimate it.
     """
-    springs = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
-    if rings:
-        springs = _at_rings(springs)
-    squared = _squares_of_stiffest(springs, assembly, features)[1].max(axis=0, initial=0.0)
-    return _step_of_squares(scene, squared)
+    _, squares = stiffest_disks(scene, assembly, features, overlap, wall_overlap, rings=rings)
+    return _step_of_squares(scene, squares.max(axis=0, initial=0.0))
 
 
 def _step_of_squares(scene: Scene, squared: Floats) -> Floats:
-    """Critical time step (L,), s, from bounds on the square of the highest frequency, rad^2/s^2."""
+    """Critical time step (L,), s, from bounds on the square of the highest frequency, rad^2/s^2.
+
+    Disks without contacts have the limit of a contact with an overlap of a thousandth of a radius.
+    """
+    smallest = float(np.min(scene.radius))
+    coefficient = float(scene.sand.hertz_coefficient(np.array(smallest), np.array(smallest)))
+    stiffness = 1.5 * coefficient * np.sqrt(1e-3 * smallest)
+    without = 2.0 / float(np.sqrt(12.0 * stiffness / np.min(scene.mass)))
     with np.errstate(divide="ignore"):
-        return np.where(squared > 0.0, 2.0 / np.sqrt(squared), _no_contact_step(scene))
+        return np.where(squared > 0.0, 2.0 / np.sqrt(squared), without)
 
 
 def _coupling(first: _Springs, second: _Springs, features: Features) -> Floats:
@@ -176,29 +180,37 @@ def scaled_densities(
     in `critical_time_step_of_disks`. Bounds above ``highest`` times the largest are then lowered to it by added mass.
     All lanes share masses and step. The other arguments are those of that function.
     """
-    springs = _at_rings(_springs_at_disks(scene, assembly, features, overlap, wall_overlap))
-    disks, squares = _squares_of_stiffest(springs, assembly, features, highest)
+    disks, squares = stiffest_disks(scene, assembly, features, overlap, wall_overlap, rings=True, share=highest)
     allowed, grains = highest * float(squares.max(initial=0.0)), assembly.grains
+    step = _step_of_squares(scene, np.full(features.lanes, allowed))
     if allowed == 0.0:
-        return grains, np.full(features.lanes, _no_contact_step(scene))
+        return grains, step
     heavier = np.ones(scene.count)
     heavier[disks] = np.maximum(1.0, squares.max(axis=1) / allowed)
     inverse_mass = (grains.inverse_mass / heavier).astype(grains.inverse_mass.dtype)
     inverse_inertia = (grains.inverse_inertia / (_RING_INERTIA * heavier)).astype(grains.inverse_inertia.dtype)
     scaled = grains._replace(inverse_mass=aligned_copy(inverse_mass), inverse_inertia=aligned_copy(inverse_inertia))
-    return scaled, np.full(features.lanes, 2.0 / np.sqrt(allowed))
+    return scaled, step
 
 
-def _at_rings(springs: Sequence[_Springs]) -> tuple[_Springs, ...]:
-    """The same contacts for disks with the moments of inertia of rings."""
-    root = np.sqrt(_RING_INERTIA)
-    return tuple(side._replace(arm=side.arm / root, twist=side.twist / _RING_INERTIA) for side in springs)
-
-
-def _squares_of_stiffest(
-    springs: Sequence[_Springs], assembly: Assembly, features: Features, share: float = 1.0
+def stiffest_disks(
+    scene: Scene,
+    assembly: Assembly,
+    features: Features,
+    overlap: Floats | None,
+    wall_overlap: Floats | None,
+    *,
+    rings: bool = False,
+    share: float = 1.0,
 ) -> tuple[Integers, Floats]:
-    """Disks (K,), at least those whose part in the bound reaches a share of the largest, and their parts (K, L)."""
+    """Disks (K,) with at least those whose part in the bound of a lane reaches a share of the largest, and their parts.
+
+    Parts are (K, L) squares of frequencies, rad^2/s^2; the other arguments are those of `critical_time_step_of_disks`.
+    """
+    springs = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
+    if rings:
+        root = np.sqrt(_RING_INERTIA)
+        springs = tuple(side._replace(arm=side.arm / root, twist=side.twist / _RING_INERTIA) for side in springs)
     factor = 2.0 * _inverse_masses(assembly)
     # The trace bounds an eigenvalue, so few disks can exceed the disk with the largest trace.
     most = factor * sum(_sums(side.disk, len(factor)) @ side.trace for side in springs)
@@ -206,15 +218,6 @@ def _squares_of_stiffest(
     least = (factor[tops] * _largest_eigenvalue(_contact_matrices(springs, tops, features))).max(axis=0)
     near = np.flatnonzero((1.000001 * most >= share * least).any(axis=1))
     return near, np.asarray(factor[near] * _largest_eigenvalue(_contact_matrices(springs, near, features)))
-
-
-def squared_frequencies(
-    scene: Scene, assembly: Assembly, features: Features, overlap: Floats | None, wall_overlap: Floats | None
-) -> Floats:
-    """Each disk's part in the bound of `critical_time_step_of_disks`: (N, L) squares of frequencies, rad^2/s^2."""
-    springs = _springs_at_disks(scene, assembly, features, overlap, wall_overlap)
-    matrices = _contact_matrices(springs, np.arange(scene.count), features)
-    return np.asarray(2.0 * _inverse_masses(assembly) * _largest_eigenvalue(matrices))
 
 
 def _inverse_masses(assembly: Assembly) -> Floats:
@@ -307,14 +310,6 @@ def _springs_at_disks(
     towards = walls.normal[wall_pairs.wall].astype(float)
     at_walls = _Springs(wall_pairs.disk, towards, tangent / 2.0, rubbing / 2.0, np.ones(shape), np.zeros(shape))
     return one_side(pairs.first, -1.0), one_side(pairs.second, 1.0), at_walls
-
-
-def _no_contact_step(scene: Scene) -> float:
-    """Step for disks without contacts: limit of a contact with an overlap of a thousandth of a radius."""
-    smallest = float(np.min(scene.radius))
-    coefficient = float(scene.sand.hertz_coefficient(np.array(smallest), np.array(smallest)))
-    stiffness = 1.5 * coefficient * np.sqrt(1e-3 * smallest)
-    return 2.0 / float(np.sqrt(12.0 * stiffness / np.min(scene.mass)))
 
 
 def hertz_tangent(coefficient: Floats, overlap: Floats) -> Floats:

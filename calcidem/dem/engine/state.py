@@ -22,9 +22,7 @@ from calcidem.dem.engine.assembly import (
     assemble,
     install_forces,
     lanes_of_bits,
-    pair_overlaps,
     share_assembly,
-    wall_pair_overlaps,
 )
 from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import (
@@ -38,13 +36,13 @@ from calcidem.dem.engine.leapfrog import (
     start_leapfrog,
 )
 from calcidem.dem.engine.portable import length, root
-from calcidem.dem.engine.readout import hertz_energy, stored_energy
+from calcidem.dem.engine.readout import hertz_energy, overlaps, stored_energy, wall_overlaps
 from calcidem.dem.engine.scene import Law, Precision, Preload, Scene
 from calcidem.dem.engine.stability import (
     critical_time_step,
     critical_time_step_of_disks,
-    squared_frequencies,
     stiffest_contacts,
+    stiffest_disks,
     sums_at_disks,
 )
 from calcidem.dem.kernels.features import Features
@@ -139,9 +137,9 @@ class UnstableRunError(RuntimeError):
 
 def step_limit(state: State) -> Floats:
     """Limit (L,) of the step at present overlaps, speeds and unbalanced forces, s."""
-    overlap = pair_overlaps(state.assembly, state.motion.displacement, linear=state.features.linear)
-    wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
-    stability = critical_time_step_of_disks(state.scene, state.assembly, state.features, overlap, wall_overlap)
+    stability = critical_time_step_of_disks(
+        state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state)
+    )
     if not is_watched(state):
         return stability
     limits, _ = _impact_limits(state, _instant(state, look_ahead(state)))
@@ -176,9 +174,9 @@ def _instant(state: State, ahead: State) -> _Instant:
     velocity, later = state.motion.velocity.astype(float), ahead.motion.velocity.astype(float)
     before = velocity if state.steps else 0.0
     pairs, moves = state.assembly.pairs, state.assembly.grains.inverse_mass > 0.0
-    overlap = pair_overlaps(state.assembly, state.motion.displacement, linear=state.features.linear)
+    overlap = overlaps(state)
     overlap = np.where((moves[pairs.first] | moves[pairs.second])[:, None], overlap, np.minimum(overlap, 0.0))
-    wall_overlap = wall_pair_overlaps(state.assembly, state.motion.displacement)
+    wall_overlap = wall_overlaps(state)
     wall_overlap = np.where(moves[state.assembly.wall_pairs.disk, None], wall_overlap, np.minimum(wall_overlap, 0.0))
     return _Instant(
         velocity=velocity,
@@ -300,8 +298,8 @@ def _refuse_step(state: State, now: _Instant, limits: Floats) -> None:
     ).tolist():
         disk = int(np.argmin(limits[:, lane]))
         if stability[lane] < limits[disk, lane]:
-            bounds = squared_frequencies(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
-            disk = int(np.argmax(bounds[:, lane]))
+            disks, squares = stiffest_disks(state.scene, state.assembly, state.features, now.overlap, now.wall_overlap)
+            disk = int(disks[np.argmax(squares[:, lane])])
         raise UnstableRunError(
             f"time_step = {state.time_step[lane]:.3g} s: after {state.steps} steps the limit is "
             f"{state.critical_time_step[lane]:.3g} s, set by {_describe_disk(state, disk)}: start with a smaller one, "

@@ -7,7 +7,7 @@ make room for clusters (`CementRule.keep_p`). Patterns of other packages, or of 
 streams of the same kind.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
@@ -29,16 +29,11 @@ Pattern = Callable[[Floats, np.random.Generator], npt.ArrayLike]
 """Order (M,) in which contacts are cemented, from their points (M, 2) in m and a random generator of the seed."""
 
 GIVEN: dict[str, Pattern] = {}
-"""Patterns that the calling program gave, by name; they stand before those of packages."""
+"""Patterns that the calling program gave to this process, by name; they stand before those of packages."""
 
 
 class UnknownPatternError(ValueError):
     """No package has the pattern of a configuration."""
-
-
-def give_patterns(patterns: Mapping[str, Pattern]) -> None:
-    """Make patterns of the calling program known in this process."""
-    GIVEN.update(patterns)
 
 
 def find_pattern(name: str) -> Pattern:

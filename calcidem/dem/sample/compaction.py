@@ -15,13 +15,13 @@ from time import perf_counter
 import numpy as np
 
 from calcidem.dem.engine.assembly import Assembly
-from calcidem.dem.engine.leapfrog import State, duplicate, no_recording, run_in_place
+from calcidem.dem.engine.leapfrog import State, duplicate, halt, no_recording, run_in_place
 from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_ratio, wall_overlaps, wall_reactions
 from calcidem.dem.engine.scene import Preload, Sand, Scene, Wall
 from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks, scaled_densities
 from calcidem.dem.engine.state import SAFETY, SKIN, UnstableRunError, advance, choose_features, start, step_limit
 from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import NORMAL_PATH, SPEEDS, Floats, Integers
+from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
 from calcidem.dem.sample.packing import LID, RIGHT, Packing, PackingError, PackingReport, PackingRule, PackingStage
 
 _FILLING_RATIO = 1e-2  # unbalanced-force ratio at which the lid may start to press
@@ -70,6 +70,17 @@ class Cost:
     expansion_step: int = 0
     expansion_steps: int = 0
 
+    def report(self, rule: PackingRule, ratios: list[float]) -> None:
+        """Tell the watcher the progress, from the unbalanced-force ratios in the present stage."""
+        lowest = min(_FILLING_RATIO, max(min(ratios, default=math.inf), rule.unbalanced_force_ratio))
+        pressed = math.log(_FILLING_RATIO / lowest) / math.log(_FILLING_RATIO / rule.unbalanced_force_ratio)
+        expansion = 0.3 if self.expansion_steps else 0.0  # share of the total time with 4,700 disks
+        if self.expansion_step <= self.expansion_steps:
+            fraction = expansion * (self.expansion_step - 1) / self.expansion_steps
+        else:
+            fraction = expansion + (1.0 - expansion) * pressed
+        self.watch(PackingStage(self.expansion_step, self.expansion_steps, self.steps, fraction))
+
 
 def make_packing(
     rule: PackingRule,
@@ -98,13 +109,14 @@ def make_packing(
     cost = Cost(watch=watch, expansion_steps=rule.expansion_steps)
     radius = _draw_radii(rule, generator)
     slippery = replace(sand, friction=rule.friction_preparation)
-    loose = _loosest_factor(rule, radius)
+    # Random sequential placement of equal disks jams at an area fraction of 0.547 (Hinrichsen, Feder and Jossang 1986,
+    # doi:10.1007/BF01011908) and is slow near it.
+    loose = float(np.sqrt(0.35 * rule.width * rule.height / (np.pi * np.sum(radius**2))))
     x, y = _place_apart(rule, radius * loose, generator)
     preload: Preload | None = None
     for factor in np.linspace(loose, 1.0, rule.expansion_steps + 1)[1:]:
         cost.expansion_step += 1
         scene = Scene(x, y, radius * factor, slippery, box_walls(rule.width, rule.height), damping=rule.damping)
-        # Random placement is possible up to an area fraction of 0.547, see `_loosest_factor`.
         covered = (1.0 - rule.porosity) * _square(float(factor))
         manner = _HALTED if covered < 0.547 else _FLYING if cost.expansion_step < rule.expansion_steps else _CRUSHED
         state = relax(scene, preload, rule, cost, raise_if_stopped, manner)
@@ -152,16 +164,6 @@ def _draw_radii(rule: PackingRule, generator: np.random.Generator) -> Floats:
     # The scale differs from 1 by the sampling error of the summed area, about 1e-3.
     scale = float(np.sqrt(area / (np.pi * np.sum(radius**2))))
     return scale * radius
-
-
-def _loosest_factor(rule: PackingRule, radius: Floats) -> float:
-    """Scale of the radii at which random placement without contact succeeds.
-
-    Random sequential placement of equal disks jams at an area fraction of 0.547 (Hinrichsen, Feder and Jossang 1986,
-    doi:10.1007/BF01011908) and is slow near it.
-    """
-    fraction = 0.35
-    return float(np.sqrt(fraction * rule.width * rule.height / (np.pi * np.sum(radius**2))))
 
 
 def _place_apart(rule: PackingRule, radius: Floats, generator: np.random.Generator) -> tuple[Floats, Floats]:
@@ -237,7 +239,7 @@ def relax(
     )
     ratios: list[float] = []
     limit: Floats | None = None
-    cost.watch(_stage_of(cost, rule, ratios))
+    cost.report(rule, ratios)
     while True:
         raise_if_stopped()
         try:
@@ -249,7 +251,7 @@ def relax(
         cost.steps += manner.steps
         ratio = unbalanced_ratio(state)
         ratios.append(ratio)
-        cost.watch(_stage_of(cost, rule, ratios))
+        cost.report(rule, ratios)
         if cost.steps > rule.most_steps:
             cure = "raise most_steps, damping or porosity" if manner.apart else _cure_of_unrest(state, rule, ratios)
             raise PackingError(
@@ -311,18 +313,6 @@ def _left_box(state: State) -> bool:
 def _present_contacts(state: State) -> tuple[Scene, Assembly, Features, Floats, Floats]:
     """Arguments of `critical_time_step_of_disks` for a state."""
     return state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state)
-
-
-def _stage_of(cost: Cost, rule: PackingRule, ratios: list[float]) -> PackingStage:
-    """Progress of a packing from its unbalanced-force ratios in the present stage."""
-    lowest = min(_FILLING_RATIO, max(min(ratios, default=math.inf), rule.unbalanced_force_ratio))
-    pressed = math.log(_FILLING_RATIO / lowest) / math.log(_FILLING_RATIO / rule.unbalanced_force_ratio)
-    expansion = 0.3 if cost.expansion_steps else 0.0  # share of the total time with 4,700 disks
-    if cost.expansion_step <= cost.expansion_steps:
-        fraction = expansion * (cost.expansion_step - 1) / cost.expansion_steps
-    else:
-        fraction = expansion + (1.0 - expansion) * pressed
-    return PackingStage(cost.expansion_step, cost.expansion_steps, cost.steps, fraction)
 
 
 def _cure_of_unrest(state: State, rule: PackingRule, ratios: list[float]) -> str:
@@ -440,7 +430,6 @@ def settle(
         current = replace(current, time_step=state.time_step)
         for lane in np.flatnonzero(open_lanes):
             open_lanes[lane] = not unbalanced_ratio(current, int(lane)) < unbalanced_force_ratio
-    current.motion.velocity[...] = 0.0
-    current.assembly.walls.motion[:, SPEEDS] = 0.0
+    halt(current)
     assembly = replace(current.assembly, grains=grains)
     return replace(current, assembly=assembly, features=state.features, steps=0)

@@ -28,11 +28,6 @@ FARTHEST = 1e30
 """m; keeps distances of disks and their squares finite."""
 
 
-def write_packing_csv(packing: Packing, file: Path) -> None:
-    """Write the disks of a packing, see `write_disks_csv`."""
-    write_disks_csv(packing.x, packing.y, packing.radius, file)
-
-
 def write_disks_csv(x: Floats, y: Floats, radius: Floats, file: Path) -> None:
     """Write disks: a header line, then x, y and radius (N,) of each in m, without loss of digits."""
     with file.open("w", newline="", encoding="utf-8") as stream:
@@ -86,7 +81,16 @@ def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Float
     if the file cannot be read as text.
     """
     x, y, radius, lines, digest = _read_disks(file)
-    _check_walls(file, lines, x, y, radius, float(np.max(x + radius)) if width is None else width)
+    width = float(np.max(x + radius)) if width is None else width
+    for wall, gap in (("left wall", x), ("right wall", width - x), ("floor", y)):
+        out = np.flatnonzero(gap < (1.0 - LARGEST_OVERLAP) * radius)
+        if len(out):
+            disk = out[0]
+            beyond = radius[disk] - gap[disk]
+            raise PackingFileError(
+                f"{file}, line {lines[disk]}: the disk at ({x[disk]:g}, {y[disk]:g}) m reaches {beyond:.3g} m beyond "
+                f"the {wall}; move the disks into 0 < x < {width:g} m, 0 < y, or change width"
+            )
     refuse_deep_overlaps(file, lines, x, y, radius)
     return x, y, radius, digest
 
@@ -124,19 +128,6 @@ def _numbered_disks(file: Path, table: Table) -> Iterator[tuple[int, tuple[float
                 f"radius, in m, up to {FARTHEST:g}"
             )
         yield number, (x, y, radius)
-
-
-def _check_walls(file: Path, lines: list[int], x: Floats, y: Floats, radius: Floats, width: float) -> None:
-    """Refuse disks that extend beyond the box."""
-    for wall, gap in (("left wall", x), ("right wall", width - x), ("floor", y)):
-        out = np.flatnonzero(gap < (1.0 - LARGEST_OVERLAP) * radius)
-        if len(out):
-            disk = out[0]
-            beyond = radius[disk] - gap[disk]
-            raise PackingFileError(
-                f"{file}, line {lines[disk]}: the disk at ({x[disk]:g}, {y[disk]:g}) m reaches {beyond:.3g} m beyond "
-                f"the {wall}; move the disks into 0 < x < {width:g} m, 0 < y, or change width"
-            )
 
 
 def refuse_deep_overlaps(file: Path, lines: Sequence[int], x: Floats, y: Floats, radius: Floats) -> None:

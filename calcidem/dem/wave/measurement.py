@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from statistics import fmean
 from time import perf_counter
 
@@ -39,7 +40,7 @@ class Measurement:
     other_wave: StripWave | None = None
     """Wave from the other side, if it was transmitted (`WaveRule.both_sides`) and found with an error."""
     seconds: float = 0.0
-    """Share of the batch's wall time, without compilation of kernels."""
+    """Share of the wall time of all that were measured with it, without compilation of kernels."""
 
     @property
     def effective_vs(self) -> float | None:
@@ -77,7 +78,7 @@ def measure(
     ordering: Callable[[int], CementOrdering] | None = None,
     checked: Callable[[float], Check] | None = None,
 ) -> tuple[Measurement, ...]:
-    """Measure the samples of several seeds at one content, side by side.
+    """Measure the samples of any number of seeds at one content, as many side by side as the kernel is wide.
 
     The first call for a content computes its check samples, too (`check.check_content`).
     `CementCapacityError` if the content is more than the sample can hold.
@@ -89,7 +90,7 @@ def measure(
     content
         Percent of the sand's mass.
     seeds
-        At most ``lanes`` seeds. The result of a seed does not depend on the others.
+        The result of a seed does not depend on the others.
     lanes
         Width of the kernel: 1, 2, 4, 8, 16 or 32.
     raise_if_stopped
@@ -111,13 +112,11 @@ def measure(
     began = perf_counter() - seconds_compiling()
 
     def sections(usual: Experiment) -> list[Section]:
-        return send_waves(
-            with_check(usual, found),
-            [cement.bonded for cement in placed],
-            experiment.frequency(content),
-            lanes=lanes,
-            raise_if_stopped=raise_if_stopped,
-        )
+        settings, frequency = with_check(usual, found), experiment.frequency(content)
+        bonded = [cement.bonded for cement in placed]
+        batches = (bonded[begin : begin + lanes] for begin in range(0, len(bonded), lanes))
+        sent = (send_waves(settings, one, frequency, lanes=lanes, raise_if_stopped=raise_if_stopped) for one in batches)
+        return [*chain.from_iterable(sent)]
 
     measured = [
         interpret(experiment, Measurement(seed, content, cement, section, found))
@@ -131,21 +130,6 @@ def measure(
         ]
     seconds = (perf_counter() - seconds_compiling() - began) / len(seeds)
     return tuple(replace(one, seconds=seconds) for one in measured)
-
-
-def measure_all(
-    experiment: Experiment,
-    content: float,
-    seeds: Sequence[int],
-    *,
-    lanes: int = 8,
-    ordering: Callable[[int], CementOrdering] | None = None,
-) -> tuple[Measurement, ...]:
-    """Measure any number of seeds at one content, in batches of kernel width; see `measure`."""
-    found: list[Measurement] = []
-    for begin in range(0, len(seeds), lanes):
-        found += measure(experiment, content, seeds[begin : begin + lanes], lanes=lanes, ordering=ordering)
-    return tuple(found)
 
 
 def interpret(experiment: Experiment, measurement: Measurement) -> Measurement:

@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import Delaunay
 
-from calcidem.dem.engine.assembly import is_among, pair_keys
+from calcidem.dem.engine.assembly import listed_pairs, pair_keys
 from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.readout import overlaps
@@ -20,15 +20,6 @@ from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.layout import FIRST_ARM, NORMAL_X, NORMAL_Y, SECOND_ARM, Flags, Floats, Integers
 from calcidem.dem.sample.compaction import settle
 from calcidem.dem.wave.experiment import Experiment, wave_scene
-
-
-class ShearedPart(NamedTuple):
-    """Part of a sheared sample."""
-
-    modulus: float
-    """Mean shear stress over mean shear strain, Pa."""
-    solid: float
-    """Area fraction of disks."""
 
 
 def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
@@ -87,19 +78,16 @@ class ShearedTriangles(NamedTuple):
     stress: Floats
     """(K,) shear strain and shear stress, times area."""
 
-    def weighted(self, weight: Floats) -> ShearedPart:
-        """Part of the sample in which each triangle (K,) counts with a weight; `ValueError` if none does."""
+    def weighted(self, weight: Floats) -> tuple[float, float]:
+        """Shear modulus, Pa, and area fraction of disks of a part of the sample: mean shear stress over mean strain.
+
+        Each triangle (K,) counts with a weight; `ValueError` if none does.
+        """
         require(bool(weight.any()), "weight", 0, "give at least one triangle a weight")
         area, solid, strain, stress = (
             float((values * weight).sum()) for values in (self.area, self.solid, self.strain, self.stress)
         )
-        return ShearedPart(stress / strain, solid / area)
-
-
-def triangulate(x: Floats, y: Floats) -> Integers:
-    """(K, 3) corners of the Delaunay triangles between points (N,)."""
-    corners: Integers = Delaunay(np.column_stack([x, y])).simplices
-    return corners
+        return stress / strain, solid / area
 
 
 def sheared_triangles(state: State, motion: Floats, corners: Integers, lane: int = 0) -> ShearedTriangles:
@@ -113,12 +101,12 @@ def sheared_triangles(state: State, motion: Floats, corners: Integers, lane: int
     state, motion, lane
         See `sheared_motion`.
     corners
-        Those of `triangulate` for the disks' centres, the same for all samples of a packing.
+        (K, 3) disks at the corners of triangles between the centres, the same for all samples of a packing.
     """
-    order, pairs = state.assembly.order, state.assembly.pairs
+    order = state.assembly.order
     centres = np.column_stack([state.scene.x, state.scene.y])
     radius = np.asarray(state.scene.radius)
-    ends = order[np.column_stack([pairs.first, pairs.second])]
+    ends = order[listed_pairs(state.assembly)]
     force, branch = _force_changes(state, motion, lane), centres[ends[:, 1]] - centres[ends[:, 0]]
     moments = 0.5 * (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])
     sides = centres[np.roll(corners, 1, axis=1)] - centres[np.roll(corners, -1, axis=1)]  # opposite to each corner
@@ -147,7 +135,7 @@ def _carried(corners: Integers, pairs: Integers, moments: Floats, count: int) ->
     keys, sides = pair_keys(pairs, count), np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
     rising, wanted = np.argsort(keys), pair_keys(sides, count)
     place = np.minimum(np.searchsorted(keys[rising], wanted), len(keys) - 1)
-    return np.where(is_among(wanted, keys[rising]), moments[rising][place], 0.0).reshape(corners.shape)
+    return np.where(np.isin(wanted, keys), moments[rising][place], 0.0).reshape(corners.shape)
 
 
 def _force_changes(state: State, motion: Floats, lane: int) -> Floats:
@@ -249,8 +237,8 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
         energy = np.where(np.abs(across) < 0.5, np.cos(np.pi * across) ** 2, 0.0)
         for column, margin in enumerate(_MARGINS):
             inner = from_sides_here > margin * 2.0 * radius.mean()
-            part = triangles.weighted(np.where(inner, energy, 0.0))
-            speeds[row, column] = np.sqrt(max(0.0, part.modulus) / (sand.density * part.solid))
+            modulus, solid = triangles.weighted(np.where(inner, energy, 0.0))
+            speeds[row, column] = np.sqrt(max(0.0, modulus) / (sand.density * solid))
     clamped, free = speeds[:, len(_MARGINS) // 2]
     speed = float(np.sqrt(clamped * free))
     if not speed > 0.0:
@@ -260,7 +248,9 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
 
 
 def _corners(experiment: Experiment) -> Integers:
-    return triangulate(experiment.packing.x, experiment.packing.y)
+    """(K, 3) corners of the Delaunay triangles between the disks of a packing."""
+    corners: Integers = Delaunay(np.column_stack([experiment.packing.x, experiment.packing.y])).simplices
+    return corners
 
 
 def _state_at_rest(experiment: Experiment, bonded: Flags) -> State:

@@ -333,20 +333,6 @@ class StoreReader(Closable):
 
         return self._piecewise(selection, fetch)
 
-    def arrays(self, selection: Selection = ALL_CELLS) -> Iterator[tuple[CellKey, dict[str, Any]]]:
-        """Array records (`ARRAY_RECORDS`) by name, of the selected cells with arrays, by seed, then content."""
-        statement = sa.select(CELL.c.id, *_BY_KEY).order_by(*_BY_KEY)
-
-        def fetch(
-            connection: sa.Connection, chosen: sa.ColumnElement[bool]
-        ) -> Iterator[tuple[CellKey, dict[str, Any]]]:
-            arrays = _arrays_of(connection, chosen, ARRAY_RECORDS)
-            for cell_id, seed, content in connection.execute(statement.where(chosen)):
-                if cell_id in arrays:
-                    yield CellKey(seed, content), arrays[cell_id]
-
-        return self._piecewise(selection, fetch)
-
     def _piecewise(
         self, selection: Selection, fetch: Callable[[sa.Connection, sa.ColumnElement[bool]], Iterable[T]]
     ) -> Iterator[T]:
@@ -358,13 +344,12 @@ class StoreReader(Closable):
         with self._reading() as connection:
             _refuse_unknown_contents(connection, self.record.name, self._campaign, selection)
             cells = connection.scalars(statement).all()
-        return (item for chunk in chunks(cells) for item in self._fetched(fetch, chunk))
 
-    def _fetched(
-        self, fetch: Callable[[sa.Connection, sa.ColumnElement[bool]], Iterable[T]], cells: Sequence[int]
-    ) -> list[T]:
-        with self._reading() as connection:
-            return list(fetch(connection, _is_one_of(CELL.c.id, cells)))
+        def fetched(chunk: Sequence[int]) -> list[T]:
+            with self._reading() as connection:
+                return list(fetch(connection, _is_one_of(CELL.c.id, chunk)))
+
+        return (item for chunk in chunks(cells) for item in fetched(chunk))
 
     def table(
         self,

@@ -8,9 +8,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields, replace
 from datetime import UTC, datetime
 from itertools import product, starmap
-from typing import Any, NamedTuple
+from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Table, and_, delete, insert, or_, select, tuple_, update
+from sqlalchemy import ColumnElement, Connection, Row, Table, and_, delete, insert, or_, select, tuple_, update
 
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import ReadOnlyStoreError, StoreError, UnknownCampaignError, UnknownCellError
@@ -20,7 +20,6 @@ from calcidem.storage.records import (
     CampaignRecord,
     CellKey,
     CellResult,
-    PackedResult,
     PackingRecord,
     RunRecord,
     as_utc,
@@ -44,14 +43,6 @@ def read_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
         store.close()
         raise
     return store
-
-
-class _Known(NamedTuple):
-    """A planned cell, and its outcome if it has one."""
-
-    id: int
-    status: str | None
-    attempt: int | None
 
 
 class Store(StoreReader):
@@ -213,17 +204,13 @@ class Store(StoreReader):
         Attempts without an outcome are withdrawn, unless the run was cut off by a death or hanging of a worker.
         """
         with self._writing() as connection:
-            self._change_run(exit_state=exit_state, ended=as_utc(ended))
+            ending = update(RUN).where(RUN.c.id == self._run_id).values(exit_state=exit_state, ended=as_utc(ended))
+            if not connection.execute(ending).rowcount:
+                raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
             if not cut_off:
                 unended = and_(ATTEMPT.c.run_id == self._run_id, ATTEMPT.c.outcome == CellStatus.RUNNING.value)
                 connection.execute(delete(ATTEMPT).where(unended))
         self._run_id = None
-
-    def _change_run(self, **values: object) -> None:
-        with self._writing() as connection:
-            changed = connection.execute(update(RUN).where(RUN.c.id == self._run_id).values(**values))
-            if not changed.rowcount:
-                raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
 
     # Lease
 
@@ -295,14 +282,14 @@ class Store(StoreReader):
         with self._writing() as connection:
             connection.execute(insert(PACKING).values(row | {"wall_stress": dict(packing.wall_stress)}))
 
-    def record_results(self, results: Iterable[CellResult | PackedResult], *, replace_done: bool = False) -> int:
+    def record_results(self, results: Iterable[CellResult], *, replace_done: bool = False) -> int:
         """Store outcomes in one transaction (rules 4 and 5), and return their number; rule 5 excludes the others.
 
         `UnknownCellError` if a cell is not planned.
         """
         stored, recorded = 0, datetime.now(UTC)
         with self._writing() as connection:
-            for batch in _distinct_batches(result.packed() for result in results):
+            for batch in _distinct_batches(result.pack() for result in results):
                 known = self._known_cells(connection, [result.key for result in batch])
                 accepted = [
                     (known[result.key].id, result)
@@ -313,9 +300,7 @@ class Store(StoreReader):
                 stored += len(accepted)
         return stored
 
-    def _replace(
-        self, connection: Connection, accepted: Sequence[tuple[int, PackedResult]], recorded: datetime
-    ) -> None:
+    def _replace(self, connection: Connection, accepted: Sequence[tuple[int, CellResult]], recorded: datetime) -> None:
         """Store outcomes, replacing earlier ones.
 
         An existing attempt with the same outcome keeps its row, since an import has restored it.
@@ -325,25 +310,22 @@ class Store(StoreReader):
         listed = _attempt_in([(cell_id, result.attempt) for cell_id, result in accepted])
         statement = select(ATTEMPT.c.cell_id, ATTEMPT.c.number, ATTEMPT.c.outcome).where(listed)
         existing = {(row.cell_id, row.number): row.outcome for row in connection.execute(statement)}
-        new = [(i, result) for i, result in accepted if existing.get((i, result.attempt)) != result.columns["status"]]
+        new = [(i, result) for i, result in accepted if existing.get((i, result.attempt)) != result.status]
         outdated = [(i, result.attempt) for i, result in new if (i, result.attempt) in existing]
         if outdated:
             connection.execute(delete(ATTEMPT).where(_attempt_in(outdated)))
         attempts = [
-            {name: result.columns[name] for name in ("reason", "seconds", "rank", "host")}
-            | {"cell_id": cell_id, "number": result.attempt, "outcome": str(result.columns["status"])}
+            {name: getattr(result, name) for name in ("reason", "seconds", "rank", "host")}
+            | {"cell_id": cell_id, "number": result.attempt, "outcome": result.status.value}
             | {"run_id": self._run_id, "recorded": recorded, "forgiven": False}
             for cell_id, result in new
         ]
-        columns = [column.name for column in RESULT.c if column.name != "cell_id"]
         _insert(connection, ATTEMPT, attempts)
-        _insert(
-            connection,
-            RESULT,
-            [{"cell_id": i} | {name: result.columns.get(name) for name in columns} for i, result in accepted],
-        )
-        arrays = [(i, name, content) for i, result in accepted for name, content in result.arrays.items()]
-        _insert(connection, ARRAYS, [{"cell_id": i, "name": name, "content": content} for i, name, content in arrays])
+        names = [column.name for column in RESULT.c]
+        rows = [{"cell_id": cell_id} | result.values() for cell_id, result in accepted]
+        _insert(connection, RESULT, [{name: row.get(name) for name in names} for row in rows])
+        arrays = [(cell_id, *array) for cell_id, result in accepted for array in result.packed]
+        _insert(connection, ARRAYS, [dict(zip(("cell_id", "name", "content"), row, strict=True)) for row in arrays])
 
     def record_running(self, keys: Iterable[CellKey]) -> dict[CellKey, AttemptCount]:
         """Begin an attempt at each cell, which its outcome will replace; return the new counts.
@@ -401,12 +383,12 @@ class Store(StoreReader):
                 connection.execute(update(ATTEMPT).where(ATTEMPT.c.cell_id.in_(ids)).values(forgiven=True))
         return tuple(chosen)
 
-    def _known_cells(self, connection: Connection, keys: Sequence[CellKey]) -> dict[CellKey, _Known]:
-        """Rows of planned cells; `UnknownCellError` if one is not planned."""
+    def _known_cells(self, connection: Connection, keys: Sequence[CellKey]) -> dict[CellKey, Row[*tuple[Any, ...]]]:
+        """Identifier of planned cells with status and attempt, if any; `UnknownCellError` if one is not planned."""
         statement = select(CELL.c.seed, CELL.c.content, CELL.c.id, RESULT.c.status, RESULT.c.attempt)
         statement = statement.outerjoin(RESULT, RESULT.c.cell_id == CELL.c.id)
         statement = statement.where(CELL.c.campaign_id == self._campaign, self._cell_in(keys))
-        known = {CellKey(seed, content): _Known(*row) for seed, content, *row in connection.execute(statement)}
+        known = {CellKey(row.seed, row.content): row for row in connection.execute(statement)}
         for key in keys:
             if key not in known:
                 raise UnknownCellError(
@@ -425,10 +407,10 @@ def _plan_cells(connection: Connection, campaign_id: int, keys: Iterable[CellKey
     return len(new)
 
 
-def _distinct_batches(results: Iterable[PackedResult]) -> Iterator[list[PackedResult]]:
+def _distinct_batches(results: Iterable[CellResult]) -> Iterator[list[CellResult]]:
     """Split into batches without repeated cells, so that a later outcome of a cell meets the stored earlier one."""
     for chunk in chunks(results):
-        batch: dict[CellKey, PackedResult] = {}
+        batch: dict[CellKey, CellResult] = {}
         for result in chunk:
             if result.key in batch:
                 yield list(batch.values())
@@ -437,13 +419,11 @@ def _distinct_batches(results: Iterable[PackedResult]) -> Iterator[list[PackedRe
         yield list(batch.values())
 
 
-def _gives_way(known: _Known, result: PackedResult, *, replace_done: bool) -> bool:
+def _gives_way(known: Row[*tuple[Any, ...]], result: CellResult, *, replace_done: bool) -> bool:
     """Rule 5 of the contract: whether the new outcome replaces the stored one."""
-    if known.status is None or known.attempt is None:
-        return True
     if known.status == CellStatus.DONE:
         return replace_done
-    return result.columns["status"] == CellStatus.DONE or result.attempt >= known.attempt
+    return known.status is None or result.status is CellStatus.DONE or bool(result.attempt >= known.attempt)
 
 
 def _insert(connection: Connection, table: Table, rows: Sequence[dict[str, Any]]) -> None:

@@ -191,7 +191,7 @@ def lead(options: argparse.Namespace, executor: Executor | None, stop: StopReque
         sink.forget()
     sink.close()
     tally = end.tally
-    sys.stderr.write(f"{end.state}: {end.detail}; {tally.settled} settled; deadly: {deadly}\n")
+    sys.stderr.write(f"{end.state}: {end.detail}; {tally.total()} settled; deadly: {deadly}\n")
     return end.exit_code
 
 
