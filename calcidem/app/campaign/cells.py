@@ -134,7 +134,7 @@ def _prepared_computation(
 ) -> CellComputation:
     """Computation in a process of an executor, with compiled kernels."""
     GIVEN.update(patterns)
-    if _VERSION != version:
+    if version != _VERSION:
         raise LaunchError(f"a worker has {_VERSION}, the program that stores the campaign has {version}")
     keep_freed_memory()
     gpu = choose_gpu((own_rank() or 1) - 1) if configuration.run.gpu else 0  # rank 0 computes nothing
