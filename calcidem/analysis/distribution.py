@@ -176,7 +176,7 @@ class Distribution:
             raise ValueError(
                 f"values must be finite numbers along one dimension, got shape {sample.shape}; drop NaN first"
             )
-        centre = float(mean(sample)) if sample.size else math.nan
+        centre = mean(sample) if sample.size else math.nan
         deviation = float(standard_deviation(sample)) if sample.size > 1 else math.nan
         varied = deviation > 0
         skewness = float(stats.skew(sample)) if varied else math.nan

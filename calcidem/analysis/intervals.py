@@ -110,7 +110,7 @@ class Interval:
         if n <= 1:
             return cls(math.nan, math.nan)
         half = _student_quantile(n - 1, (1 + level) / 2) * float(standard_deviation(values)) * math.sqrt(variance(n))
-        centre = float(mean(values))
+        centre = mean(values)
         return cls(centre - half, centre + half)
 
 
@@ -150,16 +150,14 @@ def _student_quantile(freedom: int, probability: float) -> float:
     return quantile
 
 
-def mean(values: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
-    """Return the mean along an axis; exact for equal values."""
-    first = np.take(values, 0, axis)
-    return np.asarray(first + np.mean(values - np.expand_dims(first, axis), axis=axis))
+def mean(values: NDArray[np.float64]) -> float:
+    """Return the mean of values (n,); exact for equal values."""
+    return float(values[0] + np.mean(values - values[0]))
 
 
-def standard_deviation(values: NDArray[np.float64], axis: int = -1) -> NDArray[np.float64]:
-    """Return the standard deviation along an axis, with denominator n - 1; exactly zero for equal values."""
-    first = np.take(values, [0], axis)
-    return np.asarray(np.std(values - first, axis=axis, ddof=1))
+def standard_deviation(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the standard deviation along the last axis, with denominator n - 1; exactly zero for equal values."""
+    return np.asarray(np.std(values - values[..., :1], axis=-1, ddof=1))
 
 
 def bias_of_failed(measured: int, failed: int) -> float:

@@ -123,8 +123,8 @@ def _compared_numbers(row: ContentDistribution) -> tuple[float, ...]:
     """
     vs = row.vs
     if row.content == 0.0:
-        interval, half = vs.mean_interval, 0.5 * (vs.mean_interval.high - vs.mean_interval.low)
-        return vs.mean, 0.0, half / NORMAL_95, interval.low, interval.high
+        interval = vs.mean_interval
+        return vs.mean, 0.0, interval.half_width / NORMAL_95, interval.low, interval.high
     interval, error = vs.prediction_interval, vs.standard_deviation / math.sqrt(vs.n)
     return vs.mean, vs.standard_deviation, error, interval.low, interval.high
 

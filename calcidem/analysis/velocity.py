@@ -226,8 +226,6 @@ def dispersion(
     sections: Sequence[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]],
     frequency: float,
     velocities: tuple[float, float],
-    *,
-    shares: Sequence[float] = tuple(np.arange(0.4, 1.81, 0.1).round(2).tolist()),
 ) -> Dispersion:
     """Return the phase velocity of shear waves from sections of samples of one content.
 
@@ -240,8 +238,6 @@ def dispersion(
         times (T,), s, evenly spaced; places along the path (X,), m; and velocities (T, X) in any unit.
     frequency, velocities
         Frequency of the pulse, Hz, and the range of phase velocities to search, m/s.
-    shares
-        Frequencies of the result over that of the pulse, whose spectrum is zero at 2.
 
     Notes
     -----
@@ -254,7 +250,7 @@ def dispersion(
         raise ValueError("sections: none given; give that of a sample, or of three for a standard error")
     if not 0.0 < velocities[0] < velocities[1]:
         raise ValueError(f"velocities = {velocities}: give a slowest and a fastest positive velocity, m/s")
-    wanted = frequency * np.asarray(shares, dtype=float)
+    wanted = frequency * np.arange(0.4, 1.81, 0.1).round(2)  # the spectrum of the pulse is zero at 2
     velocity = np.geomspace(*velocities, 400)
     waves: dict[bytes, NDArray[np.complex128]] = {}  # sections of one content share most times and places
     powers = np.array([_power(section, wanted, velocity, waves) for section in sections])

@@ -20,7 +20,7 @@ def computed(configuration: Configuration, packing: Packing, seed: int, content:
     """Compute one cell as a worker does; return the numbers that it sends."""
     batch: Batch[Cell] = Batch(0, ((seed, content),))
     (result,) = CellComputation(configuration, packing)(batch, lambda: None)
-    return result.columns
+    return result.values()
 
 
 def test_wavelengths_on_the_path_are_the_periods_of_the_travel_time(

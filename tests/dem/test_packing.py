@@ -157,7 +157,7 @@ def test_the_step_of_scaled_densities_is_stable_and_long(small: Packing) -> None
     state = rebuilt(small, SMALL)
     depths = overlaps(state), wall_overlaps(state)
     grains, (limit,) = scaled_densities(state.scene, state.assembly, state.features, *depths, 0.35)
-    springs, stiffness = _contact_springs(state, 0)
+    springs, stiffness = _contact_springs(state)
     inverse = np.column_stack([grains.inverse_mass, grains.inverse_mass, grains.inverse_inertia * grains.radius**2])
     modes = np.sqrt(stiffness)[:, None] * springs.toarray() * np.sqrt(inverse.ravel())
     assert 0.5 < limit * np.linalg.norm(modes, 2) / 2.0 <= 1.0

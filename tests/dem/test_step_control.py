@@ -344,5 +344,5 @@ def test_a_held_disk_makes_no_contact_of_its_own() -> None:
     scene = pair_scene(second_radius=0.1 * RADIUS, held=np.array([False, True]))
     state = start(scene, features=HERTZ, velocity=np.array([[1.0, 0.0], [0.0, 0.0]]))
     now = _instant(state, look_ahead(state))
-    durations, _ = _contact_durations(scene, state.assembly, state.features, now, state.time_step)
+    durations, _ = _contact_durations(state, now)
     assert np.isfinite(state.to_scene_order(durations)).ravel().tolist() == [True, False]

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.dem.engine.assembly import (
-    Assembly,
     aligned_zeros,
     assemble,
     install_forces,
@@ -80,9 +79,7 @@ class _Instant(NamedTuple):
     """(L,) energies, J/m, see `readout.Energies`."""
 
 
-def _contact_durations(
-    scene: Scene, assembly: Assembly, features: Features, now: _Instant, time_step: Floats
-) -> tuple[Floats, Floats]:
+def _contact_durations(state: State, now: _Instant) -> tuple[Floats, Floats]:
     """Duration of the shortest contact that each disk may make, (N, L) s, and the fastest speed, (L,) m/s.
 
     Infinite for held disks, and for those whose contacts have stored far more energy. Infinite for all disks if no
@@ -95,12 +92,13 @@ def _contact_durations(
     the contact. An unbalanced force F adds the rebound speed of a contact compressed by it: ``v^2 = 1.6 F d / m`` with
     ``F = h d^1.5``. Hence v stays constant during a collision, and is positive for a disk at rest before it falls.
     """
+    scene, assembly = state.scene, state.assembly
     radius = assembly.grains.radius.astype(float)
     inverse = assembly.grains.inverse_mass.astype(float)[:, None]
     coefficient = scene.sand.hertz_coefficient(radius, radius)[:, None]
     mass = scene.sand.density * np.pi * (radius * radius)[:, None]
     speed, push = (length(field[:, X], field[:, Y]) for field in (now.velocity, now.force))
-    walls = _wall_speeds(assembly, now.reaction, time_step)
+    walls = _wall_speeds(state, now.reaction)
     fastest = np.maximum(speed.max(axis=0), walls.max(axis=0, initial=0.0))
     depth = root(push / coefficient, 3)
     released = 0.8 * push * depth * depth * (inverse > 0.0)
@@ -110,19 +108,23 @@ def _contact_durations(
         duration = 3.2180 / root(approach / (ratio * ratio), 5)  # 2.943275 (5/4)^(2/5)
     # Impacts of a disk do not matter if they supply at most 1 % of the energy in its own contacts, nor if all listed
     # contacts are cemented.
-    loose = (~lanes_of_bits(assembly.pairs.intact, features.lanes)).any(axis=0) | (len(assembly.wall_pairs.disk) > 0)
+    loose = (~lanes_of_bits(assembly.pairs.intact, state.features.lanes)).any(axis=0) | (
+        len(assembly.wall_pairs.disk) > 0
+    )
     own, _ = hertz_energy(assembly.pairs.hertz, now.overlap)
     at_walls, _ = hertz_energy(assembly.wall_pairs.hertz, now.wall_overlap)
     matters = (0.5 * mass * approach * approach > 1e-2 * sums_at_disks(assembly, own, at_walls)) & loose
     return np.where((inverse > 0.0) & matters, duration, np.inf), fastest
 
 
-def _wall_speeds(assembly: Assembly, reaction: Floats, time_step: Floats) -> Floats:
+def _wall_speeds(state: State, reaction: Floats) -> Floats:
     """Speeds (W, L) of walls along their normals, with a servo those of the next step, m/s."""
-    walls = assembly.walls
+    walls = state.assembly.walls
     gain, target, fastest = (walls.servo[:, column, None].astype(float) for column in (GAIN, TARGET, TOP_SPEED))
     held = reaction[:, STIFFNESS] > 0.0
-    speed = gain * np.abs(target - reaction[:, NORMAL]) / (np.where(held, reaction[:, STIFFNESS], 1.0) * time_step)
+    speed = (
+        gain * np.abs(target - reaction[:, NORMAL]) / (np.where(held, reaction[:, STIFFNESS], 1.0) * state.time_step)
+    )
     served = np.where(held, np.minimum(speed, fastest), fastest)
     return np.where(gain > 0.0, served, np.abs(walls.motion[:, NORMAL_SPEED].astype(float)))
 
@@ -153,7 +155,7 @@ def is_watched(state: State) -> bool:
 
 def _impact_limits(state: State, now: _Instant) -> tuple[Floats, Floats]:
     """Step limit (N, L) by possible impacts and by the motion in a step, s, and fastest speed (L,), m/s."""
-    limits, fastest = _contact_durations(state.scene, state.assembly, state.features, now, state.time_step)
+    limits, fastest = _contact_durations(state, now)
     with np.errstate(divide="ignore"):
         limits = limits / (SAFETY * state.control.per_contact)
         if state.features.search:

@@ -22,8 +22,8 @@ from calcidem.dem.sample.compaction import settle
 from calcidem.dem.wave.experiment import Experiment, wave_scene
 
 
-def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
-    """Static motion of all disks in a simple shear ``u_y = x``: (N, 3) m and rad, in the order of the scene.
+def sheared_motion(state: State, held: Flags) -> Floats:
+    """Static motion of all disks of a sample in a simple shear ``u_y = x``: (N, 3) m and rad, in the scene's order.
 
     All contacts stick, with their stiffness in the state. Wall contacts do not count. `ValueError` if a bond is broken,
     no disk touches another, or no disk is held.
@@ -31,21 +31,19 @@ def sheared_motion(state: State, held: Flags, lane: int = 0) -> Floats:
     Parameters
     ----------
     state
-        State with all bonds intact.
+        State of one lane with all bonds intact.
     held
         (N,) disks that follow the shear, but rotate freely. All others reach equilibrium.
-    lane
-        Sample.
 
     Notes
     -----
     SuperLU factorizes the matrix; its last bits depend on the processor.
     """
     pairs, order = state.assembly.pairs, state.assembly.order
-    whole = bool(np.all((pairs.cemented ^ pairs.intact) >> np.uint32(lane) & 1 == 0))
+    whole = bool(np.all(pairs.cemented == pairs.intact))
     require(whole, "state", "with broken bonds", "their contacts have no single stiffness")
     require(bool(np.any(held)), "held", "no disk", "give disks that follow the shear")
-    strain_matrix, stiffness = _contact_springs(state, lane)
+    strain_matrix, stiffness = _contact_springs(state)
     require(bool(np.any(stiffness > 0.0)), "state", "without contacts", "give disks that touch")
     x, radius = np.asarray(state.scene.x)[order], state.assembly.grains.radius.astype(float)
     motion = np.column_stack([np.zeros(len(x)), x, 0.5 * radius]).ravel()
@@ -90,7 +88,7 @@ class ShearedTriangles(NamedTuple):
         return stress / strain, solid / area
 
 
-def sheared_triangles(state: State, motion: Floats, corners: Integers, lane: int = 0) -> ShearedTriangles:
+def sheared_triangles(state: State, motion: Floats, corners: Integers) -> ShearedTriangles:
     """Strain and stress of each triangle of a sheared sample.
 
     The stress of a part is ``sum(branch f) / area`` over its contacts (Love 1927). Each of the two triangles that share
@@ -98,7 +96,7 @@ def sheared_triangles(state: State, motion: Floats, corners: Integers, lane: int
 
     Parameters
     ----------
-    state, motion, lane
+    state, motion
         See `sheared_motion`.
     corners
         (K, 3) disks at the corners of triangles between the centres, the same for all samples of a packing.
@@ -107,7 +105,7 @@ def sheared_triangles(state: State, motion: Floats, corners: Integers, lane: int
     centres = np.column_stack([state.scene.x, state.scene.y])
     radius = np.asarray(state.scene.radius)
     ends = order[listed_pairs(state.assembly)]
-    force, branch = _force_changes(state, motion, lane), centres[ends[:, 1]] - centres[ends[:, 0]]
+    force, branch = _force_changes(state, motion), centres[ends[:, 1]] - centres[ends[:, 0]]
     moments = 0.5 * (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])
     sides = centres[np.roll(corners, 1, axis=1)] - centres[np.roll(corners, -1, axis=1)]  # opposite to each corner
     double = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]  # area, negative if clockwise
@@ -138,9 +136,9 @@ def _carried(corners: Integers, pairs: Integers, moments: Floats, count: int) ->
     return np.where(np.isin(wanted, keys), moments[rising][place], 0.0).reshape(corners.shape)
 
 
-def _force_changes(state: State, motion: Floats, lane: int) -> Floats:
+def _force_changes(state: State, motion: Floats) -> Floats:
     """(M, 2) change by a motion of the force of each pair's first disk on its second; tension positive."""
-    strain_matrix, stiffness = _contact_springs(state, lane)
+    strain_matrix, stiffness = _contact_springs(state)
     scaled = np.column_stack([motion[:, :2], motion[:, 2] * np.asarray(state.scene.radius)])
     change = (stiffness * (strain_matrix @ scaled[state.assembly.order].ravel())).reshape(3, -1)
     normal = state.assembly.pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
@@ -148,7 +146,7 @@ def _force_changes(state: State, motion: Floats, lane: int) -> Floats:
     return np.asarray(change[0][:, None] * normal + change[1][:, None] * tangent)
 
 
-def _contact_springs(state: State, lane: int) -> tuple[sparse.csr_array, Floats]:
+def _contact_springs(state: State) -> tuple[sparse.csr_array, Floats]:
     """Matrix (3 M, 3 N) from motions to approach, sliding and rolling of each pair, and stiffnesses (3 M,), N/m.
 
     The motion of a disk is x, y and radius times rotation, in memory order.
@@ -156,11 +154,11 @@ def _contact_springs(state: State, lane: int) -> tuple[sparse.csr_array, Floats]
     pairs, radius = state.assembly.pairs, state.assembly.grains.radius.astype(float)
     depth = None if state.features.linear else overlaps(state)
     normal, shear, twist = (
-        stiffness[:, lane]
+        stiffness[:, 0]
         for stiffness in pair_stiffness(state.assembly, state.features, state.scene.sand.shear_ratio, depth)
     )
     if state.scene.sand.friction == 0.0:
-        shear = np.where(pairs.cemented >> np.uint32(lane) & 1, shear, 0.0)
+        shear = np.where(pairs.cemented, shear, 0.0)
     geometry = pairs.geometry.astype(float)
     n_x, n_y = geometry[:, NORMAL_X], geometry[:, NORMAL_Y]
     one, none = np.ones(len(n_x)), np.zeros(len(n_x))
