@@ -19,12 +19,7 @@ from calcidem.app.campaign.patterns import pattern_of, stored_section
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
 from calcidem.dem.kernels.gpu import choose_gpu
-from calcidem.dem.sample.cement import (
-    GIVEN,
-    CementOrdering,
-    Pattern,
-    content_of_contacts,
-)
+from calcidem.dem.sample.cement import GIVEN, CementOrdering, Pattern, content_of_contacts
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import Check, check_content, kernels_of
 from calcidem.dem.wave.experiment import Experiment

@@ -13,11 +13,7 @@ import numpy as np
 from calcidem.app.campaign.identity import physics_version
 from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
-from calcidem.dem.sample.cement import (
-    CementCapacityError,
-    PlacedCement,
-    UnknownPatternError,
-)
+from calcidem.dem.sample.cement import CementCapacityError, PlacedCement, UnknownPatternError
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.reading import PickRule, Reading, read_section
@@ -25,11 +21,7 @@ from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.section import RESOLUTION, Section, clamp_of_strip
 from calcidem.ends import Verdict
 from calcidem.storage.errors import StoreError
-from calcidem.storage.records import (
-    CellResult,
-    CementPattern,
-    RecordedSection,
-)
+from calcidem.storage.records import CellResult, CementPattern, RecordedSection
 
 if TYPE_CHECKING:
     from calcidem.storage.sql.store import Store  # which the ranks do not need

@@ -36,12 +36,7 @@ from calcidem.storage.records import CellKey
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.ranks import (
-    LAUNCHER_VARIABLES,
-    available_cores,
-    mpi_library_version,
-    refuse_ranks_off_linux,
-)
+from calcidem.sweep.ranks import LAUNCHER_VARIABLES, available_cores, mpi_library_version, refuse_ranks_off_linux
 from calcidem.sweep.schedule import Batch, Cell, LaunchError
 from calcidem.wording import duration
 

@@ -32,10 +32,7 @@ if TYPE_CHECKING:
 def verify_command(
     database: Database,
     cells: Annotated[int, typer.Option(min=1, help="Cells to compute again.")] = 4,
-    choice: Annotated[
-        int | None,
-        typer.Option(min=0, metavar="SEED", help="Seed of their random choice."),
-    ] = None,
+    choice: Annotated[int | None, typer.Option(min=0, metavar="SEED", help="Seed of their random choice.")] = None,
     integrity: Annotated[
         bool, typer.Option("--integrity", help="Only let SQLite check the whole file; exit code 1 if it is damaged.")
     ] = False,

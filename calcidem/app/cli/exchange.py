@@ -150,10 +150,7 @@ def _import_campaign(file: Path, database: str) -> None:
 def merge_command(
     sources: Annotated[list[str], typer.Argument(metavar="A.db B.db ...", help="Databases of the same campaign.")],
     out: Annotated[Path, typer.Option(metavar="C.db", help="SQLite file to write; new, or of the same campaign.")],
-    prefer: Annotated[
-        str | None,
-        typer.Option(metavar="A.db", help="Database to take where values differ."),
-    ] = None,
+    prefer: Annotated[str | None, typer.Option(metavar="A.db", help="Database to take where values differ.")] = None,
     campaign: CampaignName = None,
 ) -> None:
     """Merge databases of one campaign, such as parts, into one.

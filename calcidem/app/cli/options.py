@@ -74,12 +74,7 @@ CampaignName = Annotated[
     str | None, typer.Option("--campaign", metavar="NAME", help="Campaign of a database that has several.")
 ]
 JudgedDatabase = Annotated[
-    str | None,
-    typer.Option(
-        "--db",
-        metavar="DB",
-        help="Take the packing of this campaign's database.",
-    ),
+    str | None, typer.Option("--db", metavar="DB", help="Take the packing of this campaign's database.")
 ]
 OnlyContents = Annotated[
     list[float] | None,

@@ -142,10 +142,7 @@ _Retried = StrEnum("_Retried", ["FAILED", "TIMED_OUT", "QUARANTINED"])
 
 def run_command(
     configuration: ConfigurationFile = DEFAULT_CONFIGURATION,
-    database: Annotated[
-        str | None,
-        typer.Option("--db", metavar="DB", help="SQLite file or database URL."),
-    ] = None,
+    database: Annotated[str | None, typer.Option("--db", metavar="DB", help="SQLite file or database URL.")] = None,
     output: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the results.")] = None,
     part: Annotated[
         str | None,
@@ -158,13 +155,7 @@ def run_command(
     dask: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Compute on the workers of this Dask scheduler.")
     ] = None,
-    gpu: Annotated[
-        bool,
-        typer.Option(
-            "--gpu",
-            help="Propagate the waves on NVIDIA GPUs, with the same bits.",
-        ),
-    ] = False,
+    gpu: Annotated[bool, typer.Option("--gpu", help="Propagate the waves on NVIDIA GPUs, with the same bits.")] = False,
     restarts: Annotated[
         int | None,
         typer.Option(min=0, metavar="K", help="With --ranks: start again up to K times (3) if a rank dies."),

@@ -195,7 +195,8 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
     """Whole status, for a terminal of this many columns, and the seeds for a half-width (m/s)."""
     columns = max(10, width - 78)  # the table needs so many besides the matrix
     parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
-    parts += [_matrix_table(status, columns), _legend(status, columns)]
+    per_character = max(1, math.ceil(len(status.seeds) / columns))  # seeds, so that the matrix fits into the columns
+    parts += [_matrix_table(status, columns, per_character), _legend(status, per_character)]
     marks = [_marks_of(content.counts, content.budget.loud) for content in status.contents]
     parts += [Text(f"  {remark}") for remark in _remarks_on(marks, status.budget.loud)]
     if status.counts.get(CellStatus.DONE):
@@ -232,9 +233,8 @@ def _head_lines(status: CampaignStatus) -> Iterator[str]:
         yield f"Time left: {duration(status.seconds_left)} on {workers}"
 
 
-def _matrix_table(status: CampaignStatus, columns: int) -> WholeTable:
+def _matrix_table(status: CampaignStatus, columns: int, per_character: int) -> WholeTable:
     """Seeds x contents as characters, with Vs so far and the time left of each content."""
-    per_character = _seeds_per_character(status, columns)
     seeds = f"seeds {status.seeds[0]} to {status.seeds[-1]}" if status.seeds else "seeds"
     table = WholeTable(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("content %", justify="right", no_wrap=True)
@@ -256,11 +256,6 @@ def _matrix_table(status: CampaignStatus, columns: int) -> WholeTable:
     return table
 
 
-def _seeds_per_character(status: CampaignStatus, columns: int) -> int:
-    """Number of seeds per character, so that the matrix fits into the columns."""
-    return max(1, math.ceil(len(status.seeds) / columns))
-
-
 def _matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: int) -> Text:
     """One character for each seed of a content, or for several seeds with their most severe status."""
     row = Text()
@@ -274,14 +269,14 @@ def _matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: i
     return row
 
 
-def _legend(status: CampaignStatus, columns: int) -> Text:
-    """Legend of the characters in a matrix of this number of columns."""
+def _legend(status: CampaignStatus, per_character: int) -> Text:
+    """Legend of the characters in a matrix with so many seeds for each."""
     text = Text("  ")
     for kind, (symbol, style) in _STATUS_CHARACTERS.items():
         if status.counts.get(kind):
             text.append(symbol, style).append(f" {kind.words}   ")
-    if len(status.seeds) > columns:
-        text.append(f"{_PARTLY_DONE} partly done   one character for {_seeds_per_character(status, columns)} seeds")
+    if per_character > 1:
+        text.append(f"{_PARTLY_DONE} partly done   one character for {per_character} seeds")
     return text
 
 

@@ -33,12 +33,7 @@ from calcidem.dem.wave.experiment import WAVELENGTHS
 from calcidem.dem.wave.rule import cutoff_frequency
 from calcidem.input_file import UNITS, Table, parse_number, read_input, unit_in_name, value_of
 
-CALIBRATED = (
-    "sand.wave_stiffness_factor",
-    "pattern.p_share",
-    "pattern.p_patch_diameter",
-    "pattern.cluster_area",
-)
+CALIBRATED = ("sand.wave_stiffness_factor", "pattern.p_share", "pattern.p_patch_diameter", "pattern.cluster_area")
 """Keys that the comments of the examples call calibrated."""
 
 

@@ -302,7 +302,13 @@ def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> "t
             if name in entries
         }
         count = entries.get("samples", "1" if "specimen" in entries or "sd" not in entries else "")
-        found = list(_wrong_entries(entries, values, count))
+        found = [
+            (name, entries[name], f"give {_UNITS[name][2]}")
+            for name, value in values.items()
+            if not (0.0 <= value <= 100.0 if name == "content" else 0.0 < value < math.inf)
+        ]
+        if count and not (count.isdecimal() and int(count) > 0):
+            found.append(("samples", count, "give a whole number of 1 or more"))
         wrongs += [(f"row {number}, {name} = {text!r}", name, cure) for name, text, cure in found]
         if not found:
             vs = values["vs"] if "vs" in columns else math.sqrt(values["g0"] / values["density"])
@@ -315,17 +321,6 @@ def read_targets(file: Path, tell: Callable[[str], None] = lambda _: None) -> "t
     ignored = ", ".join(name for name, meaning in zip(table.names, meanings, strict=True) if not meaning)
     tell(f"{file}: {len(targets)} measurements; {used}{'; not used: ' * bool(ignored)}{ignored}")
     return tuple(targets)
-
-
-def _wrong_entries(
-    entries: Mapping[str, str], values: Mapping[str, float], count: str
-) -> Iterator[tuple[str, str, str]]:
-    """Name, text and remedy of each entry of a row that is refused."""
-    for name, value in values.items():
-        if not (0.0 <= value <= 100.0 if name == "content" else 0.0 < value < math.inf):
-            yield name, entries[name], f"give {_UNITS[name][2]}"
-    if count and not (count.isdecimal() and int(count) > 0):
-        yield "samples", count, "give a whole number of 1 or more"
 
 
 def problems_of_rows(wrongs: Sequence[tuple[str, str, str]]) -> list[Problem]:

@@ -169,19 +169,16 @@ def _render_page(
     # A page of 3 MB loads in a second. Tables, style and script take 0.2 MB. Cells get as much beside many pictures.
     room = max(200_000, 3_000_000 - 200_000 - sum(len(picture.source) for picture in pictures))
     record, (blocks, remarks) = analysis.store.record, gather_cell_data(analysis, room)
-    return (
-        page_templates("calcidem.app.report")
-        .get_template("report.html")
-        .render(
-            name=record.name,
-            identity=_identity(analysis.store),
-            written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
-            facts=_key_facts(analysis),
-            blocks=blocks | {picture.packed: picture.source for picture in pictures if picture.packed},
-            remarks=remarks,
-            sections=shown,
-            explained_terms=_explained_terms,
-        )
+    template = page_templates("calcidem.app.report").get_template("report.html")
+    return template.render(
+        name=record.name,
+        identity=_identity(analysis.store),
+        written=f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
+        facts=_key_facts(analysis),
+        blocks=blocks | {picture.packed: picture.source for picture in pictures if picture.packed},
+        remarks=remarks,
+        sections=shown,
+        explained_terms=_explained_terms,
     )
 
 

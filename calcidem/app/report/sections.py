@@ -29,10 +29,7 @@ _UNKNOWN = "unknown"
 _CHOSEN = {
     "sand.wave_stiffness_factor": (1.0, "multiplies grain modulus and confining stress in the wave stage"),
     "pattern.p_share": (1.0, "calcite of a P contact as a multiple of the toroid of Eq. 2"),
-    "pattern.p_patch_diameter": (
-        0.0,
-        "diameter of the patches of P contacts, m; 0 for single contacts",
-    ),
+    "pattern.p_patch_diameter": (0.0, "diameter of the patches of P contacts, m; 0 for single contacts"),
     "pattern.cluster_area": (None, "calcite of a cluster in m²; without it the sum of Eq. 2 over its contacts"),
     "pattern.keep_p": (_UNKNOWN, "whether P contacts remain when clusters appear; the published text allows both"),
     "packing.friction_preparation": (_UNKNOWN, "friction during packing; determines the coordination number"),
@@ -270,11 +267,7 @@ def _packing_table(analysis: CampaignAnalysis) -> Table:
                 lambda g: f"{g.graph.transmitter.size}, {g.graph.receiver.size}",
                 "ends of the paths",
             ),
-            (
-                "content hash",
-                lambda g: g.packing.content_hash,
-                "of all bits of disks, walls and forces",
-            ),
+            ("content hash", lambda g: g.packing.content_hash, "of all bits of disks, walls and forces"),
             ("time to make", lambda g: duration(g.packing.seconds), ""),
         )
     ]

@@ -17,7 +17,7 @@ from calcidem.analysis.measured import Target
 from calcidem.app.config.checks import check_against_packing, cross_check
 from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
-from calcidem.app.studies.study import ParameterRange, check_ranges, point_of_study, point_velocities
+from calcidem.app.studies.study import ParameterRange, point_of_study, point_velocities
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing
 
@@ -49,8 +49,14 @@ class FitPlan:
     """Relative error of the model itself, added to the sampling error of every target."""
 
     def start(self, configuration: Configuration, packing: Packing) -> dict[str, float]:
-        """Value of each parameter at the start; `ConfigurationError` if one cannot be fitted."""
-        check_ranges(configuration, self.free, "calibration")
+        """Value of each parameter at the start; `ConfigurationError` with the problems of all that cannot be fitted."""
+        names = [chosen.name for chosen in self.free]
+        problems = [problem for chosen in self.free for problem in chosen.problems(configuration)]
+        problems += [Problem(f"{name}: is named twice; remove one") for name in set(names) if names.count(name) > 1]
+        if not names:
+            problems.append(Problem("parameters = 0: name at least one, such as cement.bond_modulus"))
+        if problems:
+            raise ConfigurationError("calibration", problems)
         try:
             return {chosen.name: chosen.start_value(configuration, packing) for chosen in self.free}
         except ValueError as error:

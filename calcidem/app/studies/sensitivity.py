@@ -270,7 +270,7 @@ def _damping_study(
                 received[row, column] = np.nan
                 continue
             received[row, column] = np.interp(time[row], found.section.times, found.section.received)
-            velocity[row, column] = _velocity(damped, "peak", found)
+            velocity[row, column] = _readings(damped, found)["vs_peak"]
     study = xr.Dataset(
         {"received": (("content", "damping", "sample"), received), "vs_peak": (("content", "damping"), velocity)},
         coords={"content": list(contents), "damping": list(factors), "time": (("content", "sample"), time)},
@@ -282,9 +282,15 @@ def _damping_study(
 
 
 def _readings(experiment: Experiment, measurement: Measurement) -> dict[str, float]:
-    """Return reliable readings of a measurement: vs by each method in m/s, and the received frequency in Hz."""
+    """Return reliable readings of a measurement: vs by each method in m/s, NaN without, and the received frequency, Hz.
+
+    There is no frequency without a velocity by the peak.
+    """
     section = measurement.section
-    found = {f"vs_{method}": _velocity(experiment, method, measurement) for method in _METHODS}
+    found = {}
+    for method in _METHODS:  # what a campaign with this method would store
+        read = interpret(replace(experiment, pick=replace(experiment.pick, method=method)), measurement)
+        found[f"vs_{method}"] = read.vs or np.nan
     if np.isfinite(found["vs_peak"]):
         found["received_frequency"] = _pulse_frequency(
             section.received,
@@ -293,11 +299,6 @@ def _readings(experiment: Experiment, measurement: Measurement) -> dict[str, flo
             reach=0.1 / section.frequency,
         )
     return found
-
-
-def _velocity(experiment: Experiment, method: Method, measurement: Measurement) -> float:
-    """Return the velocity that a campaign with this method would store, m/s; NaN if it would store a reason."""
-    return interpret(replace(experiment, pick=replace(experiment.pick, method=method)), measurement).vs or np.nan
 
 
 def _pulse_frequency(signal: Floats, sampling_interval: float, moment: float, reach: float) -> float:

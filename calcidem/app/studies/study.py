@@ -278,6 +278,28 @@ class ParameterRange:
             low, high = math.nan, math.nan
         return cls(name.strip(), low, high)
 
+    def problems(self, configuration: Configuration) -> Iterator[Problem]:
+        """Why it is not a number of the wave stage, or its limits cannot be computed."""
+        if self.name not in _variable_keys():
+            known = ", ".join(sorted(_variable_keys()))
+            yield Problem(f"{self.name}: is not a number in the configuration; choose among {known}", (self.name,))
+            return
+        if not 0.0 <= self.low < self.high:
+            limits = f"{self.low:g}:{self.high:g}"
+            yield Problem(f"{self.name} = {limits}: give two increasing positive numbers, low:high", (self.name,))
+            return
+        for value in (self.low, self.high):
+            if 0.0 < value < math.inf:
+                try:
+                    changed = change_configuration(configuration, {self.name: value})
+                except ConfigurationError as error:
+                    yield from (problem for problem in error.problems if self.name in problem.fields)
+                    continue
+                if changed.packing_hash != configuration.packing_hash:
+                    cure = "every value changes the packing; vary a key of the wave stage"
+                    yield Problem(f"{self.name}: {cure}", (self.name,))
+                    return
+
     def start_value(self, configuration: Configuration, packing: Packing) -> float:
         """Initial value of a parameter, within its range; for a cluster's area that of Eq. 2 for a mean cluster.
 
@@ -292,45 +314,6 @@ class ParameterRange:
                 raise ValueError(f"{self.name} = {value}: is not a positive start value; give a range low:high")
             value = math.sqrt(self.low * self.high)
         return float(np.clip(value, self.low, self.high))
-
-
-def check_ranges(configuration: Configuration, ranges: Sequence[ParameterRange], source: str) -> None:
-    """Refuse parameters that are not numbers of the wave stage, duplicates, and ranges that cannot be computed.
-
-    `ConfigurationError` lists all problems; ``source`` names the origin of the ranges.
-    """
-    problems = [problem for chosen in ranges for problem in _range_problems(configuration, chosen)]
-    names = [chosen.name for chosen in ranges]
-    problems += [Problem(f"{name}: is named twice; remove one") for name in set(names) if names.count(name) > 1]
-    if not names:
-        problems.append(Problem("parameters = 0: name at least one, such as cement.bond_modulus"))
-    if problems:
-        raise ConfigurationError(source, problems)
-
-
-def _range_problems(configuration: Configuration, chosen: ParameterRange) -> Iterator[Problem]:
-    """Problems of one range."""
-    name = chosen.name
-    if name not in _variable_keys():
-        yield Problem(
-            f"{name}: is not a number in the configuration; choose among {', '.join(sorted(_variable_keys()))}", (name,)
-        )
-        return
-    if not 0.0 <= chosen.low < chosen.high:
-        yield Problem(
-            f"{name} = {chosen.low:g}:{chosen.high:g}: give two increasing positive numbers, low:high", (name,)
-        )
-        return
-    for value in (chosen.low, chosen.high):
-        if 0.0 < value < math.inf:
-            try:
-                changed = change_configuration(configuration, {name: value})
-            except ConfigurationError as error:
-                yield from (problem for problem in error.problems if name in problem.fields)
-                continue
-            if changed.packing_hash != configuration.packing_hash:
-                yield Problem(f"{name}: every value changes the packing; vary a key of the wave stage", (name,))
-                return
 
 
 def _variable_keys() -> dict[str, KeyReference]:
