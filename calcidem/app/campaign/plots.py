@@ -267,9 +267,12 @@ def _draw_section(section: Section, found: Reading | Verdict, title: str) -> Fig
     if isinstance(found, Reading):
         begin, end = 0.5 * MS / section.frequency, MM * section.distance
         fitted = section.distance / (found.wave.velocity * (1.0 + found.bias))
-        for travel, color, dashes in ((fitted, style.GREY, "--"), (found.travel_time, style.VERMILION, "-")):
+        wave, peak = (fitted, style.GREY, "--", "fitted wave"), (found.travel_time, style.VERMILION, "-", "peak read")
+        for travel, color, dashes, label in (wave, peak):
             if np.isfinite(travel):
-                traces.plot([begin, begin + MS * travel], [0.0, end], color=color, linewidth=1.0, linestyle=dashes)
+                ends = [begin, begin + MS * travel], [0.0, end]
+                traces.plot(*ends, dashes, color=color, linewidth=1.0, label=label)
+        figure.legend(loc="outside upper center", ncols=2)
         _draw_spectrum(spectrum, section, found)
     traces.set_title(textwrap.fill(title, 72))
     style.letter_panels((traces, spectrum))
