@@ -99,8 +99,7 @@ def draw_laws(analysis: CampaignAnalysis) -> Figure:
     Published laws are shown in their own range, where C_d,n has the same weights.
     """
     contents = np.array([sample.content for sample in analysis.samples])
-    published, laws = published_laws(analysis), compared_laws(analysis)
-    vs = analysis.sample_vs
+    (laws, published), vs = compared_laws(analysis), analysis.sample_vs
     figure = new_figure(height=4.1, width=3.4 + 2.0 * len(laws))
     panels = figure.subplots(1, len(laws), sharey=True)
     for axes, law in zip(panels, laws, strict=True):
@@ -123,18 +122,17 @@ def draw_laws(analysis: CampaignAnalysis) -> Figure:
     return figure
 
 
-def published_laws(analysis: CampaignAnalysis) -> tuple[PublishedLaw, ...]:
-    """Return the published laws for a campaign with the published sand and contents, else none."""
-    return published_study().laws if published_velocities(analysis) else ()
+def compared_laws(analysis: CampaignAnalysis) -> tuple[list[LawFit], tuple[PublishedLaw, ...]]:
+    """Return the laws with C_d,n, and the published ones for a campaign with the published sand and contents.
 
-
-def compared_laws(analysis: CampaignAnalysis) -> list[LawFit]:
-    """Return laws with C_d,n: by physical meaning, of published weights that neither other law has, by the scan."""
+    Of the former the last is that of the scan; a published law whose weights no other has is fitted before it.
+    """
+    published = published_study().laws if published_velocities(analysis) else ()
     laws = [analysis.physical_law, analysis.scanned_law]
     # Only with equal weights is C_d,n comparable.
-    others = [other for other in published_laws(analysis) if all(_ratios_differ(law, other) for law in laws)]
+    others = [other for other in published if all(_ratios_differ(law, other) for law in laws)]
     laws[1:1] = [analysis.law_of_ratio(other.weights.ratio, "the paper") for other in others]
-    return laws
+    return laws, published
 
 
 def _ratios_differ(law: LawFit, other: PublishedLaw) -> bool:

@@ -376,9 +376,8 @@ def draw_frequency_study(study: xr.Dataset) -> Figure:
             known, values = _where_complete(values)
             ends = values.min(axis=0, initial=np.inf), values.max(axis=0, initial=0.0)
             axes.fill_between(frequency[known], *ends, color=colour, alpha=0.15, linewidth=0)
-            size = 3.5 + 1.5 * (count - 1 - place)  # smaller above larger, so that equal ones remain visible
-            look = {"color": colour, "marker": "o", "markersize": size, "label": f"{content:g} %"}
-            axes.plot(frequency[known], values.sum(axis=0) / len(values), **look)
+            mean = values.sum(axis=0) / len(values)
+            axes.plot(frequency[known], mean, color=colour, marker="o", markersize=3.5, label=f"{content:g} %")
         used = float(study["campaign_frequency"].sel(content=content)) * KHZ
         dashes = (4 * place, (4, 4 * count))  # those of equal frequencies follow one another
         right.axvline(used, color=colour, linestyle=dashes, linewidth=1.0)
