@@ -178,7 +178,7 @@ FEATURES = {
     "path_connectivity": ("C_d", "weighted length of the path, omega_h N_h + omega_LPB N_LPB"),
     "path_normalized_connectivity": (
         "C_d,n",
-        "weighted length of the path, 0 for a straight row of median grains with all contacts cemented, 1 with none",
+        "weighted length of the path, 0 for a straight row of cemented median grains, 1 for that row without cement",
     ),
 }
 """Symbol in the paper and definition of each feature, by its name in `PathFeatures`; all are dimensionless."""

@@ -68,14 +68,14 @@ def draw_method(analysis: CampaignAnalysis) -> Figure:
         draw_grains(cement, graph, sample.kinds, low=low - 2 * half, high=low + 2 * half, cement_width=2.6)
         cement.set_xlim(corner[0], corner[0] + 2 * half * MM)
         cement.set_ylim(corner[1], corner[1] + 2 * half * MM)
-        cement.set_title(f"cement: seed {seed}")
+        cement.set_title(f"seed {seed}, {SHOWN_CONTENT:g} %")
         draw_signal_pair(signals, load_arrival(analysis, seed, SHOWN_CONTENT))
         signals.set_title(f"wave: {sample.vs:.0f} m/s", color=colour)
         signals.set_xlabel("time (ms)")
         rows.append((cement, signals))
     result = figure.add_subplot(grid[:, 3])
     vs = analysis.distinct["vs"]
-    result.plot(vs["content"], vs.T, ".", color=GREY, markersize=5)
+    result.plot(vs["content"], vs.T, ".", color=GREY, markersize=5, label=["sample", *[""] * (vs.sizes["seed"] - 1)])
     result.plot(vs["content"], vs.mean("seed"), color=BLACK, label="mean")
     for seed, (sample, colour) in chosen.items():
         result.plot(SHOWN_CONTENT, sample.vs, "o", color=colour, markersize=8, label=f"seed {seed}")
@@ -83,10 +83,8 @@ def draw_method(analysis: CampaignAnalysis) -> Figure:
     result.set_title(f"{int(vs.notnull().sum())} velocities")
     result.legend(loc="upper left")
     handles, labels = rows[0][1].get_legend_handles_labels()
-    colours = [Rectangle((0, 0), 1, 1, facecolor=COLOURS[name]) for name in ("P contact", "C contact")]
-    figure.legend(
-        [*colours, *handles], ["P contact", "C contact", *labels], loc="outside lower center", ncols=2 + len(labels)
-    )
+    colours = [Rectangle((0, 0), 1, 1, facecolor=colour) for colour in COLOURS.values()]
+    figure.legend([*colours, *handles], [*COLOURS, *labels], loc="outside lower center", ncols=5)
     letter_panels([box, *rows[0], *rows[1], result])
     for cement, _ in rows:
         ends = {"xyA": (corner[0] + 2 * half * MM, corner[1] + half * MM), "xyB": (0.0, 0.5)}

@@ -8,6 +8,7 @@ import xarray as xr
 
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.registry import STUDY_FIGURES
+from calcidem.analysis.figures.velocities import draw_frequency_study, draw_reading_study
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.config.schema import Configuration
@@ -91,3 +92,22 @@ def test_every_number_of_a_study_has_a_unit(studies: dict[str, xr.Dataset]) -> N
 def test_every_study_figure_is_drawn(entry: object, studies: dict[str, xr.Dataset]) -> None:
     """Each study has its figures."""
     assert style.render(entry.draw(studies[entry.study]), "png").startswith(b"\x89PNG")  # type: ignore[attr-defined]
+
+
+def test_means_of_a_study_are_of_the_same_samples_at_the_true_frequencies() -> None:
+    """A sample that loses its velocity does not move the mean, and no curve stands beside its frequencies."""
+    frequency, contents, constant = np.array([5e3, 10e3, 15e3]), [0.66, 5.0], np.array([[300.0], [400.0]])
+    vs = np.tile(constant, (2, 1, 3))
+    vs[:, 1, 2] = np.nan
+    shape, campaign = ("content", "seed", "frequency"), ("content", np.full(2, 10e3))
+    study = xr.Dataset(
+        {"vs_peak": (shape, vs), "vs_first_arrival": (shape, np.full_like(vs, np.nan))}
+        | {"received_frequency": (shape, np.tile(frequency, (2, 2, 1))), "campaign_frequency": campaign},
+        coords={"content": contents, "seed": [1, 2], "frequency": frequency},
+        attrs={"distance": 0.1},
+    )
+    bold = draw_reading_study(study).axes[0].get_lines()[2]
+    assert np.array_equal(bold.get_xydata(), [(5.0, 350.0), (10.0, 350.0)])
+    curves = draw_frequency_study(study).axes[1].get_lines()
+    assert all(np.array_equal(curve.get_xdata(), [5.0, 10.0]) for curve in curves[::2])
+    assert all(set(dashed.get_xdata()) == {10.0} for dashed in curves[1::2])

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
+from calcidem.app.campaign import plots
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.plots import CampaignPlots, _with_settings_of
 from calcidem.app.cli.exit_codes import _exit_code_of
@@ -104,6 +105,20 @@ def test_a_movie_has_the_step_of_its_cell(campaign: Campaign) -> None:
     steps = [cell.time_step, 0.5 * cell.time_step, 0.25 * cell.time_step]
     found = [_with_settings_of(experiment, replace(cell, time_step=step)).wave.step_fraction for step in steps]
     assert found == [part * experiment.wave.step_fraction for part in (1.0, 0.5, 0.25)]
+
+
+def test_a_movie_ends_with_the_record_of_its_cell(
+    campaign: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also if the campaign stores no sections."""
+    told, film, cell = [], plots.film_wave, campaign.store.cell(**CELL)
+    assert cell.section is not None
+    monkeypatch.setattr(campaign.store, "cell", lambda **_: replace(cell, section=None))
+    monkeypatch.setattr(
+        plots, "film_wave", lambda *given, **named: told.append(named["samples"]) or film(*given, **named)
+    )
+    campaign.plot.movie(tmp_path / "wave.gif", **CELL, frames=2)
+    assert told == [len(cell.section.across)]
 
 
 def test_a_movie_has_the_frames_asked_for(campaign: Campaign, tmp_path: Path) -> None:

@@ -19,13 +19,14 @@ import numpy as np
 import pytest
 from live_page import ADDRESS, PATIENCE, Live, serve, start
 
+from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
 from calcidem.app.campaign.status import CampaignStatus
 from calcidem.app.serve.address import PageAddress, page_beside_run
 from calcidem.app.serve.feed import CampaignFeed, CellColumns
 from calcidem.app.serve.server import Hub, LivePage, MovieMaker
 from calcidem.ends import CellStatus
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, canonical_hash
-from calcidem.storage.sql.store import Store
+from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.sweep.ranks import available_cores
 
 pytestmark = pytest.mark.slow
@@ -367,3 +368,13 @@ def test_columns_are_those_of_the_store(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found[name], rows[name])
     assert columns.put(rows) == []
     assert columns.settled() == 3
+
+
+def test_a_feed_warns_as_the_report_does(small_database: Path) -> None:
+    """Of near field and selection bias."""
+    feed = CampaignFeed(0, str(small_database), None)
+    with read_campaign(small_database) as store:
+        wanted = notes_on(store.table(NOTE_QUANTITIES))
+    assert wanted
+    assert feed.status()["notes"] == wanted
+    feed.close()

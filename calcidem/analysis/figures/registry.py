@@ -143,15 +143,14 @@ CAMPAIGN_FIGURES: tuple[FigureEntry[CampaignAnalysis], ...] = (
     FigureEntry(
         "correlations",
         "Correlation of path features and Vs",
-        "Over all contents every feature correlates with Vs, since both grow with content. Within one the mean is "
-        "subtracted and the rest divided by the scatter there, so that contents count alike.",
+        "Within one content the mean is subtracted and the rest divided by the scatter there, so that contents count "
+        "alike.",
         lambda analysis: draw_correlations(correlations(analysis.table)),
     ),
     FigureEntry(
         "network_correlations",
         "Correlation of features of the whole sample and Vs",
-        "As before, for features of the cement as a network between the walls. Its conductance G follows the scatter "
-        "of Vs within one content best.",
+        "As before, for features of the cement as a network between the walls.",
         lambda analysis: draw_correlations(correlations(analysis.network_table)),
     ),
     FigureEntry(
@@ -173,8 +172,7 @@ CAMPAIGN_FIGURES: tuple[FigureEntry[CampaignAnalysis], ...] = (
     FigureEntry(
         "conductance",
         "Vs against the conductance of the cement",
-        "Cement as a network of conductors between the side walls: one law for all contents, and fast samples of a "
-        "content conduct more.",
+        "Cement as a network of conductors between the side walls, and one law fitted to the samples of all contents.",
         draw_conductance,
     ),
     FigureEntry(
@@ -191,9 +189,9 @@ STUDY_FIGURES: tuple[FigureEntry[xr.Dataset], ...] = (
     FigureEntry(
         "study_reading",
         "Peak to peak against first arrival",
-        "Vs of the same samples by two methods of reading, over excitation frequency; thin lines are samples. Marks "
-        "are hollow where transmitter and receiver are less than a wavelength apart, so that near-field effects "
-        "spoil the reading.",
+        "Vs of the same samples by two methods of reading, over excitation frequency. Thin lines are samples, bold "
+        "ones their mean where every sample has a value. Marks are hollow where transmitter and receiver are less than "
+        "a wavelength apart, so that near-field effects spoil the reading.",
         draw_reading_study,
         study="frequency",
     ),
@@ -201,8 +199,7 @@ STUDY_FIGURES: tuple[FigureEntry[xr.Dataset], ...] = (
         "study_frequency",
         "Excitation frequency",
         "Frequency of the received pulse (one over twice its width at half height) and Vs over the frequency of "
-        "the transmitted one, with the range over samples; dashed at the campaign's frequency. Contents are slightly "
-        "offset.",
+        "the transmitted one: mean and range where every sample has a value. Dashed at the campaign's frequency.",
         draw_frequency_study,
         study="frequency",
     ),

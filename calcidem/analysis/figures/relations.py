@@ -99,12 +99,7 @@ def draw_laws(analysis: CampaignAnalysis) -> Figure:
     Published laws are shown in their own range, where C_d,n has the same weights.
     """
     contents = np.array([sample.content for sample in analysis.samples])
-    published = published_study().laws if published_velocities(analysis) else ()
-    laws = [analysis.physical_law, analysis.scanned_law]
-    # Only with equal weights is C_d,n comparable.
-    others = [other for other in published if all(_ratios_differ(law, other) for law in laws)]
-    laws[1:1] = [analysis.law_of_ratio(other.weights.ratio, "the paper") for other in others]
-    vs = analysis.sample_vs
+    (laws, published), vs = compared_laws(analysis), analysis.sample_vs
     figure = new_figure(height=4.1, width=3.4 + 2.0 * len(laws))
     panels = figure.subplots(1, len(laws), sharey=True)
     for axes, law in zip(panels, laws, strict=True):
@@ -115,7 +110,7 @@ def draw_laws(analysis: CampaignAnalysis) -> Figure:
                 label = "published: " + _law_text("C_{d,n}", other.a, other.conclusions_b, other.c)
                 vs_of_law = power_law(span, other.a, other.conclusions_b, other.c)
                 axes.plot(span, vs_of_law, color=VERMILION, linestyle="--", label=label)
-        axes.set_title(f"weights by {law.name}" if law.name != "Monte-Carlo" else "weights by the scan")
+        axes.set_title(f"weights by {law.name}")
         if law.weights:
             weights = f"$\\omega_h$ = {law.weights.hertz:.3f}, $\\omega_{{LPB}}$ = {law.weights.bond:.3f}"
             axes.set_xlabel(f"$C_{{d,n}}$ with {weights}")
@@ -125,6 +120,19 @@ def draw_laws(analysis: CampaignAnalysis) -> Figure:
     panels[0].set_ylabel(VS_LABEL)
     _add_contents(figure, points, panels)
     return figure
+
+
+def compared_laws(analysis: CampaignAnalysis) -> tuple[list[LawFit], tuple[PublishedLaw, ...]]:
+    """Return the laws with C_d,n, and the published ones for a campaign with the published sand and contents.
+
+    Of the former the last is that of the scan; a published law whose weights no other has is fitted before it.
+    """
+    published = published_study().laws if published_velocities(analysis) else ()
+    laws = [analysis.physical_law, analysis.scanned_law]
+    # Only with equal weights is C_d,n comparable.
+    others = [other for other in published if all(_ratios_differ(law, other) for law in laws)]
+    laws[1:1] = [analysis.law_of_ratio(other.weights.ratio, "the paper") for other in others]
+    return laws, published
 
 
 def _ratios_differ(law: LawFit, other: PublishedLaw) -> bool:

@@ -412,7 +412,7 @@ def draw_preferential_paths(graph: PackingGraph, samples: Sequence[MeasuredSampl
         features = sample.features
         velocity = f"{sample.vs:.0f} m/s" if math.isfinite(sample.vs) else "no velocity"
         lines = (
-            f"seed {sample.seed}",
+            f"seed {sample.seed} at {sample.content:g} %",
             velocity,
             f"$C_{{d,n}}$ = {features.path_normalized_connectivity:.2f}",
             f"path of {features.path_contacts} contacts:",

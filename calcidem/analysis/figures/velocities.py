@@ -87,7 +87,7 @@ def draw_range(
         )
         _draw_measured(panel, [one for one in measured if ends[0] <= one.content <= ends[1]])
         panel.set_ylim(bottom=max(0.0, panel.get_ylim()[0]))  # velocities are positive even if a band is not
-        panel.set_xlabel(CONTENT_LABEL if panel is parts[-1][0] else "calcite content (%)")
+        panel.set_xlabel(CONTENT_LABEL if len(parts) == 1 else "calcite content (%)")
     axes.set_ylabel(VS_LABEL)
     if placed:  # other elements of the figure have their own legend
         axes.legend(fontsize=7)
@@ -327,8 +327,8 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
             label, colour, marker = METHOD_STYLES[name]
             values = study[f"vs_{name}"].sel(content=content).transpose("seed", "frequency").to_numpy()
             axes.plot(frequency, values.T, color=colour, alpha=0.25, linewidth=0.7)
-            known = np.isfinite(values).any(axis=0)
-            mean = np.nanmean(values[:, known], axis=0)
+            known, values = _where_complete(values)
+            mean = values.sum(axis=0) / len(values)  # also of none
             axes.plot(frequency[known], mean, color=colour, marker=marker, markersize=4, label=label)
             near = study.attrs["distance"] * frequency[known] / KHZ < mean
             axes.plot(
@@ -352,6 +352,16 @@ def draw_reading_study(study: xr.Dataset) -> Figure:
     return figure
 
 
+def _where_complete(values: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Frequencies at which every sample has a value, of those that have any, and these values (samples, frequencies).
+
+    A mean over fewer samples would move because they differ.
+    """
+    values = values[np.isfinite(values).any(axis=1)]
+    known: NDArray[np.bool_] = np.logical_and(np.isfinite(values).all(axis=0), len(values) > 0)
+    return known, values[:, known]
+
+
 @apply_style
 def draw_frequency_study(study: xr.Dataset) -> Figure:
     """Draw received frequency and Vs against transmitted frequency (Fig. 9)."""
@@ -359,24 +369,25 @@ def draw_frequency_study(study: xr.Dataset) -> Figure:
     left, right = figure.subplots(1, 2)
     frequency = study["frequency"].to_numpy() * KHZ
     left.plot(frequency, frequency, color=GREY, linestyle=":", linewidth=1.2, label="equal")
+    count = study.sizes["content"]
     for place, (content, colour) in enumerate(zip(study["content"].to_numpy(), SEQUENCE, strict=False)):
-        aside = frequency + 0.012 * (place - 1) * np.ptp(frequency)  # so that no curve hides another
         for axes, name, scale in ((left, "received_frequency", KHZ), (right, "vs_peak", 1.0)):
             values = study[name].sel(content=content).transpose("seed", "frequency").to_numpy() * scale
-            known = np.isfinite(values).any(axis=0)
-            low, high = np.nanmin(values[:, known], axis=0), np.nanmax(values[:, known], axis=0)
-            mean = np.nanmean(values[:, known], axis=0)
-            axes.fill_between(aside[known], low, high, color=colour, alpha=0.15, linewidth=0)
-            axes.plot(aside[known], mean, color=colour, marker="o", markersize=3.5, label=f"{content:g} %")
+            known, values = _where_complete(values)
+            ends = values.min(axis=0, initial=np.inf), values.max(axis=0, initial=0.0)
+            axes.fill_between(frequency[known], *ends, color=colour, alpha=0.15, linewidth=0)
+            mean = values.sum(axis=0) / len(values)
+            axes.plot(frequency[known], mean, color=colour, marker="o", markersize=3.5, label=f"{content:g} %")
         used = float(study["campaign_frequency"].sel(content=content)) * KHZ
-        right.axvline(used + aside[0] - frequency[0], color=colour, linestyle="--", linewidth=0.8, alpha=0.8)
+        dashes = (4 * place, (4, 4 * count))  # those of equal frequencies follow one another
+        right.axvline(used, color=colour, linestyle=dashes, linewidth=1.0)
     letter_panels((left, right))
     for axes in (left, right):
         axes.set_xlabel(_FREQUENCY_LABEL)
         _start_at_zero(axes)
     left.set_ylabel("frequency received (kHz)")
     right.set_ylabel(VS_LABEL)
-    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=1 + study.sizes["content"])
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=1 + count)
     return figure
 
 

@@ -30,7 +30,7 @@ from calcidem.analysis.figures.style import MM, MS, drawn_in
 from calcidem.app.campaign.patterns import section_of, section_reader, stored_section
 from calcidem.app.config.reader import read_targets
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import film_wave
+from calcidem.dem.wave.propagation import film_wave, prepare_recorder
 from calcidem.dem.wave.reading import Reading
 from calcidem.dem.wave.section import RESOLUTION, Section, fitness
 from calcidem.ends import Verdict
@@ -228,13 +228,15 @@ class CampaignPlots:
         writer = movie_writer(path)
         cell = self.analysis.store.cell(seed=seed, content=content)
         experiment, bonded = self._cemented(seed=seed, content=content)
-        wave = experiment.wave
+        wave, frequency = experiment.wave, cell.frequency or experiment.frequency(content)
+        experiment = _with_settings_of(experiment, cell)
+        stride = prepare_recorder(experiment, [bonded], frequency, 8, lambda: None).stride
         film = film_wave(
-            _with_settings_of(experiment, cell),
+            experiment,
             bonded,
-            cell.frequency or experiment.frequency(content),
+            frequency,
             frames=frames,
-            samples=None if cell.section is None else len(cell.section.across),
+            samples=cell.steps and cell.steps // stride,  # the record of the cell
             watch=lambda done, count: watch(done, 2 * count),
         )
         shown = replace(cell, section=stored_section(film.section))
@@ -267,9 +269,12 @@ def _draw_section(section: Section, found: Reading | Verdict, title: str) -> Fig
     if isinstance(found, Reading):
         begin, end = 0.5 * MS / section.frequency, MM * section.distance
         fitted = section.distance / (found.wave.velocity * (1.0 + found.bias))
-        for travel, color, dashes in ((fitted, style.GREY, "--"), (found.travel_time, style.VERMILION, "-")):
+        wave, peak = (fitted, style.GREY, "--", "fitted wave"), (found.travel_time, style.VERMILION, "-", "peak read")
+        for travel, color, dashes, label in (wave, peak):
             if np.isfinite(travel):
-                traces.plot([begin, begin + MS * travel], [0.0, end], color=color, linewidth=1.0, linestyle=dashes)
+                ends = [begin, begin + MS * travel], [0.0, end]
+                traces.plot(*ends, dashes, color=color, linewidth=1.0, label=label)
+        figure.legend(loc="outside upper center", ncols=2)
         _draw_spectrum(spectrum, section, found)
     traces.set_title(textwrap.fill(title, 72))
     style.letter_panels((traces, spectrum))

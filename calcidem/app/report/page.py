@@ -43,7 +43,7 @@ _MEANINGS: Mapping[str, str] = {
     "p, normal": "Probability of such skewness and kurtosis if Vs is normally distributed.",
     "missing": "Cells that are not computed yet.",
     "failed": "Cells that were computed and gave no velocity.",
-    "G0": "Shear modulus at small strain: density of the soil times Vs squared.",
+    "G0": "Shear modulus at small strain: density of the soil times effective_vs squared.",
     "wavelengths on the path": "Distance from transmitter to receiver over the wavelength Vs / f.",
     "wavelength / d50": "Wavelength over the median diameter of the grains.",
     "calcite by Eq. 2": "Calcite content of the cemented contacts by the paper's Eq. 2, each counted once.",
@@ -191,7 +191,7 @@ def _key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     seconds = float(np.nansum(analysis.cells["seconds"].to_numpy()))
     span = f"{decimal(min(means))} to {decimal(max(means))} m/s" if means else "none"
     return (
-        ("samples measured", f"{done} of {done + failed + missing}"),
+        ("distinct samples measured", f"{done} of {done + failed + missing}"),
         ("without velocity", str(failed)),
         ("not computed yet", str(missing)),
         ("contents and seeds", f"{analysis.vs.sizes['content']} \N{MULTIPLICATION SIGN} {analysis.vs.sizes['seed']}"),
@@ -243,10 +243,7 @@ def _velocity_remarks(analysis: CampaignAnalysis) -> list[str]:
 
 
 def _draw_picture(entry: FigureEntry[Data], data: Data) -> _Picture:
-    """Draw a figure for a self-contained page, grains as pixels, curves as compressed vectors; or say why it is not.
-
-    The colours of grains do not change on dark screens.
-    """
+    """Draw a figure for a self-contained page, grains as pixels, curves as compressed vectors; or say why it is not."""
     figure, reason = make_or_explain(entry.draw, data)
     if figure is None:
         return _Picture(entry, reason=reason)

@@ -38,6 +38,7 @@ _CHOSEN = {
     "wave.receiver_half_width": (_UNKNOWN, "half-width of the receiver, m"),
     "wave.boundary_thickness": (_UNKNOWN, "thickness of the strongly damped layers, m"),
     "wave.law": (_UNKNOWN, "whether geometry and stiffness change with the wave"),
+    "wave.both_sides": (_UNKNOWN, "whether the wave comes from either side, and effective_vs is the mean of both"),
     "cement.bond_stiffness_ratio": (_UNKNOWN, "normal over shear stiffness of a bond"),
     "cement.installation": (_UNKNOWN, "treatment of a contact's force at cementing"),
 }
@@ -77,10 +78,10 @@ def _published_table(analysis: CampaignAnalysis) -> Table | None:
         (
             "content (%)",
             "mean (m/s)",
-            "published",
+            "published mean (m/s)",
             "difference",
             "standard deviation (m/s)",
-            "published",
+            "published deviation (m/s)",
             "normal here",
             "printed as normal",
         ),
@@ -151,7 +152,7 @@ def _differs(here: Distribution, published: PublishedVelocity) -> bool:
 
 
 def _parameter_table(config: Mapping[str, Any]) -> Table | None:
-    """Calibrated and chosen parameters, and those other than published (marked); None for other sands."""
+    """Parameters of the published study, other values than published marked; None for other sands."""
     if not published_study().has_sand_of(config):
         return None
     flat, published = flat_parameters(config), published_study().parameters
@@ -161,14 +162,12 @@ def _parameter_table(config: Mapping[str, Any]) -> Table | None:
     for key, (expected, meaning) in (_CHOSEN | known).items():
         if key not in flat:
             continue
-        remark = meaning
         if expected != _UNKNOWN and flat[key] != expected:
             marked.add(len(rows))
-            remark = f"{meaning}: differs from the published value" if key in known else f"calibrated: {meaning}"
-        rows.append((key, _value_text(flat[key]), _value_text(expected), remark))
+        rows.append((key, _value_text(flat[key]), _value_text(expected), meaning))
     return Table(
-        "Parameters in SI units. Marked rows differ from what is published, or from a literal reading of it: "
-        "these are the calibrated ones. Where nothing is published, a value had to be chosen.",
+        "Parameters in SI units. Marked rows differ from what is published, or from a literal reading of it. Where "
+        "nothing is published, a value had to be chosen.",
         ("parameter", "here", "published or literal", "meaning"),
         tuple(rows),
         frozenset(marked),

@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlation_tests, correlations
+from calcidem.analysis.figures.relations import compared_laws
 from calcidem.analysis.intervals import Interval
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES, describe_feature
 from calcidem.analysis.published import published_study
@@ -237,10 +238,9 @@ def _correlation_table(subject: str, features: Mapping[str, tuple[str, str]], ta
 
 def _law_table(analysis: CampaignAnalysis) -> Table:
     """The laws between C_d,n and Vs with their intervals and errors."""
-    published = {law.name: law for law in published_study().laws}
-    compared = published_study().has_sand_of(analysis.config)
-    rows = []
-    for law in (analysis.physical_law, analysis.scanned_law, analysis.conductance_law):
+    laws, printed_laws = compared_laws(analysis)
+    published, rows = {law.name: law for law in printed_laws}, []
+    for law in (*laws, analysis.conductance_law):
         fit, check, other = law.fit, law.check, published.get(law.name)
         rows.append(
             {
@@ -254,7 +254,7 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
                 "coverage": f"{100 * check.coverage:.0f} %",
             }
         )
-        if compared and other:
+        if other:
             printed = {
                 "weights by": f"{law.name}, published",
                 "sand / cement": f"{other.weights.hertz:.3f} / {other.weights.bond:.3f}",

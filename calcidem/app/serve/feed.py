@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.analysis.velocity import BUDGET_QUANTITIES
+from calcidem.analysis.velocity import BUDGET_QUANTITIES, NOTE_QUANTITIES, notes_on
 from calcidem.app.campaign.patterns import with_patterns
 from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
 from calcidem.app.report.cell_data import (
@@ -245,7 +245,9 @@ class CampaignFeed:
             if self._store is not None and self._columns is not None:
                 with suppress(StoreError):  # the next refresh reports it
                     found = CampaignStatus.of(self._store, self._columns.rows(STATUS_QUANTITIES), ())
-                    return found.to_json() | told | {"name": found.name, "reasons": self._reasons(self._columns)}
+                    notes = notes_on(self._columns.rows(NOTE_QUANTITIES))
+                    told |= {"name": found.name, "reasons": self._reasons(self._columns), "notes": notes}
+                    return found.to_json() | told
             return (self._told or {}) | told
 
     def records(self) -> bytes:
@@ -351,7 +353,7 @@ class CampaignFeed:
         rows = store.table(("seed", "content", "status", "vs"))
         names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
         if len(rows["seed"]) > MOST_FULL_RECORDS:
-            names = [name for name in names if name in {*SHORT_RECORD, *BUDGET_QUANTITIES}]
+            names = [name for name in names if name in {*SHORT_RECORD, *BUDGET_QUANTITIES, *NOTE_QUANTITIES}]
         self._columns = CellColumns.empty(rows, names)
         self._columns.put(rows)
         self._problem = ""

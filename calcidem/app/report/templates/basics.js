@@ -25,6 +25,7 @@ function number(value, digits = 4) {
   return text.replace(/^-/, "−");
 }
 const withUnit = (value, unit, digits = 4) => number(value, digits) + (typeof value === "number" && unit ? ` ${unit}` : "");
+const percent = (share, digits = 2) => (typeof share === "number" ? `${number(100 * share, digits)} %` : MISSING);
 
 const swatch = (colour) => `<span class="swatch" style="background:${colour}"></span>`;
 const key = (colour, text) => `<span>${swatch(`var(--${colour})`)}${text}</span>`;

@@ -34,7 +34,7 @@ function showCell(place) {
   const reason = columns.reason[place];
   const absent = (what) => `<p class="quiet">${details.problem ? escape(details.problem) : source.holds(place) ? `No ${what} is stored.` : "Not in this page; see above."}</p>`;
   const rows = quantities
-    .map(({ name, unit, meaning }) => [meaning, withUnit(valueOf(name, place), unit, 6)])
+    .map(({ name, unit, meaning }) => [meaning, meaning.startsWith("relative") ? percent(valueOf(name, place), 4) : withUnit(valueOf(name, place), unit, 6)])
     .filter(([, text]) => text !== MISSING);
   byId("cell").innerHTML = `
     <h3>S${labelOf(place).slice(1)}: ${vs === null ? escape(number(statusOf(place))) : `Vs = ${number(vs)} m/s`}</h3>
@@ -59,12 +59,12 @@ function worthOf(place) {
   const [vs, error] = [columns.vs[place], columns.vs_error?.[place]];
   if (vs === null || error === null || error === undefined) return "";
   const ends = [-1, 1].map((side) => number(vs * (1 + side * normal95 * error)));
-  const parts = ["reading_error", "numerical_error", "pulse_effect"].map((name) => columns[name]?.[place]).map((part) => (part ?? null) && `${number(100 * part, 2)} %`);
-  const made = parts.every(Boolean) ? ` (reading ${parts[0]}, simulation ${parts[1]}, pulse ${parts[2]})` : "";
-  const other = isLoud(place) ? " ~ It depends on the strength of the pulse, so it is no property of the sample." : "";
+  const parts = ["reading_error", "numerical_error", "pulse_effect"].map((name) => percent(columns[name]?.[place]));
+  const made = !parts.includes(MISSING) ? ` (reading ${parts[0]}, simulation ${parts[1]}, pulse ${parts[2]})` : "";
+  const other = isLoud(place) ? " ~ It depends on the pulse, so it is no property of the sample." : "";
   const effective = columns.effective_vs?.[place];
-  const sample = effective ? ` Effective velocity ${withUnit(effective, "m/s")}, standard error ${number(100 * columns.effective_error[place], 2)} %.` : "";
-  return `<p>95 % interval ${ends[0]} to ${ends[1]} m/s; standard error ${number(100 * error, 2)} %${made}.${other}${sample}</p>`;
+  const sample = effective ? ` Effective velocity ${withUnit(effective, "m/s")}, standard error ${percent(columns.effective_error[place])}.` : "";
+  return `<p>95 % interval ${ends[0]} to ${ends[1]} m/s; standard error ${percent(error)}${made}.${other}${sample}</p>`;
 }
 function drawDetails() {
   if (details?.signal && byId("signal")) drawSignal(details.signal);
@@ -156,11 +156,11 @@ function drawSection({ start, interval, levels, places, traces, begin, coherence
   let room = width - 14;
   for (const [travel] of [...shown].sort(([one], [other]) => other - one)) {
     textAt.set(travel, Math.min(x(begin + travel), room));
-    room = textAt.get(travel) - 34;
+    room = textAt.get(travel) - 48;
   }
   const lines = shown.map(([travel, isChosen]) => {
     const colour = isChosen ? "peak" : "quiet";
-    return `<line x1="${x(begin)}" y1="${y(0)}" x2="${x(begin + travel)}" y2="${y(distance)}" stroke="var(--${colour})" stroke-width="${isChosen ? 2 : 1.2}"${isChosen ? "" : ` stroke-dasharray="5 4"`}/><text x="${textAt.get(travel)}" y="${top - 6}" text-anchor="middle"${isChosen ? ` font-weight="bold"` : ""}>${number(travel)}</text>`;
+    return `<line x1="${x(begin)}" y1="${y(0)}" x2="${x(begin + travel)}" y2="${y(distance)}" stroke="var(--${colour})" stroke-width="${isChosen ? 2 : 1.2}"${isChosen ? "" : ` stroke-dasharray="5 4"`}/><text x="${textAt.get(travel)}" y="${top - 6}" text-anchor="middle"${isChosen ? ` font-weight="bold"` : ""}>${number(travel, 3)}</text>`;
   });
   const chosen = shown.find(([, isChosen]) => isChosen);
   const said = chosen ? `The S wave is the peak at ${number(chosen[0])} ms of travel` : "No peak is the S wave";

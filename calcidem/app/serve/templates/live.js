@@ -163,7 +163,7 @@ function takeStatus(status) {
 }
 function addCampaign(number) {
   const parts = {};
-  for (const [name, tag] of [["name", "h2"], ["database", "p"], ["state", "p"], ["progress", "progress"], ["share", "p"], ["facts", "dl"], ["reasons", "details"]]) {
+  for (const [name, tag] of [["name", "h2"], ["database", "p"], ["state", "p"], ["progress", "progress"], ["share", "p"], ["notes", "p"], ["facts", "dl"], ["reasons", "details"]]) {
     parts[name] = element(tag);
   }
   parts.database.className = parts.share.className = "quiet";
@@ -225,7 +225,7 @@ function stateOf({ problem, checked, running, run, cells, workers }) {
   return `Not running. Run ${run.number}, of ${run.started}: ${run.exit_state || "stopped unexpectedly"}. The same command continues.`;
 }
 function showStatus({ parts, status }) {
-  const { cells = {}, contents = [], reasons = [] } = status;
+  const { cells = {}, contents = [], reasons = [], notes = [] } = status;
   const planned = Object.values(cells).reduce((sum, count) => sum + count, 0);
   const [pending, done] = [cells.pending ?? 0, cells.done ?? 0];
   const finished = planned - pending;
@@ -236,14 +236,15 @@ function showStatus({ parts, status }) {
   parts.progress.value = finished;
   put(parts.share, `${finished.toLocaleString("en")} of ${plural(planned, "cell")} finished (${planned ? Math.floor((100 * finished) / planned) : 0} %)`);
   const facts = [
-    ["with a velocity", done.toLocaleString("en")],
-    ["without velocity", (finished - done).toLocaleString("en")],
+    ["cells with a velocity", done.toLocaleString("en")],
+    ["cells without velocity", (finished - done).toLocaleString("en")],
     ["waiting", pending.toLocaleString("en")],
     ["time left", pending ? duration(status.seconds_left) : "none"],
     [status.running ? "workers" : "workers, last run", status.run ? String(status.workers) : MISSING],
     ["standard error of Vs", status.vs_error ? `${number(100 * status.vs_error, 2)} %` : MISSING],
   ];
   put(parts.facts, facts.map(([term, value]) => `<div><dt>${term}</dt><dd>${escape(value)}</dd></div>`).join(""), true);
+  put(parts.notes, notes.join(" "));
   parts.reasons.hidden = !reasons.length;
   if (!reasons.length) return;
   const rows = reasons.map((one) => `<tr><td>${escape(one.outcome.replace("_", " "))}</td><td class="long">${escape(one.reason)}</td><td>${one.contents.join(", ")}</td><td>${one.cells}</td></tr>`);
@@ -268,18 +269,22 @@ function put(host, text, isMarkup = false) {
 function counted({ cells }) {
   return `${cells.done ?? 0} of ${Object.values(cells).reduce((sum, count) => sum + count, 0)}`;
 }
+/** Name of a campaign, with its database if another one has the same name. */
+function nameOf({ name, database }) {
+  return [...campaigns.values()].filter(({ status }) => status.name === name).length > 1 ? `${name}, ${database}` : name;
+}
 function showGrowth() {
   const shown = [...campaigns.values()].filter(({ status }) => status.contents?.length);
   byId("growth").hidden = !shown.length;
   if (!shown.length) return;
   const several = campaigns.size > 1;
-  const known = shown.flatMap(({ number: campaign, status }) => status.contents.filter(({ mean }) => mean !== null).map((one) => ({ ...one, campaign, name: status.name })));
+  const known = shown.flatMap(({ number: campaign, status }) => status.contents.filter(({ mean }) => mean !== null).map((one) => ({ ...one, campaign, name: nameOf(status) })));
   drawGrowth(shown, known);
-  const names = [...(several ? ["campaign"] : []), "content (%)", "with a velocity", "mean Vs (m/s)", "95 % of the mean (m/s)", "standard deviation (m/s)", "time for a cell", "time left"];
+  const names = [...(several ? ["campaign"] : []), "content (%)", "cells with a velocity", "mean Vs (m/s)", "95 % of the mean (m/s)", "standard deviation (m/s)", "time for a cell", "time left"];
   put(byId("numbers").tHead, `<tr>${names.map((name) => `<th scope="col">${name}</th>`).join("")}</tr>`, true);
   const rows = shown.flatMap(({ status }) => status.contents.map((one) => {
     const values = [
-      ...(several ? [status.name] : []),
+      ...(several ? [nameOf(status)] : []),
       number(one.content), counted(one), number(one.mean), one.interval_95[0] === null ? MISSING : one.interval_95.map((end) => number(end)).join(" to "),
       number(one.sd, 3), one.seconds_per_cell === null ? MISSING : `${number(one.seconds_per_cell, 2)} s`,
       one.cells.pending ? duration(one.core_seconds_left === null ? null : one.core_seconds_left / status.workers) : "none",
@@ -316,7 +321,7 @@ function drawGrowth(shown, known) {
       <text x="${(left + width) / 2}" y="${height - 6}" text-anchor="middle">calcite content (%)</text>
       <text transform="translate(14 ${(height - bottom) / 2}) rotate(-90)" text-anchor="middle">Vs (m/s)</text>
     </svg>`, true);
-  put(byId("chart-keys"), campaigns.size > 1 ? shown.map(({ number: campaign, status }) => key(colourOf(campaign), escape(status.name))).join("") : "", true);
+  put(byId("chart-keys"), campaigns.size > 1 ? shown.map(({ number: campaign, status }) => key(colourOf(campaign), escape(nameOf(status)))).join("") : "", true);
 }
 
 // What the server tells ----------------------------------------------------------------------------------------
