@@ -331,8 +331,9 @@ def _two_velocities_table(analysis: CampaignAnalysis) -> Table | None:
     return Table.of(
         "The two velocities of a cell (medians, unless stated otherwise). vs is the distance over the travel time of a "
         "peak, as in the paper. effective_vs is that of the damped wave that fits the whole section. It belongs to the "
-        "sample, so its standard error is at least that by the side that transmits, measured for the content. On a "
-        "short path in a strip a peak is early; the fitted wave says by how much (bias). Marked: contents whose "
+        "sample, so from one side its standard error is at least that by the side, measured for the content; in the "
+        "mean of both sides this part is smaller by the root of 2. On a short path in a strip a peak is early; the "
+        "fitted wave says by how much (bias). Marked: contents whose "
         f"velocities depend on the pulse, by a standard error above {100 * MOST_PULSE_EFFECT:g} %.",
         rows,
         frozenset(loud),
