@@ -54,6 +54,7 @@ def export_command(
             raise typer.BadParameter(f"'{out}' would be a NetCDF file; {needed}", param_hint="OUT")
         with read_campaign(database, campaign) as store:
             export_netcdf(store, out, without=without or ())
+        say(f"Wrote {out} as NetCDF")
     else:
         from calcidem.app.campaign.opened import SUFFIXES, open_campaign
 
@@ -63,7 +64,7 @@ def export_command(
             raise typer.BadParameter(f"'{out}' ends with none of {', '.join(SUFFIXES)}", param_hint="OUT")
         with open_campaign(database, campaign) as opened:
             opened.sample(seed=seed, content=content).write(out)
-    say(f"Wrote {out}")
+        say(f"Wrote {out}")
 
 
 _RAISED_BY_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
@@ -81,7 +82,7 @@ def import_command(
         str | None,
         typer.Option("--db", metavar="DB", help="Database for the campaign; made if missing."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Disks: file to write for [packing].")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Disks: file to write, for a packing.")] = None,
     unit: Annotated[str | None, typer.Option(help="Disks: unit of length, if the file has none.")] = None,
     columns: Annotated[str, typer.Option(help="Disks: names of the columns from the left: x,y,z,radius.")] = "",
     types: Annotated[list[str] | None, typer.Option("--type", help="Disks: only this type (repeatable).")] = None,

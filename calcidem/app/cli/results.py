@@ -220,8 +220,8 @@ def query_command(
 ) -> None:
     """Show the cells that meet all conditions.
 
-    --features gives Pearson's correlation within a content, its 95 % interval, p by exchanging seeds at random, and p
-    corrected for the number of features.
+    --features gives Pearson's correlation within a content, with 95 % interval and p by exchanging seeds at random, and
+    p corrected for the features of path, or of network.
     """
     from calcidem.app.cli.views import pulse_remark
     from calcidem.storage.records import QUANTITY_BY_NAME, depends_on_pulse
@@ -254,7 +254,7 @@ def query_command(
             found = store.table(wanted, selection, sort=_split_list(sort), limit=limit)
             rows = as_rows({name: found[name] for name in names})
         headings = _headings(names)
-        remark = pluralize(len(rows), "cell")
+        remark = pluralize(len(rows), "cell") if rows else "0 cells; 'calcidem status DB' has the seeds and contents"
         if "vs" in names and (loud := int(depends_on_pulse(found["pulse_effect"]).sum())):
             remark += f"; {pulse_remark(loud)}"
     if layout is Format.TABLE and out is not None:

@@ -326,7 +326,7 @@ def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":
 
 def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
     """Seeds and time for a half-width in m/s at each content."""
-    yield f"\nSeeds for a mean of +- {half_width:g} m/s (95 %):"
+    yield f"\nSeeds for a mean of +- {half_width:g} m/s (95 %), with the range by the uncertain scatter:"
     for content in status.contents:
         if content.content == 0.0:
             yield "  0 %: all seeds are the same sample"
@@ -336,7 +336,7 @@ def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
             yield f"  {content.content:g} %: not known before {FEWEST_TO_PLAN} seeds have a velocity"
             continue
         seconds = None if math.isnan(content.seconds_per_cell) else plan.more * content.seconds_per_cell
-        needed = f"{plan.needed} ({plan.needed_low} to {plan.needed_high}, since the scatter is uncertain)"
+        needed = f"{plan.needed} ({plan.needed_low} to {plan.needed_high})"
         more = f"{plan.more} more, about {duration(seconds)} on one core"
         yield f"  {content.content:g} %: {needed}; {plan.present} give +- {plan.present_half_width:.1f} m/s; {more}"
 
