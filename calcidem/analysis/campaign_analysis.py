@@ -375,26 +375,25 @@ def correlation_tests(table: xr.Dataset) -> xr.Dataset:
 def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
     """Correlate the features of path and network with Vs within one content, over the selected cells only.
 
-    Returns along feature ``pearson``, its 95 % interval ``pearson_low`` and ``pearson_high``, ``p`` and
-    ``p_corrected``, see `calcidem.analysis.correlation.seed_permutation_test`. `UnavailableError` if the campaign has
-    no cement, or no selected cell has a velocity and features.
+    Returns along feature what `calcidem.analysis.correlation.seed_permutation_test` does, corrected for the features of
+    path or network as in the report. `UnavailableError` if the campaign has no cement, or no selected cell has a
+    velocity and features.
     """
-    table = analysis.table.merge(analysis.network_table)
-    chosen = np.zeros(analysis.vs.shape, dtype=bool)
+    table, chosen = analysis.table, np.zeros(analysis.vs.shape, dtype=bool)
     columns = analysis.store.table(("seed", "content"), selection)
     chosen[
         np.searchsorted(table["seed"], columns["seed"].astype(np.int64)),
         np.searchsorted(table["content"], columns["content"]),
     ] = True
-    table = table.where(xr.DataArray(chosen, dims=("seed", "content")))
-    if not bool(table["vs"].notnull().any()):
+    path, network = (one.where(xr.DataArray(chosen, dims=table["vs"].dims)) for one in (table, analysis.network_table))
+    if not bool(path["vs"].notnull().any()):
         raise UnavailableError("no selected cell has a velocity")
-    tests = correlation_tests(table)
-    if not tests.attrs["samples"]:
+    tests = [correlation_tests(one) for one in (path, network)]
+    if not tests[-1].attrs["samples"]:
         raise UnavailableError("no selected cell has a velocity and features")
-    within = correlations(table).within.sel(other="vs", variable=tests["variable"]).drop_vars("other")
-    found = xr.merge([within[["pearson", "pearson_low", "pearson_high"]], tests[["p", "p_corrected"]]])
-    return found.rename(variable="feature").assign_attrs(tests.attrs)
+    return (
+        xr.concat(tests, "variable", combine_attrs="override").rename(variable="feature").assign_attrs(tests[-1].attrs)
+    )
 
 
 def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:

@@ -48,7 +48,7 @@ def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
 
     Intervals by Fisher's z, tanh(artanh(r) -/+ z / sqrt(n - 3)), with one degree of freedom less for each further
     content whose mean was subtracted (Fisher 1924, on partial correlation). They assume independent samples. Samples of
-    one seed share their cement, so the intervals are somewhat too narrow.
+    one seed share their cement, so the intervals are too narrow; `seed_permutation_test` has others.
     """
     names, values = _complete_values(table)
     complete = np.isfinite(values[..., 0])
@@ -123,12 +123,16 @@ def _orders(count: int) -> NDArray[np.int8]:
     return np.array(list(permutations(range(count))), dtype=np.int8)
 
 
-def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
+def seed_permutation_test(table: xr.Dataset, target: str, level: float = 0.95) -> xr.Dataset:
     """Test which variables of a table correlate with the target variable within one content.
 
     Table and errors are as for `correlate_by_content`. Returns along variable, without the target: ``pearson`` of
-    `correlate` within one content, its two-sided ``p``, and ``p_corrected``, the probability that the largest of all
-    coefficients is as large by chance. NaN for constant variables.
+    `correlate` within one content, its interval ``pearson_low`` and ``pearson_high``, its two-sided ``p``, and
+    ``p_corrected``, the probability that the largest of all coefficients is as large by chance. NaN for constant
+    variables; where an order of the seeds gives a coefficient of 1, there is no interval.
+
+    Intervals are those of Fisher's z, with its standard deviation over the permutations: between seeds that share
+    effects it is larger than that of as many independent samples.
 
     Rows of whole seeds are permuted at random against those of the target, since samples of one seed are not
     independent. A missing sample counts as the mean of its content. The correction uses the largest statistic (Westfall
@@ -154,6 +158,9 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
             one[random.permutation(len(targets))] = targets
         drawn[begin : begin + 99] = shuffled.reshape(99, -1) @ features
     size, sizes = np.abs(observed) - _ROUND_OFF, np.abs(drawn)
+    z = np.arctanh(np.where(sizes < 1.0 - _ROUND_OFF, drawn, np.nan))
+    half = float(stats.norm.ppf((1 + level) / 2)) * z.std(axis=0)
+    centre = np.arctanh(np.where(size < 1.0 - 2.0 * _ROUND_OFF, observed, np.nan))
     largest = np.where(np.isfinite(sizes), sizes, 0.0).max(axis=1)
 
     def share(as_large: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -163,11 +170,13 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     return xr.Dataset(
         {
             "pearson": ("variable", observed),
+            "pearson_low": ("variable", np.tanh(centre - half)),
+            "pearson_high": ("variable", np.tanh(centre + half)),
             "p": ("variable", share(sizes >= size)),
             "p_corrected": ("variable", share(largest[:, None] >= size)),
         },
         coords={"variable": [names[number] for number in others]},
-        attrs={"permutations": count, "samples": int(known.sum())},
+        attrs={"permutations": count, "samples": int(known.sum()), "level": level},
     )
 
 

@@ -291,9 +291,9 @@ class CellResult(Record):
     vs_peak: Annotated[_Real, _speed("shear-wave velocity from peak to peak")] = None
     vs_first_arrival: Annotated[_Real, _speed("shear-wave velocity by first arrival")] = None
     vs_cross_correlation: Annotated[_Real, _speed("shear-wave velocity by cross-correlation")] = None
-    vs_bias: Annotated[_Real, _reading("1", "relative excess of vs over effective_vs by a short path in a strip")] = (
-        None
-    )
+    vs_bias: Annotated[
+        _Real, _reading("1", "relative excess of the fitted wave's peak over effective_vs by a short path in a strip")
+    ] = None
     """By the fitted wave: it is known, and no part of an error."""
     reading_error: Annotated[_Real, _relative_error("relative standard error of the reading of vs")] = None
     effective_vs: Annotated[_Real, _speed("velocity of the fitted damped wave, mean of the known sides")] = None
@@ -317,7 +317,7 @@ class CellResult(Record):
     law: Annotated[str | None, Quantity("", "contact law that the check chose", "check", is_exact=True)] = None
     numerical_error: Annotated[_Real, _check("relative standard error of the velocities by the simulation")] = None
     pulse_effect: Annotated[_Real, _check("relative standard error of the velocities by the sense of the pulse")] = None
-    side_error: Annotated[_Real, _check("relative standard error of effective_vs by the side that transmits")] = None
+    side_error: Annotated[_Real, _check("relative standard error of effective_vs from one side, by that side")] = None
     """Measured for the content, see `calcidem.dem.wave.check`."""
     static_speed: Annotated[
         _Real, Quantity("m s-1", "velocity of long shear waves by statics", "statics", _POSITIVE)

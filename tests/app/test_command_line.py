@@ -16,6 +16,7 @@ from places import CHECKOUT, TUTORIAL
 
 import calcidem
 from calcidem.app.cli.main import PANELS, command_function
+from calcidem.app.cli.options import say
 
 if TYPE_CHECKING:
     from conftest import Workshop
@@ -109,6 +110,21 @@ def test_escape_codes_are_for_terminals() -> None:
     assert colour.search(shown_on_a_terminal(["run", "--help"]))
     assert not colour.search(shown_on_a_terminal(["run", "--help"], NO_COLOR="1"))
     assert "\x1b" not in shown_on_a_terminal(["run", "--help"], OMPI_COMM_WORLD_SIZE="3")
+
+
+def test_prose_breaks_between_words_on_a_terminal_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No word or number is cut, indented lines stay indented, and a pipe has one line for each sentence."""
+    text = "0 are finished, 13 samples\n  76.4 GB are free in /a/folder/with/a/long-name"
+    say(text)
+    assert capsys.readouterr().out == f"{text}\n"
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "18")
+    say(text)
+    assert capsys.readouterr().out.splitlines() == [
+        *("0 are finished, 13", "samples", "  76.4 GB are free", "  in", "  /a/folder/with/a/long-name")
+    ]
 
 
 def test_every_command_can_be_quiet_or_tell_more(workshop: "Workshop") -> None:

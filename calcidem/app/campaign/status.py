@@ -439,7 +439,7 @@ class ProgressDisplay:
     def _note(self, text: str) -> None:
         """Write a sentence that remains visible."""
         if self._console is not None:
-            self._console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
+            self._console.print(printable(text), markup=False, highlight=False, soft_wrap=not self._console.is_terminal)
 
     def write(self, line: str) -> None:
         """Write a line of another program unchanged, with its colours; a closed terminal is not an error."""

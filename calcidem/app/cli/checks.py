@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.campaign.notices import printable, tell
+from calcidem.app.campaign.notices import tell
 from calcidem.app.cli.options import (
     DEFAULT_CONFIGURATION,
     SEEDS_AT_ONCE,
@@ -19,6 +19,7 @@ from calcidem.app.cli.options import (
     OnlyContents,
     StudyFolder,
     parse_percentage,
+    say,
 )
 from calcidem.app.cli.output import Format, FormatOption, tell_rows, tell_study
 from calcidem.sweep.schedule import EXIT_ERROR
@@ -56,12 +57,12 @@ def verify_command(
         found = []
         for verification in verify(opened.store, keys, opened.experiment):
             if layout is Format.TABLE:
-                typer.echo(printable(_verification_line(verification)))
+                say(_verification_line(verification))
             found.append(verification)
     counts = Counter(verification.agreement for verification in found)
     if layout is Format.TABLE:
         verdicts = ", ".join(f"{counts[agreement]} {agreement}" for agreement in Agreement)
-        typer.echo(f"{pluralize(len(found), 'cell')}: {verdicts}.")
+        say(f"{pluralize(len(found), 'cell')}: {verdicts}.")
     else:
         rows = [
             {
@@ -88,9 +89,9 @@ def _verify_integrity(opened: "Campaign", layout: Format) -> None:
     if layout is not Format.TABLE:
         tell_rows([{"damage": text} for text in damage], layout, names=("damage",))
     elif damage:
-        typer.echo(printable("\n".join((*damage, DAMAGE_REMEDY))))
+        say("\n".join((*damage, DAMAGE_REMEDY)))
     else:
-        typer.echo("No damage was found.")
+        say("No damage was found.")
     if damage:
         raise typer.Exit(EXIT_ERROR)
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.options import (
     HIGHEST_SEED,
     CampaignName,
@@ -16,6 +15,7 @@ from calcidem.app.cli.options import (
     number_parser,
     parse_percentage,
     refuse_options,
+    say,
 )
 from calcidem.storage.records import ARRAY_RECORDS
 from calcidem.wording import first_of
@@ -54,6 +54,7 @@ def export_command(
             raise typer.BadParameter(f"'{out}' would be a NetCDF file; {needed}", param_hint="OUT")
         with read_campaign(database, campaign) as store:
             export_netcdf(store, out, without=without or ())
+        say(f"Wrote {out} as NetCDF")
     else:
         from calcidem.app.campaign.opened import SUFFIXES, open_campaign
 
@@ -63,7 +64,7 @@ def export_command(
             raise typer.BadParameter(f"'{out}' ends with none of {', '.join(SUFFIXES)}", param_hint="OUT")
         with open_campaign(database, campaign) as opened:
             opened.sample(seed=seed, content=content).write(out)
-    typer.echo(f"Wrote {out}")
+        say(f"Wrote {out}")
 
 
 _RAISED_BY_DAMAGE = (RuntimeError, AttributeError, LookupError, TypeError, ValueError, ArithmeticError)
@@ -81,7 +82,7 @@ def import_command(
         str | None,
         typer.Option("--db", metavar="DB", help="Database for the campaign; made if missing."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Disks: file to write for [packing].")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Disks: file to write, for a packing.")] = None,
     unit: Annotated[str | None, typer.Option(help="Disks: unit of length, if the file has none.")] = None,
     columns: Annotated[str, typer.Option(help="Disks: names of the columns from the left: x,y,z,radius.")] = "",
     types: Annotated[list[str] | None, typer.Option("--type", help="Disks: only this type (repeatable).")] = None,
@@ -118,7 +119,7 @@ def import_command(
         imported = import_packing(
             file, out, unit=unit, columns=names, types=types or (), plane=plane, walls=walls, timestep=timestep
         )
-        typer.echo(printable(imported))
+        say(imported)
         typer.echo(f'Wrote {out}\n\n[packing]\nfile = "{out}"\nwidth = {imported.width!r}')
 
 
@@ -144,7 +145,7 @@ def _import_campaign(file: Path, database: str) -> None:
         problem = f"{file} is damaged ({type(error).__name__}: {error})."
         raise DamagedStoreError(problem, "Export it again, and import it again; nothing was written.") from error
     cells = f"{len(campaign.seeds)} seeds, {len(campaign.contents)} contents"
-    typer.echo(printable(f"Wrote {database}: campaign '{campaign.name}', {cells}"))
+    say(f"Wrote {database}: campaign '{campaign.name}', {cells}")
 
 
 def merge_command(
@@ -162,7 +163,7 @@ def merge_command(
     if prefer is not None and prefer not in sources:
         raise typer.BadParameter(f"{prefer} is none of {', '.join(sources)}.", param_hint="--prefer")
     merged = merge_databases(sources, out, prefer, campaign)
-    typer.echo(printable("\n".join(_merge_lines(merged, out))))
+    say("\n".join(_merge_lines(merged, out)))
 
 
 def _merge_lines(merged: "Merged", out: Path) -> list[str]:

@@ -10,8 +10,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
-from calcidem.app.campaign.notices import printable
-from calcidem.app.cli.options import IS_VERBOSE
+from calcidem.app.cli.options import IS_VERBOSE, say
 from calcidem.app.config.schema import ConfigurationError
 from calcidem.dem.engine.fields import FieldError
 from calcidem.dem.kernels.gpu import GpuError
@@ -98,7 +97,7 @@ def tell_error(error: Exception) -> int:
         )
     if IS_VERBOSE.get():
         text += f"\n{''.join(traceback.format_exception(error))}"
-    sys.stderr.write(printable(hide_passwords(f"Error: {text}\n")))
+    say(hide_passwords(f"Error: {text}"), err=True)
     return _exit_code_of(error)
 
 

@@ -18,7 +18,7 @@ import typer
 from typer.core import TyperGroup
 
 from calcidem.app.campaign.notices import CampaignWarning, listening, printable
-from calcidem.app.cli.options import IS_QUIET, IS_VERBOSE
+from calcidem.app.cli.options import IS_QUIET, IS_VERBOSE, say
 from calcidem.storage.errors import keep_passwords_back
 from calcidem.sweep.ranks import THREAD_VARIABLES, launcher, whole_number
 from calcidem.version import __version__
@@ -172,7 +172,7 @@ def _with_common_options(name: str, function: Callable[..., None]) -> Callable[.
     """Function of a command with the options of all commands."""
 
     def write(sentence: str) -> None:  # separate from the result
-        typer.echo(printable(sentence), err=True)
+        say(sentence, err=True)
 
     @functools.wraps(function)
     def command(*, quiet: bool, verbose: bool, **given: Any) -> None:  # noqa: ANN401 - what the function takes

@@ -1,6 +1,9 @@
 """Arguments and options that several commands have, and notices on a terminal. Imports no large library."""
 
 import math
+import shutil
+import sys
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -9,11 +12,31 @@ from typing import Annotated
 
 import typer
 
+from calcidem.app.campaign.notices import printable
+from calcidem.sweep.ranks import launcher
+
 IS_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
 """Whether only results and errors are written; each command sets it."""
 
 IS_VERBOSE: ContextVar[bool] = ContextVar("verbose", default=False)
 """Whether tracebacks of errors and the time of a command are wanted, too."""
+
+
+def say(text: object, *, err: bool = False) -> None:
+    """Write a text for people, printable, to standard output or error; a terminal breaks its lines between words."""
+    lines = printable(text).split("\n")
+    if (sys.stderr if err else sys.stdout).isatty() and launcher() is None:
+        width = shutil.get_terminal_size().columns
+        lines = [
+            textwrap.fill(
+                *(line, width),
+                subsequent_indent=line[: len(line) - len(line.lstrip())],
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
+            for line in lines
+        ]
+    typer.echo("\n".join(lines), err=err)
 
 
 @contextmanager

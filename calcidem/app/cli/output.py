@@ -134,25 +134,28 @@ def make_console() -> Console:
 
 
 class WholeTable(Table):
-    """Table that folds into several below each other, each with the first column, rather than cut a number."""
+    """Table that folds into several below each other, each with the first columns, rather than cut a number."""
+
+    kept = 1
+    """Number of these columns."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Render it, or the tables that it folds into."""
         if self.__rich_measure__(console, options.update(max_width=1000)).maximum <= options.max_width:
             yield from super().__rich_console__(console, options)
             return
-        first, *others = self.columns
+        kept, others = self.columns[: self.kept], self.columns[self.kept :]
         groups: list[list[Column]] = [[]]
         for column in others:
-            if groups[-1] and 1 + sum(map(_least_width, [first, *groups[-1], column])) > options.max_width:
+            if groups[-1] and 1 + sum(map(_least_width, [*kept, *groups[-1], column])) > options.max_width:
                 groups.append([])
             groups[-1].append(column)
         for number, group in enumerate(groups):
             part = Table(box=self.box, title=None if number else self.title, title_justify="left")
-            for column in (first, *group):
+            for column in (*kept, *group):
                 width = None if _is_text(column) else _least_width(column) - _BORDER
                 part.add_column(column.header, justify=column.justify, width=width, overflow="fold")
-            for row in zip(*(column.cells for column in (first, *group)), strict=True):
+            for row in zip(*(column.cells for column in (*kept, *group)), strict=True):
                 part.add_row(*row)
             yield part
         if self.caption is not None:

@@ -27,6 +27,7 @@ from calcidem.app.cli.options import (
     number_parser,
     parse_percentage,
     progress_bar,
+    say,
 )
 from calcidem.app.cli.output import Format, FormatOption, RecordRows, WholeTable, tell_rows
 from calcidem.ends import CellStatus, Verdict
@@ -162,7 +163,7 @@ def report_command(
             figures=figure or (),
             watch=watch,
         )
-    typer.echo(f"Wrote {page}")
+    say(f"Wrote {page}")
 
 
 def serve_command(
@@ -192,7 +193,7 @@ def serve_command(
     wanted = [(database, name) for database in databases for name in names]
 
     def tell() -> None:
-        typer.echo(printable(f"Live page: {address.url}"))
+        say(f"Live page: {address.url}")
         sys.stdout.flush()
 
     LivePage(wanted, address).serve(tell, wait=wait)
@@ -219,10 +220,11 @@ def query_command(
 ) -> None:
     """Show the cells that meet all conditions.
 
-    --features gives Pearson's correlation within a content, its 95 % interval, p by exchanging seeds at random, and p
-    corrected for the number of features.
+    --features gives Pearson's correlation within a content, with 95 % interval and p by exchanging seeds at random, and
+    p corrected for the features of path, or of network.
     """
-    from calcidem.storage.records import QUANTITY_BY_NAME
+    from calcidem.app.cli.views import pulse_remark
+    from calcidem.storage.records import QUANTITY_BY_NAME, depends_on_pulse
     from calcidem.storage.sql.store import read_campaign
 
     selection = Selection(seed or None, content or None, status or None, where)
@@ -248,9 +250,13 @@ def query_command(
         )
         names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
         with read_campaign(database, campaign) as store:
-            rows = as_rows(store.table(names, selection, sort=_split_list(sort), limit=limit))
+            wanted = tuple(dict.fromkeys((*names, "pulse_effect"))) if "vs" in names else names
+            found = store.table(wanted, selection, sort=_split_list(sort), limit=limit)
+            rows = as_rows({name: found[name] for name in names})
         headings = _headings(names)
-        remark = pluralize(len(rows), "cell")
+        remark = pluralize(len(rows), "cell") if rows else "0 cells; 'calcidem status DB' has the seeds and contents"
+        if "vs" in names and (loud := int(depends_on_pulse(found["pulse_effect"]).sum())):
+            remark += f"; {pulse_remark(loud)}"
     if layout is Format.TABLE and out is not None:
         layout = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET}.get(out.suffix.lower(), layout)
     if layout is not Format.TABLE:
@@ -263,7 +269,7 @@ def query_command(
 
         write_text_atomically(out, _as_table(headings, rows, remark))
     if out is not None:
-        typer.echo(f"Wrote {out}: {remark}")
+        say(f"Wrote {out}: {remark}")
 
 
 def _numbers(form: str, *values: float) -> str:
@@ -324,14 +330,14 @@ def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str, width
     """Rows in aligned columns, no wider than needed; folded if they are wider than a terminal."""
     table = WholeTable(box=None, pad_edge=False, header_style="bold")
     for heading, numeric in headings.items():
-        table.add_column(Text(heading), justify="right" if numeric else "left", no_wrap=True)
+        table.add_column(Text(heading), justify="right" if numeric else "left", no_wrap=numeric)
+    table.kept = max(1, len({"seed", "content [percent]"} & {*list(headings)[:2]}))
     for row in rows:
         table.add_row(*(Text(_format_value(value)) for value in row.values()))
     stream = io.StringIO()
     # Rich cuts columns to the width of the terminal; a table in a pipe must stay complete.
-    Console(file=stream, width=width, highlight=False).print(table)
-    lines = (line.rstrip() for line in stream.getvalue().splitlines())
-    return "\n".join([*lines, remark, ""])
+    Console(file=stream, width=width, highlight=False).print(table, Text(remark))
+    return "".join(f"{line.rstrip()}\n" for line in stream.getvalue().splitlines())
 
 
 def _format_value(value: object) -> str:
@@ -359,19 +365,21 @@ def show_command(
 
     With --out also figures: cement, path, signals, and the section with the candidates for the S wave.
     """
-    from calcidem.storage.records import QUANTITY_BY_NAME
+    from calcidem.storage.records import QUANTITY_BY_NAME, depends_on_pulse
     from calcidem.storage.sql.store import read_campaign
-    from calcidem.storage.store import Selection
 
     with read_campaign(database, campaign) as store:
         store.cell(seed=seed, content=content)  # raises an error if there is none
         (row,) = as_rows(store.table(tuple(QUANTITY_BY_NAME), Selection(seeds=(seed,), contents=(content,))))
     if layout is Format.TABLE:
         from calcidem.app.cli.output import make_console, make_table
+        from calcidem.app.cli.views import pulse_remark
 
         table = make_table(f"Seed {seed} at {content:g} %.", "quantity", "value")
         for meaning, value in _cell_rows(row):
             table.add_row(meaning, Text(printable(value)))
+        if depends_on_pulse(row["pulse_effect"]):
+            table.add_row("warning", pulse_remark(1))
         if verdict := Verdict.of(row["reason"] or ""):
             table.add_row("remedy", verdict.remedy)
         make_console().print(table)
@@ -383,11 +391,11 @@ def show_command(
 
     with open_campaign(database, campaign) as opened:
         for file in () if out is None else _draw_cell(opened, seed, content, out):
-            typer.echo(f"Wrote {file}", err=layout is not Format.TABLE)
+            say(f"Wrote {file}", err=layout is not Format.TABLE)
         if movie is not None:
             with progress_bar("Movie") as watch:
                 opened.plot.movie(movie, seed=seed, content=content, frames=frames, watch=watch)
-            typer.echo(f"Wrote {movie}", err=layout is not Format.TABLE)
+            say(f"Wrote {movie}", err=layout is not Format.TABLE)
 
 
 def _cell_rows(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.campaign.notices import advise, printable, tell
+from calcidem.app.campaign.notices import advise, tell
 from calcidem.app.cli.options import (
     DEFAULT_CONFIGURATION,
     IS_QUIET,
@@ -18,6 +18,7 @@ from calcidem.app.cli.options import (
     ConfigurationFile,
     number_parser,
     refuse_options,
+    say,
 )
 from calcidem.app.config.presets import PRESETS, preset_text, slurm_job
 from calcidem.wording import first_of, pluralize
@@ -107,19 +108,17 @@ def init_command(
         own = OwnSand.of_words(size, words[0], words[1], words[2], file.parent, given[0])
         text = own.text()
         if 0.0 < max(own.contents) < 0.1:
-            typer.echo(
-                f"Contents are percent of the sand's mass: is {max(own.contents):g} % meant, not a fraction?", err=True
-            )
+            say(f"Contents are percent of the sand's mass: is {max(own.contents):g} % meant, not a fraction?", err=True)
     if slurm:
         job = file.with_suffix(".sbatch")
         _write_new(job, slurm_job(file.name), "submit it, or remove it first")
-        typer.echo(f"Wrote {job}. Edit its first lines, then, in its folder: sbatch {job.name}")
+        say(f"Wrote {job}. Edit its first lines, then, in its folder: sbatch {job.name}")
         if file.exists():
             return
     other = file.with_stem(f"{file.stem}-{chosen}")
     another = "give another name" if given else f"write another with 'calcidem init {other} --preset {chosen}'"
     _write_new(file, text, f"run it with 'calcidem run {file}', or {another}")
-    typer.echo(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
+    say(f"Wrote {file}. Edit it as you like, then: calcidem run {file}")
     if given:
         decisions = "file|height|diameter|stress|bond_modulus|frequency|amplitude|slowest"
         found = re.findall(rf"(?m)^({decisions}) = (.*?) +# (.*)", text)
@@ -199,7 +198,7 @@ def run_command(
         if check:
             from calcidem.app.campaign.preview import preview_lines
 
-            typer.echo(printable("\n".join(preview_lines(loaded, ranks))))
+            say("\n".join(preview_lines(loaded, ranks)))
         else:
             _make_packing_alone(loaded)
         return
@@ -258,7 +257,7 @@ def _make_packing_alone(configuration: "Configuration") -> None:
     from calcidem.app.config.checks import check_against_packing
 
     packing = provide_packing(configuration, None)
-    typer.echo("\n".join(packing_lines(packing)))
+    say("\n".join(packing_lines(packing)))
     for warning in (*check_against_packing(configuration, packing), *wave_doubts(configuration, packing)):
         advise(f"{warning}.")
 

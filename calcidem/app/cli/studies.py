@@ -21,6 +21,7 @@ from calcidem.app.cli.options import (
     number_parser,
     parse_percentage,
     refuse_options,
+    say,
 )
 from calcidem.app.cli.output import Format, FormatOption, tell_rows
 from calcidem.input_file import Table, read_input
@@ -57,28 +58,32 @@ def predict_command(
     intervals.
     """
     from calcidem.app.campaign.opened import check_predictions, open_campaign
+    from calcidem.app.cli.views import pulse_remark
 
     if (seed is not None and pattern is not None) or (content is None and (seed, pattern) != (None, None)):
         raise typer.BadParameter("give --content, and one of --seed and --pattern or none of them")
     cement = None if pattern is None else _read_pattern(pattern)
     with open_campaign(database, campaign) as opened:
-        predicted: dict[str, float] = {}
+        prediction, predicted = None, dict[str, float]()
         if content is not None:
             prediction = opened.predict(content=content, seed=seed, pattern=cement, level=level)
             low, high = prediction.interval.low, prediction.interval.high
             predicted = {"content": content, "vs": prediction.vs, "vs_interval_low": low, "vs_interval_high": high}
             if layout is Format.TABLE:
-                source = "content and features" if prediction.uses_features else "the content alone"
-                typer.echo(
+                source = "content and conductance" if prediction.uses_features else "the content alone"
+                say(
                     f"{content:g} %: Vs {prediction.vs:.0f} m/s, {100.0 * level:g} % of such samples from {low:.0f} to "
-                    f"{high:.0f} m/s, from {source}."
+                    f"{high:.0f} m/s, from {source}. Vs is their median."
                 )
         analysis = opened.analyse()
-        checks = check_predictions(analysis, level)
         alone = check_predictions(analysis, level, with_cement=False)
+        checks = alone if prediction and not prediction.uses_features else check_predictions(analysis, level)
     chosen = [known for known in checks if content is None or np.isclose(known, content)]
     if layout is Format.TABLE:
         _tell_checks(checks, alone, chosen, content)
+        of_contents = zip(analysis.distributions, analysis.budgets, strict=True)
+        if loud := sum(budget.loud for row, budget in of_contents if row.content in chosen):
+            say(pulse_remark(loud))
         return
     rows: list[dict[str, Any]] = [
         {
@@ -124,7 +129,7 @@ def _tell_checks(
 
     if not chosen:
         if content is None:
-            typer.echo("No content has the six velocities that a check needs.")
+            say("No content has the six velocities that a check needs.")
         return
     inside, scores, without = (
         np.concatenate([found[known][part] for known in chosen])
@@ -139,11 +144,14 @@ def _tell_checks(
             numbers = f"{100.0 * own.mean():.1f}", f"{score.mean():.1f}", f"{alone[known][1].mean():.1f}"
             table.add_row(f"{known:g}", str(own.size), *numbers)
         make_console().print(table)
-    typer.echo(
+    told = (
         f"Of {inside.size} samples, each predicted from the other seeds of its content, {100.0 * inside.mean():.1f} % "
-        f"lay in their interval. Mean interval score {scores.mean():.1f} m/s; {without.mean():.1f} m/s for the content "
-        "alone."
+        f"lay in their interval. Mean interval score {scores.mean():.1f} m/s"
     )
+    if checks is not alone:
+        told += f"; {without.mean():.1f} m/s for the content alone"
+        told += ", which predicts better" if without.mean() < scores.mean() else ""
+    say(f"{told}. The score is the width, and more for a sample outside: small is good.")
 
 
 def sensitivity_command(
@@ -195,7 +203,7 @@ def sensitivity_command(
         typer.echo(result.text)
         return
     for written in result.write(out):
-        typer.echo(f"Wrote {written}")
+        say(f"Wrote {written}")
 
 
 def calibrate_command(
@@ -262,12 +270,12 @@ def calibrate_command(
     tell(f"Every trial is a campaign in {trials}; after a stop the same command continues.")
     with study_workers(cores or available_cores()) as executor:
         fitted = calibrate(loaded, packing, plan, trials, executor, tell)
-    typer.echo("\n".join(_calibration_lines(fitted)))
+    say("\n".join(_calibration_lines(fitted)))
     if not fitted.is_fitted:
-        typer.echo(f"Nothing was fitted: {out} is not written.")
+        say(f"Nothing was fitted: {out} is not written.")
         raise typer.Exit(EXIT_ERROR)
     write_text_atomically(out, text_with_values(text, {"campaign.name": out.stem, **fitted.values}))
-    typer.echo(f"Wrote {out}")
+    say(f"Wrote {out}")
 
 
 def _calibration_lines(fitted: "FittedParameters") -> Iterator[str]:

@@ -203,7 +203,7 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
         parts.append(Text(f"  standard error of Vs: {status.budget}"))
     if half_width is not None:
         parts += map(Text, _seed_lines(status, half_width))
-    parts += [Text(printable(line), overflow="ellipsis", no_wrap=True) for line in _trouble_lines(status)]
+    parts += [Text(printable(line)) for line in _trouble_lines(status)]
     verdicts = {Verdict.of(trouble.reason) for trouble in status.troubles}
     parts += [Text(f"No arrival: {verdict.explained}.") for verdict in Verdict if verdict in verdicts]
     return Group(*parts)
@@ -239,7 +239,8 @@ def _matrix_table(status: CampaignStatus, columns: int, per_character: int) -> W
     table = WholeTable(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("content %", justify="right", no_wrap=True)
     table.add_column(seeds, no_wrap=len(seeds) <= columns)
-    for name in ("done", "mean Vs m/s", "95 % of mean", "sd m/s", "s/cell", "left"):
+    left = ["left"] if status.pending else []
+    for name in ("done", "mean Vs m/s", "95 % of mean", "sd m/s", "s/cell", *left):
         table.add_column(name, justify="right", no_wrap=True)
     for content in status.contents:
         table.add_row(
@@ -251,7 +252,10 @@ def _matrix_table(status: CampaignStatus, columns: int, per_character: int) -> W
             f"+- {half:.1f}" if math.isfinite(half := content.interval.half_width) else "-",
             number(content.deviation),
             number(content.seconds_per_cell, ".2g"),
-            duration(None if math.isnan(content.seconds_left) else content.seconds_left / status.workers),
+            *[
+                duration(None if math.isnan(content.seconds_left) else content.seconds_left / status.workers)
+                for _ in left
+            ],
         )
     return table
 
@@ -317,7 +321,7 @@ def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":
 
 def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
     """Seeds and time for a half-width in m/s at each content."""
-    yield f"\nSeeds for a mean of +- {half_width:g} m/s (95 %):"
+    yield f"\nSeeds for a mean of +- {half_width:g} m/s (95 %), with the range by the uncertain scatter:"
     for content in status.contents:
         if content.content == 0.0:
             yield "  0 %: all seeds are the same sample"
@@ -327,7 +331,7 @@ def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
             yield f"  {content.content:g} %: not known before {FEWEST_TO_PLAN} seeds have a velocity"
             continue
         seconds = None if math.isnan(content.seconds_per_cell) else plan.more * content.seconds_per_cell
-        needed = f"{plan.needed} ({plan.needed_low} to {plan.needed_high}, since the scatter is uncertain)"
+        needed = f"{plan.needed} ({plan.needed_low} to {plan.needed_high})"
         more = f"{plan.more} more, about {duration(seconds)} on one core"
         yield f"  {content.content:g} %: {needed}; {plan.present} give +- {plan.present_half_width:.1f} m/s; {more}"
 
@@ -365,8 +369,12 @@ def _remarks_on(marks: Iterable[str], loud: int) -> Iterator[str]:
     if any("!" in mark for mark in marks):
         yield "! possible selection bias: cells without velocity may shift the mean by more than its standard error"
     if loud:
-        samples = pluralize(loud, "sample")
-        yield (
-            f"~ Vs of {samples} depends on the pulse by more than {100 * MOST_PULSE_EFFECT:g} %: "
-            "a smaller wave.amplitude measures the sample"
-        )
+        yield f"~ {pulse_remark(loud)}"
+
+
+def pulse_remark(loud: int) -> str:
+    """Verdict on this number of samples whose velocity depends on the pulse."""
+    return (
+        f"Vs of {pluralize(loud, 'sample')} depends on the pulse by more than {100 * MOST_PULSE_EFFECT:g} %: a smaller "
+        "wave.amplitude measures the sample"
+    )

@@ -36,7 +36,8 @@ _MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",
     "n": "Number of samples with a velocity.",
     "standard deviation": "Scatter of Vs between samples that differ in the places of their cement only.",
-    "reading error": "Part of the scatter that comes from reading the arrivals, and not from the samples.",
+    "reading error": "Part of the scatter that comes from reading the arrivals, and not from the samples. Near the "
+    "standard deviation or above, it is an upper estimate, and the deviation says little of the samples.",
     "95 % of new samples": "Range that contains 95 of 100 further samples, if Vs is normally distributed.",
     "skewness": "Asymmetry of the distribution: 0 if it is symmetric, positive if fast samples lie far out.",
     "kurtosis": "Weight of the tails: 3 for a normal distribution.",

@@ -209,8 +209,7 @@ def _correlation_table(subject: str, features: Mapping[str, tuple[str, str]], ta
     """Features with symbol and definition, and their correlation with Vs."""
     matrices, tests = correlations(table), correlation_tests(table)
 
-    def coefficient(matrix: xr.Dataset, name: str) -> str:
-        cell = matrix.sel(variable=name, other="vs")
+    def coefficient(cell: xr.Dataset) -> str:
         low, high = float(cell["pearson_low"]), float(cell["pearson_high"])
         if not math.isfinite(float(cell["pearson"])):
             return decimal(math.nan)
@@ -220,18 +219,19 @@ def _correlation_table(subject: str, features: Mapping[str, tuple[str, str]], ta
         {
             "feature": symbol,
             "definition": definition,
-            "with Vs, all contents": coefficient(matrices.overall, name),
+            "with Vs, all contents": coefficient(matrices.overall.sel(variable=name, other="vs")),
             "Spearman": decimal(float(matrices.overall["spearman"].sel(variable=name, other="vs")), 2),
-            "with Vs, within one content": coefficient(matrices.within, name),
+            "with Vs, within one content": coefficient(tests.sel(variable=name)),
             "p, corrected": probability(float(tests["p_corrected"].sel(variable=name))),
         }
         for name, (symbol, definition) in features.items()
     )
     return Table.of(
-        f"Features of {subject} and Pearson's correlation with Vs, with 95 % intervals. Over all "
-        "contents a common growth with content inflates it. Within one content, less the mean and over the standard "
-        "deviation of each content, it measures how much of the scatter a feature explains. Its p-value is corrected "
-        "for the number of features: seeds are exchanged at random, and the largest coefficient counts.",
+        f"Features of {subject} and Pearson's correlation with Vs, with 95 % intervals. Over all contents a common "
+        "growth with content inflates it, and its interval takes cells as independent. Within one content, less the "
+        "mean and over the standard deviation of each content, it measures how much of the scatter a feature explains. "
+        "Its interval and p-value exchange seeds at random. The p-value is corrected for the number of features: the "
+        "largest coefficient counts.",
         rows,
     )
 
@@ -331,8 +331,9 @@ def _two_velocities_table(analysis: CampaignAnalysis) -> Table | None:
     return Table.of(
         "The two velocities of a cell (medians, unless stated otherwise). vs is the distance over the travel time of a "
         "peak, as in the paper. effective_vs is that of the damped wave that fits the whole section. It belongs to the "
-        "sample, so its standard error is at least that by the side that transmits, measured for the content. On a "
-        "short path in a strip a peak is early; the fitted wave says by how much (bias). Marked: contents whose "
+        "sample, so from one side its standard error is at least that by the side, measured for the content; in the "
+        "mean of both sides this part is smaller by the root of 2. On a short path in a strip a peak is early; the "
+        "fitted wave says by how much (bias). Marked: contents whose "
         f"velocities depend on the pulse, by a standard error above {100 * MOST_PULSE_EFFECT:g} %.",
         rows,
         frozenset(loud),

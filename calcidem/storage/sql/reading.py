@@ -307,8 +307,8 @@ class StoreReader(Closable):
         for found in self.results(Selection(seed, content), with_arrays=True):
             return found
         raise UnknownCellError(
-            f"The cell of seed {seed} and content {content} % has no outcome.",
-            "See 'pending' in the status, or extend the campaign.",
+            f"The campaign has no outcome of seed {seed} at {content:g} %.",
+            "'calcidem status DB' has its seeds and contents, and how many cells are pending.",
         )
 
     def results(

@@ -1,5 +1,7 @@
 """`calcidem predict` and `campaign.predict`: velocities of the tutorial's campaign without simulating."""
 
+import shutil
+import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
@@ -91,7 +93,26 @@ def test_the_command_predicts_and_says_how_far_to_trust_it(
     assert f"5 %: Vs {campaign.predict(content=5.0, pattern=cement).vs:.0f} m/s, 95 %" in one
     assert f"Mean interval score {checks[5.0][1].mean():.1f} m/s" in one
     assert f"{alone[5.0][1].mean():.1f} m/s for the content alone" in one
+    by_content = " ".join(invoke("predict", database, "--content", 5).split())
+    assert "from the content alone" in by_content
+    assert f"{100 * alone[5.0][0].mean():.1f} % lay" in by_content
+    assert f"Mean interval score {alone[5.0][1].mean():.1f} m/s. The" in by_content
     invoke("predict", database, "--content", 5, "--level", 0.9)
     invoke("predict", database, "--seed", 3, exit_code=2)
     invoke("predict", database, "--level", "nan", exit_code=2)
     invoke("predict", database, "--content", 5, "--seed", 3, "--pattern", contacts, exit_code=2)
+
+
+def test_predictions_and_cells_that_depend_on_the_pulse_say_so(
+    database: Path, tmp_path: Path, invoke: Callable[..., str]
+) -> None:
+    """As `status` and `report` do, at the contents with an effect above 2 % alone."""
+    loud = Path(shutil.copy(database, tmp_path))
+    with sqlite3.connect(loud) as connection:
+        connection.execute("UPDATE result SET pulse_effect = 0.25 WHERE pulse_effect IS NOT NULL")
+    cell = ("--seed", 3, "--content", 5)
+    for words in (("predict", "--content", 5), ("query", *cell), ("show", *cell)):
+        name, *options = words
+        verdict = "depends on the pulse by more than 2 %"
+        assert verdict in " ".join(invoke(name, loud, *options).split())
+        assert verdict not in " ".join(invoke(name, database, *options).split())

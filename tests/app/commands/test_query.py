@@ -165,3 +165,13 @@ def test_a_table_wider_than_a_terminal_folds() -> None:
         word for line in lines[:-1] for word in line.split() if word[0].isdigit()
     }
     assert len(_as_table(headings, rows, "1 cell").splitlines()) == 3
+
+
+def test_parts_of_a_wide_table_have_seed_and_content_and_break_texts() -> None:
+    """Otherwise the rows of a seed could not be told apart, and a long reason would leave no room for the seed."""
+    row = {"seed": 32, "content": 5.0, "status": "no_arrival", "reason": "the receiver has no peak " * 6}
+    headings = {"seed": True, "content [percent]": True, "status": False, "reason": False}
+    lines = _as_table(headings, [row], "1 cell; with a remark that is longer than 40", 40).splitlines()
+    assert max(map(len, lines)) <= 40
+    parts = [line.split()[:2] for line in lines if line.lstrip().startswith("seed")]
+    assert len(parts) == sum(line.split()[:2] == ["32", "5"] for line in lines) == 2
