@@ -113,7 +113,7 @@ def commands_page() -> str:
             help_text = "\n\n".join(
                 " ".join(part.split()) for part in inspect.getdoc(command_function(name)).split("\n\n")
             )
-            lines += [f"### calcidem {name}", "", *_filled(_plain(help_text))]
+            lines += [f"### calcidem {name}", "", *_filled(help_text)]
             lines += _listed([row for row in tables[name] if row not in shared])
             if above := [f"`{names.split()[0]}`" for names, words in tables[name] if (names, words) in shared]:
                 lines += [f"Also {', '.join(above)}.", ""]
@@ -142,7 +142,7 @@ def _parameters(function: Callable[..., None]) -> list[tuple[str, str]]:
         hint, info = get_args(hints[name])
         required = parameter.default is inspect.Parameter.empty
         value = _value_word(name, hint, info)
-        words = _plain(info.help or "")
+        words = info.help or ""
         if isinstance(info, OptionInfo):
             # In Annotated the first name takes the place of the default.
             declared = [word for word in (info.default, *(info.param_decls or ())) if isinstance(word, str)]
@@ -190,11 +190,6 @@ def _innermost(hint: Any) -> Any:  # noqa: ANN401 - as above
     """Type of the entries of a list, or the type itself."""
     inner = get_args(hint)
     return _innermost(inner[0]) if inner else hint
-
-
-def _plain(text: str) -> str:
-    """Text without the marks that the terminal's renderer wants."""
-    return text.replace("\\[", "[")
 
 
 _QUANTITIES = """# Stored quantities

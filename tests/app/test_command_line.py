@@ -248,3 +248,11 @@ def test_run_in_process_gives_the_campaign(
     with calcidem.run(workshop.folder / "c.toml", db=workshop.database) as campaign:
         assert campaign.vs().shape == (2, 1)
     assert workshop.cells() == {key: cell for key, cell in expected.items() if key in {(2, 5.0), (3, 5.0)}}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_no_help_text_has_markup(name: str) -> None:
+    """Square brackets before a letter are marks to the renderer of --help, which leaves the word out."""
+    hints = get_type_hints(command_function(name), include_extras=True).values()
+    texts = [text for hint in hints for note in getattr(hint, "__metadata__", ()) for text in (note.help, note.metavar)]
+    assert not [text for text in (command_function(name).__doc__, *texts) if re.search(r"\[[a-z/#@]", text or "")]

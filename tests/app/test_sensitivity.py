@@ -136,7 +136,12 @@ def test_values_have_their_unit(varied: str, head: str, monkeypatch: pytest.Monk
     """A frequency has one, and a factor has none."""
     vs = xr.DataArray([[500.0]], dims=("content", varied), coords={"content": [5.0], varied: [0.3]}, name="vs_peak")
     monkeypatch.setattr("calcidem.app.studies.sensitivity.run_studies", lambda *_, **__: {varied: vs.to_dataset()})
-    assert f"| content, % | {head}" in vary_one(varied, "any.db", None, None).text
+    told = vary_one(varied, "any.db", None, None).text
+    assert f"| content, % | {head}" in told
+    assert told.startswith("Mean Vs from peak to peak, m/s, of 1 sample.")
+    near = vs.to_dataset().assign_attrs(distance=1000.0).assign(frequency=vs[varied].variable * 0.0 + 0.3)
+    monkeypatch.setattr("calcidem.app.studies.sensitivity.run_studies", lambda *_, **__: {varied: near})
+    assert "| 5 | 500 * |" in vary_one(varied, "any.db", None, None).text
 
 
 def test_the_plan_of_the_documentation_is_good(tmp_path: Path) -> None:

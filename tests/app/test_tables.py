@@ -1,11 +1,12 @@
 """Tables on terminals of any width."""
 
+import sys
 from io import StringIO
 
 import pytest
 from rich.console import Console
 
-from calcidem.app.cli.output import make_table
+from calcidem.app.cli.output import make_table, tell_tables
 
 
 @pytest.mark.parametrize("width", [40, 60, 80, 120])
@@ -38,3 +39,21 @@ def test_a_number_that_does_not_fit_goes_on_below() -> None:
     shown = console.file.getvalue()  # type: ignore[attr-defined]
     assert "…" not in shown
     assert set("1234678") <= set(shown)
+
+
+def test_a_terminal_gets_tables_of_a_study_that_fit_and_a_pipe_its_markdown(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each row has its cells, empty ones included, and prose is broken between words."""
+    row = "| | 1200 ± 30<br>+5 %, **x 1** | 0 |  |".replace("| |", "|  |")
+    told = f"Prose {'of words ' * 12}\n\n| {' | '.join(f'a heading {n}' for n in range(4))} |\n|---|---|---|---|\n{row}"
+    tell_tables(told)
+    assert capsys.readouterr().out == f"{told}\n"
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "60")
+    monkeypatch.setenv("TERM", "dumb")
+    tell_tables(told)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 60
+    assert ["1200", "±", "30", "0"] in [line.split() for line in lines]
+    assert "|" not in "".join(lines)

@@ -32,14 +32,16 @@ class _Listener(logging.Handler):
 
     def __init__(self, write: Callable[[str], object], *, with_advice: bool) -> None:
         super().__init__()
-        self._write, self._with_advice = write, with_advice
+        self._write, self._with_advice, self._advice = write, with_advice, set[str]()
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Pass it on; an error of the function is that of the sender, as of any output."""
+        """Pass it on, the same advice once; an error of the function is that of the sender, as of any output."""
+        told = record.getMessage()
         if record.levelno != logging.WARNING:
-            self._write(record.getMessage())
-        elif self._with_advice:
-            self._write(f"Warning: {record.getMessage()}")
+            self._write(told)
+        elif self._with_advice and told not in self._advice:
+            self._advice.add(told)
+            self._write(f"Warning: {told}")
 
 
 @contextmanager

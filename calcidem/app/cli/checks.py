@@ -169,7 +169,9 @@ def stability_command(
             help="Content of the scenes; the campaign's middle one if not given.",
         ),
     ] = None,
-    scenes: Annotated[int, typer.Option(min=0, help="Random scenes, instead of one quantity at a time.")] = 0,
+    scenes: Annotated[
+        int, typer.Option(min=0, help="Random scenes, without a figure, instead of one quantity at a time.")
+    ] = 0,
     draw: Annotated[int, typer.Option(min=0, metavar="SEED", help="Seed of the random scenes.")] = 1,
     db: JudgedDatabase = None,
     out: StudyFolder = None,

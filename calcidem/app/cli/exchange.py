@@ -82,7 +82,7 @@ def import_command(
         str | None,
         typer.Option("--db", metavar="DB", help="Database for the campaign; made if missing."),
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Disks: file to write, for a packing.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Disks: file to write.")] = None,
     unit: Annotated[str | None, typer.Option(help="Disks: unit of length, if the file has none.")] = None,
     columns: Annotated[str, typer.Option(help="Disks: names of the columns from the left: x,y,z,radius.")] = "",
     types: Annotated[list[str] | None, typer.Option("--type", help="Disks: only this type (repeatable).")] = None,

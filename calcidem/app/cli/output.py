@@ -17,6 +17,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from calcidem.app.campaign.notices import printable
+from calcidem.app.cli.options import say
 from calcidem.sweep.ranks import launcher
 
 if TYPE_CHECKING:
@@ -73,9 +74,26 @@ def tell_study(result: "StudyResult", layout: Format, table: Path | None) -> Non
     if table is not None:
         list(result.write(table))
     if layout is Format.TABLE:
-        typer.echo(result.text)
+        tell_tables(result.text)
     else:
         tell_rows(result.rows, layout, whole=json.loads(result.json))
+
+
+def tell_tables(text: str) -> None:
+    """Write sentences and Markdown tables, separated by empty lines; on a terminal as tables that fit it."""
+    console = make_console()
+    if not console.is_terminal:
+        typer.echo(text)
+        return
+    for block in text.strip().split("\n\n"):
+        if not block.startswith("| "):
+            say(block)
+            continue
+        head, _, *rows = (line[2:-2].split(" | ") for line in block.split("\n"))
+        table = make_table(None, *head)
+        for row in rows:
+            table.add_row(*(Text(cell.replace("<br>", "\n").replace("**", "")) for cell in row))
+        console.print(table)
 
 
 def _json_value(value: Any) -> Any:  # noqa: ANN401 - whatever is in a row

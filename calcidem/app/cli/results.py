@@ -56,7 +56,7 @@ def status_command(
             "--halfwidth",
             parser=number_parser(1e-6, 1e6, "is not a number above 0, from 1e-6 to 1e6"),
             metavar="M/S",
-            help="Also estimate seeds and time for 95 % intervals of the means with this half-width.",
+            help="Also estimate seeds and time for means within this 95 % half-width.",
         ),
     ] = None,
     layout: FormatOption = Format.TABLE,
@@ -363,7 +363,7 @@ def show_command(
 ) -> None:
     """Show one cell: its quantities, or why it has no velocity and what may give one.
 
-    With --out also figures: cement, path, signals, and the section with the candidates for the S wave.
+    With --out also figures: cement, path, signals, section.
     """
     from calcidem.storage.records import QUANTITY_BY_NAME, depends_on_pulse
     from calcidem.storage.sql.store import read_campaign

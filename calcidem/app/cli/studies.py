@@ -23,7 +23,7 @@ from calcidem.app.cli.options import (
     refuse_options,
     say,
 )
-from calcidem.app.cli.output import Format, FormatOption, tell_rows
+from calcidem.app.cli.output import Format, FormatOption, tell_rows, tell_tables
 from calcidem.input_file import Table, read_input
 from calcidem.storage.records import P_CONTACT, CementPattern
 from calcidem.sweep.ranks import available_cores
@@ -54,8 +54,7 @@ def predict_command(
 ) -> None:
     """Predict Vs of a sample, with an interval, from the campaign's samples of its content, without simulating it.
 
-    The feature is the conductance of the cement (network_conductance). Leaving out each sample in turn checks the
-    intervals.
+    The feature is the conductance of the cement (network_conductance).
     """
     from calcidem.app.campaign.opened import check_predictions, open_campaign
     from calcidem.app.cli.views import pulse_remark
@@ -200,7 +199,7 @@ def sensitivity_command(
                 compute_variants(variants, tell, executor)
         result = variant_table(variants)
     if out is None:
-        typer.echo(result.text)
+        tell_tables(result.text)
         return
     for written in result.write(out):
         say(f"Wrote {written}")
@@ -299,9 +298,11 @@ def _content_line(row: "FittedContent", trials: int) -> str:
     if row.seeds <= 1:
         return f"{row.role} {row.content:g} %: {row.seeds} of {row.planned} seeds have a velocity"
     mean, sd = f"mean {row.mean:.1f} +- {row.mean_error:.1f} m/s", f"sd {row.sd:.1f} m/s"
+    if row.content == 0.0:
+        mean, sd = f"mean {row.mean:.1f} m/s", "no sd, also of the target: all seeds are one sample"
     if target is not None:
         mean += f" (target {target.vs:.1f}, {100.0 * (row.mean / target.vs - 1.0):+.1f} %)"
-    if target is not None and target.sd is not None:
+    if target is not None and target.sd is not None and row.content > 0.0:
         sd += f" (target {target.sd:.1f}, x {row.sd / target.sd:.2f})"
     used = f"{row.seeds} of {row.planned} seeds" + (f" in all {trials} trials" if row.role == "fitted" else "")
     bands = [

@@ -199,7 +199,7 @@ def _key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
         ("mean Vs", span),
         (f"standard error of Vs ({parts})", error),
         ("velocities that depend on the pulse", f"{analysis.budget.loud}"),
-        ("computing time", duration(seconds)),
+        ("computing time of the cells", duration(seconds)),
     )
 
 

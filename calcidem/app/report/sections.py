@@ -218,7 +218,11 @@ def _run_table(runs: tuple[tuple[int, RunRecord], ...]) -> Table | None:
         }
         for run_number, run in runs
     ]
-    return Table.of("Runs of the program on this campaign.", rows) if rows else None
+    return (
+        Table.of("Runs of the program on this campaign. The time includes packing, checks and compilation.", rows)
+        if rows
+        else None
+    )
 
 
 def _packing_table(analysis: CampaignAnalysis) -> Table:

@@ -34,6 +34,7 @@ from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.reading import smooth
 from calcidem.dem.wave.rule import WHOLE_DOMAIN, Pulse
 from calcidem.storage.records import NORMAL_95
+from calcidem.wording import pluralize
 
 DEFAULT = "default"
 REFERENCE_SAMPLES = 1600  # samples per period of the pulse
@@ -511,12 +512,12 @@ def _opening(study: Study) -> str:
         return "No cell has a velocity with the default and in the reference."
     of_vs, of_effective = _covered(study.parts)
     return (
-        f"Default against the reference, {row.cells} cells: median {row.median:.1e}, worst {row.worst:.1e}, of the "
-        f"effective velocity {row.effective_median:.1e} and {row.effective_worst:.1e}; "
+        f"Default against the reference, {pluralize(row.cells, 'cell')}: median {row.median:.1e}, worst "
+        f"{row.worst:.1e}, of the effective velocity {row.effective_median:.1e} and {row.effective_worst:.1e}; "
         f"{study.reference_seconds / row.seconds:.0f} times faster ({row.seconds:.2f} s against "
         f"{study.reference_seconds:.1f} s of processor time a cell). The last halving of the reference's step "
         f"changed Vs by {max(changes, default=0.0):.1e} at most; {sum(change < HALVING for change in changes)} of "
-        f"{len(changes)} cells are below {HALVING:g}. "
+        f"{pluralize(len(changes), 'cell')} changed by less than {HALVING:g}. "
         f"The error is within 1.96 stated standard errors in {of_vs} of the cells, that of the effective "
         f"velocity in {of_effective}."
     )

@@ -449,7 +449,7 @@ def _descend(
             tell(f"Ended before it converged: {error}")
             return point, slopes, [f"it ended before it converged: {error}"]
         own, errors = fit.deviation(point), fit.errors(point)
-        tell(_told(names, point, own, errors))
+        tell(_told(names, point, fit))
         slopes = np.array([(fit.deviation(other) - own) / step for other, step in zip(beside, steps, strict=True)]).T
         low, high = np.maximum(limits.T[0] - point, -largest), np.minimum(limits.T[1] - point, largest)
         step = lsq_linear(slopes / errors[:, None], -own / errors, bounds=(low - 1e-9, high + 1e-9)).x.clip(low, high)
@@ -460,7 +460,7 @@ def _descend(
         point = point if nearer is None else nearer
         if converged:
             break
-    tell(_told(names, point, fit.deviation(point), fit.errors(point)))
+    tell(_told(names, point, fit))
     doubts = [] if converged else [f"it has not converged in {most_rounds} rounds: restart from its result"]
     if nearer is None and unread:
         doubts.append(f"it ended before it converged: {unread}")
@@ -486,10 +486,16 @@ def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> tuple[Flo
     return None, unread
 
 
-def _told(names: Sequence[str], point: Floats, deviation: Floats, errors: Floats) -> str:
-    """Message about a point."""
+def _told(names: Sequence[str], point: Floats, fit: _Fit) -> str:
+    """Message about a point of a fit."""
+    deviation, errors = fit.deviation(point), fit.errors(point)
+    parts = [
+        f"{of} at {target.content:g} %"
+        for target, _ in fit.columns(point)
+        for of in ("mean", "sd")[: 1 if target.sd is None else 2]
+    ]
     shown = ", ".join(f"{name} {value:.4g}" for name, value in _values_at(names, point).items())
-    ratios = ", ".join(f"{ratio:.3f}" for ratio in np.exp(deviation))
+    ratios = ", ".join(f"{part} {ratio:.3f}" for part, ratio in zip(parts, np.exp(deviation), strict=True))
     return f"{shown}: over target {ratios}; chi-square {np.sum((deviation / errors) ** 2):.2f}"
 
 

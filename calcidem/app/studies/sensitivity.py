@@ -20,6 +20,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from calcidem.analysis.distribution import Change, paired_changes
 from calcidem.analysis.figures.registry import STUDY_FIGURES
 from calcidem.analysis.published import published_study
+from calcidem.analysis.velocity import FEWEST_WAVELENGTHS
+from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.patterns import stored_experiment
 from calcidem.app.campaign.run import run
@@ -34,7 +36,7 @@ from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Method
 from calcidem.storage.errors import UnknownCampaignError
 from calcidem.storage.sql.store import read_campaign
-from calcidem.wording import ABSENT, number
+from calcidem.wording import ABSENT, number, pluralize
 
 REFERENCE = "reference"
 """Name of the unchanged configuration."""
@@ -229,6 +231,7 @@ def _frequency_study(
     values = {name: np.full(shape, np.nan) for name in (*(f"vs_{m}" for m in _METHODS), "received_frequency")}
     cells = Cells(experiment, contents, seeds)
     for column, frequency in enumerate(frequencies):
+        tell(f"Frequency {frequency:g} Hz")
         single = replace(experiment, frequencies=((0.0, 100.0), (frequency, frequency)))
         for (seed, content), measurement in cells.measure(single).items():
             for name, value in _readings(single, measurement).items():
@@ -264,6 +267,7 @@ def _damping_study(
     velocity = np.full(received.shape[:2], np.nan)
     for row, content in enumerate(contents):
         for column, factor in enumerate(factors):
+            tell(f"Damping {factor:g} at {content:g} %")
             damped = experiment.with_wave(damping=factor)
             found = _long_measurement(damped, content, seed, float(time[row, -1]))
             if found.section.problem:
@@ -369,14 +373,20 @@ def vary_one(varied: str, database: str, contents: Sequence[float] | None, campa
     study = run_studies(database, [varied], contents=contents, campaign_name=campaign_name)[varied]
     found, unit = study["vs_peak"], " Hz" if varied == "frequency" else ""
 
+    frequency, distance = study.get("frequency", math.nan), study.attrs.get("distance", math.nan)
+    near = FEWEST_WAVELENGTHS * found > distance * frequency
+
     def mean_of_seeds(vs: xr.DataArray) -> str:
         read = int(vs.notnull().sum())
-        return number(float(vs.mean()), ".0f") + (f" ({read} of {vs.size} read)" if 0 < read < vs.size else "")
+        mark = " *" if bool(near.sel({name: vs[name] for name in ("content", varied)}).any()) else ""
+        return number(float(vs.mean()), ".0f") + (f" ({read} of {vs.size} read)" if 0 < read < vs.size else "") + mark
 
     rows = [
         (f"{content:g}", *(mean_of_seeds(found.sel({"content": content, varied: value})) for value in study[varied]))
         for content in study["content"].values
     ]
     table = markdown_table(("content, %", *(f"{value:g}{unit}" for value in study[varied].values)), rows) + "\n"
+    samples = pluralize(found.sizes.get("seed", 1), "sample")
+    head = f"Mean Vs from peak to peak, m/s, of {samples}. * fewer than {FEWEST_WAVELENGTHS:g} wavelengths: near field."
     figures = {entry.name: partial(entry.draw, study) for entry in STUDY_FIGURES if entry.study == varied}
-    return StudyResult(table, dataset=study, figures=figures, formats=("png", "svg", "pdf"))
+    return StudyResult(f"{head}\n\n{table}", dataset=study, figures=figures, formats=("png", "svg", "pdf"))
