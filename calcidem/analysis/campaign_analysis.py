@@ -34,7 +34,7 @@ from calcidem.analysis.packing_graph import (
     describe_feature,
     packing_graph,
 )
-from calcidem.analysis.published import StageGrowth, growth_by_stage
+from calcidem.analysis.published import PublishedLaw, PublishedVelocity, StageGrowth, growth_by_stage, published_study
 from calcidem.analysis.velocity import (
     ContentDispersion,
     Dispersion,
@@ -250,6 +250,19 @@ class CampaignAnalysis:
         return self.law_of_ratio(self.ratio_scan.best_ratio, "Monte-Carlo")
 
     @cached_property
+    def compared_laws(self) -> tuple[list[LawFit], tuple[PublishedLaw, ...]]:
+        """Laws with C_d,n, and the published ones for a campaign with the published sand and contents.
+
+        Of the former the last is that of the scan; a published law whose weights no other has is fitted before it.
+        """
+        published = published_study().laws if published_velocities(self) else ()
+        laws = [self.physical_law, self.scanned_law]
+        # Only with equal weights is C_d,n comparable.
+        others = [other for other in published if all(ratios_differ(law, other) for law in laws)]
+        laws[1:1] = [self.law_of_ratio(other.weights.ratio, "the paper") for other in others]
+        return laws, published
+
+    @cached_property
     def conductance_law(self) -> LawFit:
         """The law with the conductance of the network instead of C_d,n."""
         found = [sample.network.network_conductance for sample in self.samples]
@@ -364,6 +377,20 @@ def correlations(table: xr.Dataset) -> Correlations:
     """Correlation of the features of a table of `CampaignAnalysis` and Vs; see `correlate`."""
     with _translate_refusals():
         return correlate(table)
+
+
+def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
+    """Return the published rows for a campaign with the published sand; empty if fewer than two contents match."""
+    if not published_study().has_sand_of(analysis.config):
+        return []
+    contents = analysis.vs["content"].to_numpy()
+    rows = [row for row in published_study().velocities if np.isclose(contents, row[0], atol=1e-6).any()]
+    return rows if len(rows) > 1 else []
+
+
+def ratios_differ(law: LawFit, other: PublishedLaw) -> bool:
+    """Whether a law has other weights than a published one, beyond the rounding of these."""
+    return law.weights is None or abs(other.weights.ratio - law.weights.ratio) >= 0.02
 
 
 def correlation_tests(table: xr.Dataset) -> xr.Dataset:

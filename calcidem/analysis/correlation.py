@@ -123,11 +123,11 @@ def _orders(count: int) -> NDArray[np.int8]:
     return np.array(list(permutations(range(count))), dtype=np.int8)
 
 
-def seed_permutation_test(table: xr.Dataset, target: str, level: float = 0.95) -> xr.Dataset:
+def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     """Test which variables of a table correlate with the target variable within one content.
 
     Table and errors are as for `correlate_by_content`. Returns along variable, without the target: ``pearson`` of
-    `correlate` within one content, its interval ``pearson_low`` and ``pearson_high``, its two-sided ``p``, and
+    `correlate` within one content, its 95 % interval ``pearson_low`` and ``pearson_high``, its two-sided ``p``, and
     ``p_corrected``, the probability that the largest of all coefficients is as large by chance. NaN for constant
     variables; where an order of the seeds gives a coefficient of 1, there is no interval.
 
@@ -159,7 +159,7 @@ def seed_permutation_test(table: xr.Dataset, target: str, level: float = 0.95) -
         drawn[begin : begin + 99] = shuffled.reshape(99, -1) @ features
     size, sizes = np.abs(observed) - _ROUND_OFF, np.abs(drawn)
     z = np.arctanh(np.where(sizes < 1.0 - _ROUND_OFF, drawn, np.nan))
-    half = float(stats.norm.ppf((1 + level) / 2)) * z.std(axis=0)
+    half = float(stats.norm.ppf(0.975)) * z.std(axis=0)
     centre = np.arctanh(np.where(size < 1.0 - 2.0 * _ROUND_OFF, observed, np.nan))
     largest = np.where(np.isfinite(sizes), sizes, 0.0).max(axis=1)
 
@@ -176,7 +176,7 @@ def seed_permutation_test(table: xr.Dataset, target: str, level: float = 0.95) -
             "p_corrected": ("variable", share(largest[:, None] >= size)),
         },
         coords={"variable": [names[number] for number in others]},
-        attrs={"permutations": count, "samples": int(known.sum()), "level": level},
+        attrs={"permutations": count, "samples": int(known.sum())},
     )
 
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 from places import TUTORIAL
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, published_velocities
 from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
@@ -31,7 +31,7 @@ from calcidem.analysis.figures.samples import (
     draw_preferential_paths,
     load_arrival,
 )
-from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range, published_velocities
+from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range
 from calcidem.app.campaign.opened import open_campaign
 
 pytestmark = pytest.mark.slow

@@ -87,7 +87,7 @@ def test_a_film_is_the_stored_wave(campaign: Campaign) -> None:
     assert section is not None
     count = len(section.across)
     experiment = experiment.with_wave(law=cell.law)
-    film = film_wave(experiment, bonded, cell.frequency, frames=7, samples=count)
+    film = film_wave(experiment, bonded, cell.frequency, frames=7, steps=cell.steps)
     np.testing.assert_array_equal(film.section.across, section.across)
     np.testing.assert_array_equal(film.section.along, section.along)
     whole, _ = experiment.stiffen()
@@ -111,14 +111,12 @@ def test_a_movie_ends_with_the_record_of_its_cell(
     campaign: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also if the campaign stores no sections."""
-    told, film, cell = [], plots.film_wave, campaign.store.cell(**CELL)
+    films, film, cell = [], plots.film_wave, campaign.store.cell(**CELL)
     assert cell.section is not None
     monkeypatch.setattr(campaign.store, "cell", lambda **_: replace(cell, section=None))
-    monkeypatch.setattr(
-        plots, "film_wave", lambda *given, **named: told.append(named["samples"]) or film(*given, **named)
-    )
+    monkeypatch.setattr(plots, "film_wave", lambda *given, **named: films.append(film(*given, **named)) or films[-1])
     campaign.plot.movie(tmp_path / "wave.gif", **CELL, frames=2)
-    assert told == [len(cell.section.across)]
+    assert [len(one.section.across) for one in films] == [len(cell.section.across)]
 
 
 def test_a_movie_has_the_frames_asked_for(campaign: Campaign, tmp_path: Path) -> None:

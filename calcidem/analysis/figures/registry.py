@@ -5,7 +5,7 @@ from contextlib import suppress
 import xarray as xr
 from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, correlations
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, correlations, published_velocities
 from calcidem.analysis.distribution import ContentDistribution
 from calcidem.analysis.figures.relations import draw_conductance, draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import (
@@ -26,7 +26,6 @@ from calcidem.analysis.figures.velocities import (
     draw_narrowing,
     draw_range,
     draw_reading_study,
-    published_velocities,
     rows_with_velocity,
 )
 

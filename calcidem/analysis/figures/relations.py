@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit, published_velocities, ratios_differ
 from calcidem.analysis.correlation import Correlations
 from calcidem.analysis.figures.style import (
     BLACK,
@@ -25,10 +25,9 @@ from calcidem.analysis.figures.style import (
     new_figure,
     new_panel,
 )
-from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.fits import VelocityPredictor, power_law
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES
-from calcidem.analysis.published import PublishedLaw, published_study
+from calcidem.analysis.published import published_study
 
 
 def _symbol(name: str) -> str:
@@ -99,13 +98,13 @@ def draw_laws(analysis: CampaignAnalysis) -> Figure:
     Published laws are shown in their own range, where C_d,n has the same weights.
     """
     contents = np.array([sample.content for sample in analysis.samples])
-    (laws, published), vs = compared_laws(analysis), analysis.sample_vs
+    (laws, published), vs = analysis.compared_laws, analysis.sample_vs
     figure = new_figure(height=4.1, width=3.4 + 2.0 * len(laws))
     panels = figure.subplots(1, len(laws), sharey=True)
     for axes, law in zip(panels, laws, strict=True):
         points, grid = _draw_law(axes, law, "C_{d,n}", vs, contents)
         for other in published:
-            if not _ratios_differ(law, other):
+            if not ratios_differ(law, other):
                 span = np.linspace(max(other.connectivity_range.low, grid[0]), other.connectivity_range.high, 200)
                 label = "published: " + _law_text("C_{d,n}", other.a, other.conclusions_b, other.c)
                 vs_of_law = power_law(span, other.a, other.conclusions_b, other.c)
@@ -120,24 +119,6 @@ def draw_laws(analysis: CampaignAnalysis) -> Figure:
     panels[0].set_ylabel(VS_LABEL)
     _add_contents(figure, points, panels)
     return figure
-
-
-def compared_laws(analysis: CampaignAnalysis) -> tuple[list[LawFit], tuple[PublishedLaw, ...]]:
-    """Return the laws with C_d,n, and the published ones for a campaign with the published sand and contents.
-
-    Of the former the last is that of the scan; a published law whose weights no other has is fitted before it.
-    """
-    published = published_study().laws if published_velocities(analysis) else ()
-    laws = [analysis.physical_law, analysis.scanned_law]
-    # Only with equal weights is C_d,n comparable.
-    others = [other for other in published if all(_ratios_differ(law, other) for law in laws)]
-    laws[1:1] = [analysis.law_of_ratio(other.weights.ratio, "the paper") for other in others]
-    return laws, published
-
-
-def _ratios_differ(law: LawFit, other: PublishedLaw) -> bool:
-    """Whether a law has other weights than a published one, beyond the rounding of these."""
-    return law.weights is None or abs(other.weights.ratio - law.weights.ratio) >= 0.02
 
 
 @apply_style

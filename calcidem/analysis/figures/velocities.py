@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.campaign_analysis import UnavailableError
 from calcidem.analysis.distribution import ContentDistribution, Distribution, narrowing
 from calcidem.analysis.figures.samples import METHOD_STYLES
 from calcidem.analysis.figures.style import (
@@ -42,15 +42,6 @@ from calcidem.analysis.measured import Target, group_specimens
 from calcidem.analysis.published import PublishedVelocity, published_study
 from calcidem.analysis.velocity import are_samples
 from calcidem.storage.records import NORMAL_95, depends_on_pulse
-
-
-def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
-    """Return the published rows for a campaign with the published sand; empty if fewer than two contents match."""
-    if not published_study().has_sand_of(analysis.config):
-        return []
-    contents = analysis.vs["content"].to_numpy()
-    rows = [row for row in published_study().velocities if np.isclose(contents, row[0], atol=1e-6).any()]
-    return rows if len(rows) > 1 else []
 
 
 @apply_style

@@ -30,7 +30,7 @@ from calcidem.analysis.figures.style import MM, MS, drawn_in
 from calcidem.app.campaign.patterns import section_of, section_reader, stored_section
 from calcidem.app.config.reader import read_targets
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.propagation import film_wave, prepare_recorder
+from calcidem.dem.wave.propagation import film_wave
 from calcidem.dem.wave.reading import Reading
 from calcidem.dem.wave.section import RESOLUTION, Section, fitness
 from calcidem.ends import Verdict
@@ -228,15 +228,13 @@ class CampaignPlots:
         writer = movie_writer(path)
         cell = self.analysis.store.cell(seed=seed, content=content)
         experiment, bonded = self._cemented(seed=seed, content=content)
-        wave, frequency = experiment.wave, cell.frequency or experiment.frequency(content)
-        experiment = _with_settings_of(experiment, cell)
-        stride = prepare_recorder(experiment, [bonded], frequency, 8, lambda: None).stride
+        wave = experiment.wave
         film = film_wave(
-            experiment,
+            _with_settings_of(experiment, cell),
             bonded,
-            frequency,
+            cell.frequency or experiment.frequency(content),
             frames=frames,
-            samples=cell.steps and cell.steps // stride,  # the record of the cell
+            steps=cell.steps,
             watch=lambda done, count: watch(done, 2 * count),
         )
         shown = replace(cell, section=stored_section(film.section))

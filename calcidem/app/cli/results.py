@@ -331,7 +331,7 @@ def _as_table(headings: Mapping[str, bool], rows: RecordRows, remark: str, width
     table = WholeTable(box=None, pad_edge=False, header_style="bold")
     for heading, numeric in headings.items():
         table.add_column(Text(heading), justify="right" if numeric else "left", no_wrap=numeric)
-    table.kept = max(1, len({"seed", "content [percent]"} & {*list(headings)[:2]}))
+    table.kept = 2 if {*list(headings)[:2]} == {"seed", "content [percent]"} else 1
     for row in rows:
         table.add_row(*(Text(_format_value(value)) for value in row.values()))
     stream = io.StringIO()

@@ -239,24 +239,25 @@ def _matrix_table(status: CampaignStatus, columns: int, per_character: int) -> W
     table = WholeTable(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("content %", justify="right", no_wrap=True)
     table.add_column(seeds, no_wrap=len(seeds) <= columns)
-    left = ["left"] if status.pending else []
-    for name in ("done", "mean Vs m/s", "95 % of mean", "sd m/s", "s/cell", *left):
+    for name in ("done", "mean Vs m/s", "95 % of mean", "sd m/s", "s/cell", *(["left"] if status.pending else [])):
         table.add_column(name, justify="right", no_wrap=True)
     for content in status.contents:
-        table.add_row(
+        row: list[str | Text] = [
             f"{content.content:g}",
             _matrix_row(content, status.seeds, per_character),
-            f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}"
-            f"{_marks_of(content.counts, content.budget.loud)}",
+            (
+                f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}"
+                f"{_marks_of(content.counts, content.budget.loud)}"
+            ),
             number(content.mean),
             f"+- {half:.1f}" if math.isfinite(half := content.interval.half_width) else "-",
             number(content.deviation),
             number(content.seconds_per_cell, ".2g"),
-            *[
-                duration(None if math.isnan(content.seconds_left) else content.seconds_left / status.workers)
-                for _ in left
-            ],
-        )
+        ]
+        if status.pending:
+            seconds = None if math.isnan(content.seconds_left) else content.seconds_left / status.workers
+            row.append(duration(seconds))
+        table.add_row(*row)
     return table
 
 

@@ -12,9 +12,8 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy import stats
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, published_velocities
 from calcidem.analysis.distribution import Distribution
-from calcidem.analysis.figures.velocities import published_velocities
 from calcidem.analysis.measured import is_covered, misfits, root_mean_square_misfit
 from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
 from calcidem.analysis.velocity import median_diameter_by_mass

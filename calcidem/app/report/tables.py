@@ -11,7 +11,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlation_tests, correlations
-from calcidem.analysis.figures.relations import compared_laws
 from calcidem.analysis.intervals import Interval
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES, describe_feature
 from calcidem.analysis.published import published_study
@@ -238,7 +237,7 @@ def _correlation_table(subject: str, features: Mapping[str, tuple[str, str]], ta
 
 def _law_table(analysis: CampaignAnalysis) -> Table:
     """The laws between C_d,n and Vs with their intervals and errors."""
-    laws, printed_laws = compared_laws(analysis)
+    laws, printed_laws = analysis.compared_laws
     published, rows = {law.name: law for law in printed_laws}, []
     for law in (*laws, analysis.conductance_law):
         fit, check, other = law.fit, law.check, published.get(law.name)

@@ -372,7 +372,6 @@ def vary_one(varied: str, database: str, contents: Sequence[float] | None, campa
     """Run one study; its table has the mean of Vs from peak to peak (m/s) over content and varied parameter."""
     study = run_studies(database, [varied], contents=contents, campaign_name=campaign_name)[varied]
     found, unit = study["vs_peak"], " Hz" if varied == "frequency" else ""
-
     frequency, distance = study.get("frequency", math.nan), study.attrs.get("distance", math.nan)
     near = FEWEST_WAVELENGTHS * found > distance * frequency
 

@@ -406,7 +406,7 @@ def film_wave(
     frequency: float,
     *,
     frames: int,
-    samples: int | None = None,
+    steps: int | None = None,
     lanes: int = 8,
     watch: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> _WaveFilm:
@@ -418,14 +418,14 @@ def film_wave(
         As for `send_waves`; one sample's contacts.
     frames
         Largest number of frames.
-    samples
-        Length of the signals; by default the longest of a measurement.
+    steps
+        Time steps, such as those of a stored cell; by default the longest of a measurement.
     watch
         Called with the number of finished and of all frames; may raise to end the run.
     """
     recorder = prepare_recorder(experiment, [bonded], frequency, lanes, lambda: None)
     interval = recorder.stride * float(recorder.state.time_step[0])
-    samples = samples or int(np.ceil(recorder.longest / interval))
+    samples = (steps or 0) // recorder.stride or int(np.ceil(recorder.longest / interval))
     stride = -(-samples // frames)
     times, velocity = [], []
     for begin in range(0, samples, stride):

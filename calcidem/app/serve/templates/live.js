@@ -241,7 +241,7 @@ function showStatus({ parts, status }) {
     ["waiting", pending.toLocaleString("en")],
     ["time left", pending ? duration(status.seconds_left) : "none"],
     [status.running ? "workers" : "workers, last run", status.run ? String(status.workers) : MISSING],
-    ["standard error of Vs", status.vs_error ? `${number(100 * status.vs_error, 2)} %` : MISSING],
+    ["standard error of Vs", percent(status.vs_error)],
   ];
   put(parts.facts, facts.map(([term, value]) => `<div><dt>${term}</dt><dd>${escape(value)}</dd></div>`).join(""), true);
   put(parts.notes, notes.join(" "));
