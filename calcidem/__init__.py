@@ -22,7 +22,6 @@ from calcidem.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from calcidem import dem
-    from calcidem.app.campaign.notices import CampaignWarning
     from calcidem.app.campaign.opened import Campaign, load_paper_campaign, open_campaign
     from calcidem.app.campaign.run import run
     from calcidem.app.campaign.status import RunProgress, RunStage
@@ -34,6 +33,7 @@ if TYPE_CHECKING:
     from calcidem.dem.sample.packing import PackingError
     from calcidem.storage.errors import StoreError
     from calcidem.sweep.schedule import LaunchError, WorkersLostError
+    from calcidem.wording import CampaignWarning
 
 __all__ = [
     "PRESETS",
@@ -59,7 +59,7 @@ __all__ = [
 
 _HOMES = {
     "Campaign": "calcidem.app.campaign.opened",
-    "CampaignWarning": "calcidem.app.campaign.notices",
+    "CampaignWarning": "calcidem.wording",
     "PRESETS": "calcidem.app.config.presets",
     "Configuration": "calcidem.app.config.schema",
     "ConfigurationError": "calcidem.app.config.schema",

@@ -60,7 +60,7 @@ def begin_computing(*_arguments: object, **_options: object) -> NoReturn:
 LONG = (
     "calcidem.app.campaign.launch.Launch.run",
     "calcidem.dem.sample.compaction.make_packing",
-    "calcidem.dem.sample.packing_file.packing_from_csv",
+    "calcidem.dem.sample.compaction.packing_from_csv",
     "calcidem.app.campaign.preview._describe_ranks",
     "calcidem.app.campaign.run.CampaignRun.compute",
     "calcidem.app.studies.stability.stability",

@@ -25,7 +25,14 @@ from calcidem.analysis.correlation import (
 )
 from calcidem.analysis.distribution import ContentDistribution, count_outcomes, describe_contents, name_outcomes
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
-from calcidem.analysis.measured import Target
+from calcidem.analysis.measured import (
+    PublishedLaw,
+    PublishedVelocity,
+    StageGrowth,
+    Target,
+    growth_by_stage,
+    published_study,
+)
 from calcidem.analysis.packing_graph import (
     FEATURES,
     NETWORK_FEATURES,
@@ -34,7 +41,6 @@ from calcidem.analysis.packing_graph import (
     describe_feature,
     packing_graph,
 )
-from calcidem.analysis.published import PublishedLaw, PublishedVelocity, StageGrowth, growth_by_stage, published_study
 from calcidem.analysis.velocity import (
     ContentDispersion,
     Dispersion,

@@ -1,12 +1,25 @@
-"""Comparison of a campaign with laboratory velocities."""
+"""Measurements of others: laboratory velocities, compared with a campaign, and the numbers of the reproduced study.
+
+"Sand Stiffness Variability Induced by Stochastic Distributions of Calcite Precipitates: A Monte Carlo-DEM Study",
+Tables 1 to 4 and section 3.2.1. `published.toml` in this folder has them as printed;
+docs/reproduction/published_check.py checks their consistency.
+"""
 
 import math
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from calcidem.analysis.contact_graph import ContactWeights
 from calcidem.analysis.distribution import ContentDistribution
+from calcidem.analysis.intervals import Interval
 from calcidem.storage.records import NORMAL_95
 
 
@@ -137,3 +150,179 @@ def is_covered(row: Target, lowest: float, highest: float) -> bool:
 def root_mean_square_misfit(found: Sequence[_Misfit]) -> float:
     """Root mean square of the relative differences of the means; NaN if there are none."""
     return float(np.sqrt(np.mean([one.difference**2 for one in found]))) if found else math.nan
+
+
+STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 9.0)}
+"""First and last content of each stage, percent, whose end points give the printed growth rates. The text of the paper
+has other bounds (0.66, 2.55 and 6 %), which do not give these rates; see docs/reproduction/published_check.py.
+"""
+
+PUBLISHED_KEYS = {
+    "packing.width": "box_width",
+    "packing.height": "box_height",
+    "packing.porosity": "porosity",
+    "packing.stress": "confining_stress",
+    "sand.shear_modulus": "sand_shear_modulus",
+    "sand.poisson_ratio": "sand_poisson_ratio",
+    "sand.density": "sand_density",
+    "sand.friction": "friction",
+    "cement.bond_modulus": "bond_effective_modulus",
+    "cement.tensile_strength": "bond_tensile_strength",
+    "cement.cohesion": "bond_cohesion",
+    "pattern.calcite_density": "calcite_density",
+    "pattern.cluster_diameter": "cluster_size",
+    "wave.amplitude": "pulse_velocity",
+    "wave.damping": "local_damping",
+    "wave.band_friction": "wall_friction",
+}
+"""Published parameter of each configuration key."""
+
+
+@dataclass(frozen=True, slots=True)
+class StageGrowth:
+    """Growth of mean Vs within one stage."""
+
+    stage: str
+    """Roman numeral, as in the paper."""
+    contents: tuple[float, ...]
+    """Contents of the campaign in this range, in percent."""
+    end_point_slope: float
+    """Difference of the means at the last and first content over the difference of content, in m/s per percent: the
+    paper's rate.
+    """
+    least_squares_slope: float
+    """Slope of the regression line through all means, in m/s per percent. Both are NaN with fewer than two contents."""
+
+
+def growth_by_stage(
+    content: ArrayLike, mean_vs: ArrayLike, stages: Mapping[str, tuple[float, float]] = STAGES
+) -> tuple[StageGrowth, ...]:
+    """Return the growth rate of each stage from contents (%) and mean velocities (m/s), both (k,), without NaN."""
+    contents, means = np.asarray(content, dtype=np.float64), np.asarray(mean_vs, dtype=np.float64)
+    if contents.ndim != 1 or contents.shape != means.shape:
+        raise ValueError(
+            f"content has shape {contents.shape} and mean_vs {means.shape}; give one mean for each content"
+        )
+    order = np.argsort(contents)
+    contents, means = contents[order], means[order]
+    growth = []
+    for stage, (low, high) in stages.items():
+        # Contents are parsed from decimal text; a difference in the last bit must not exclude one.
+        inside = (contents >= low - 1e-9) & (contents <= high + 1e-9) & np.isfinite(means)
+        x, y = contents[inside], means[inside]
+        enough = x.size > 1
+        growth.append(
+            StageGrowth(
+                stage=stage,
+                contents=tuple(x.tolist()),
+                end_point_slope=float((y[-1] - y[0]) / (x[-1] - x[0])) if enough else math.nan,
+                least_squares_slope=float(np.polyfit(x, y, 1)[0]) if enough else math.nan,
+            )
+        )
+    return tuple(growth)
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedVelocity:
+    """One row of Table 3."""
+
+    stage: str
+    """Roman numeral of its stage."""
+    mean: float
+    standard_deviation: float
+    """m/s."""
+    skewness: float
+    kurtosis: float
+    """Moments (0 and 3 for a normal distribution)."""
+    normal: bool
+    """True if marked normal."""
+
+
+@dataclass(frozen=True, slots=True)
+class _PublishedStage:
+    """A stage of section 3.2.1."""
+
+    name: str
+    """Roman numeral."""
+    text_range: Interval
+    """Bounds in the text, in percent."""
+    rate: float
+    """Growth rate in m/s per percent."""
+    variance_range: Interval
+    """Range of "variance" in the text, m/s."""
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedLaw:
+    """A column of Table 4: Vs = a C_d,n^b + c, with Vs, a and c in m/s.
+
+    Attributes
+    ----------
+    a, c
+        Parameters of the law.
+    """
+
+    name: str
+    """Choice of the weights."""
+    weights: ContactWeights
+    """The contact weights."""
+    connectivity_range: Interval
+    """Range of C_d,n."""
+    a: float
+    table_b: float
+    conclusions_b: float
+    """Exponent printed in the table, and in the conclusions."""
+    c: float
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedStudy:
+    """All printed numbers."""
+
+    title: str
+    """Title of the paper."""
+    seeds: int
+    samples: int
+    """Number of random distributions of calcite, and of samples."""
+    parameters: Mapping[str, float]
+    """Table 1 in SI units; names as in `published.toml`."""
+    frequencies: Mapping[float, float]
+    """Table 2: excitation frequency in Hz of each content in percent, ascending."""
+    velocities: tuple[tuple[float, PublishedVelocity], ...]
+    """The rows of Table 3, each as (content in percent, row), ascending; there is none for 0 %."""
+    stages: tuple[_PublishedStage, ...]
+    """Section 3.2.1."""
+    laws: tuple[PublishedLaw, ...]
+    """Table 4."""
+
+    def has_sand_of(self, config: Mapping[str, Any]) -> bool:
+        """Return whether a configuration has the published sand and box, at any stress and cement."""
+        grading = [self.parameters["grain_diameter_smallest"], self.parameters["grain_diameter_largest"]]
+        sections = {name: config.get(name, {}) for name in ("packing", "sand")}
+        return sections["packing"].get("diameter") == grading and all(
+            sections[section].get(key) == self.parameters[name]
+            for section, key, name in ((*path.split("."), name) for path, name in PUBLISHED_KEYS.items())
+            if section in sections and key != "stress"
+        )
+
+
+@cache
+def published_study() -> PublishedStudy:
+    """Read the printed numbers."""
+    data = tomllib.loads(resources.files(__package__).joinpath("published.toml").read_text(encoding="utf-8"))
+    return PublishedStudy(
+        **data["source"],
+        parameters=MappingProxyType(data["parameters"]),
+        frequencies=MappingProxyType({row["content"]: row["frequency"] for row in data["contents"]}),
+        velocities=tuple((row["content"], PublishedVelocity(**row["vs"])) for row in data["contents"] if "vs" in row),
+        stages=tuple(_PublishedStage(**_with_intervals(row)) for row in data["stages"]),
+        laws=tuple(
+            PublishedLaw(weights=ContactWeights(row.pop("hertz"), row.pop("bond")), **_with_intervals(row))
+            for row in data["laws"]
+        ),
+    )
+
+
+def _with_intervals(row: dict[str, Any]) -> dict[str, Any]:
+    """Convert pairs of numbers in a row to intervals."""
+    return {name: Interval(*value) if isinstance(value, list) else value for name, value in row.items()}

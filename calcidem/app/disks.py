@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
+from calcidem.dem.sample.compaction import FARTHEST, FEWEST_DISKS, refuse_deep_overlaps, write_disks_csv
 from calcidem.dem.sample.packing import (
     DEEP_OVERLAP,
     LARGEST_OVERLAP,
@@ -18,7 +19,6 @@ from calcidem.dem.sample.packing import (
     judge_porosity,
     overlapping_pairs,
 )
-from calcidem.dem.sample.packing_file import FARTHEST, FEWEST_DISKS, refuse_deep_overlaps, write_disks_csv
 from calcidem.input_file import UNITS, InputFileError, Table, as_text, factor_of, parse_number, read_input, unit_in_name
 from calcidem.storage.files import write_atomically
 

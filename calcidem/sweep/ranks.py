@@ -18,8 +18,7 @@ from concurrent.futures import Executor
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from calcidem.sweep.attempt import IS_INTERRUPTED, StopRequest
-from calcidem.sweep.schedule import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, LaunchError
+from calcidem.sweep.schedule import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, IS_INTERRUPTED, LaunchError, StopRequest
 
 if TYPE_CHECKING:
     from mpi4py import MPI

@@ -8,8 +8,20 @@ from contextlib import nullcontext, suppress
 from types import TracebackType
 from typing import Any, Generic, Protocol, Self, TypeAlias
 
-from calcidem.sweep.attempt import IS_INTERRUPTED, Compute, StopLevel, StopRequest
-from calcidem.sweep.schedule import Batch, BatchOutcome, CellT, Progress, ResultT, Schedule, SweepEnd, SweepState
+from calcidem.sweep.schedule import (
+    IS_INTERRUPTED,
+    Batch,
+    BatchOutcome,
+    CellT,
+    Compute,
+    Progress,
+    ResultT,
+    Schedule,
+    StopLevel,
+    StopRequest,
+    SweepEnd,
+    SweepState,
+)
 from calcidem.sweep.workers import ThisProcess, Workers
 
 

@@ -20,9 +20,8 @@ from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeAlias
 
 from calcidem.ends import CellStatus
-from calcidem.sweep.attempt import Compute, SweepInterrupted, attempt
 from calcidem.sweep.ranks import available_cores, own_rank
-from calcidem.sweep.schedule import Batch, BatchOutcome, CellT, Failure, SweepError
+from calcidem.sweep.schedule import Batch, BatchOutcome, CellT, Compute, Failure, SweepError, SweepInterrupted, attempt
 
 _Identity: TypeAlias = tuple[str, int, int, int | None]
 """Host, process, thread and MPI rank (None without MPI)."""

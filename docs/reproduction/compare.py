@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator, make_interp_spline
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
 from calcidem.analysis.distribution import Distribution
-from calcidem.analysis.published import PublishedVelocity, published_study
+from calcidem.analysis.measured import PublishedVelocity, published_study
 from calcidem.app.campaign.opened import open_campaign
 
 CALIBRATED = (0.11, 0.66, 2.55, 5.0, 9.0)

@@ -30,7 +30,7 @@ from calcidem.analysis.figures.style import (
     new_panel,
     strip_axes,
 )
-from calcidem.analysis.published import published_study
+from calcidem.analysis.measured import published_study
 from calcidem.dem.sample.cement import toroid_area
 from calcidem.dem.wave.section import clamp_of_strip
 from calcidem.storage.records import RecordedSection

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit, correlation_tests, correlations
+from calcidem.analysis.measured import published_study
 from calcidem.analysis.packing_graph import FEATURES
-from calcidem.analysis.published import published_study
 from calcidem.app.campaign.opened import open_campaign
 
 C_DN = "path_normalized_connectivity"

@@ -14,7 +14,7 @@ import numpy as np
 from calcidem.analysis.contact_graph import ContactWeights
 from calcidem.analysis.distribution import normality_of_moments
 from calcidem.analysis.fits import power_law
-from calcidem.analysis.published import (
+from calcidem.analysis.measured import (
     STAGES,
     PublishedLaw,
     PublishedStudy,

@@ -8,7 +8,7 @@ import argparse
 import numpy as np
 import xarray as xr
 
-from calcidem.analysis.published import PublishedVelocity, published_study
+from calcidem.analysis.measured import PublishedVelocity, published_study
 from calcidem.app.campaign.opened import open_campaign
 
 HEADER = (

@@ -10,7 +10,7 @@ from published_check import check_verdicts
 from scipy import stats
 
 from calcidem.analysis.distribution import Distribution
-from calcidem.analysis.published import published_study
+from calcidem.analysis.measured import published_study
 from calcidem.app.campaign.opened import open_campaign
 
 SIGNIFICANCE = 0.05

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.analysis.published import published_study
+from calcidem.analysis.measured import published_study
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import read_configuration
 

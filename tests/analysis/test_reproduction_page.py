@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import interpolate, optimize, sparse, spatial, special, stats
 
 import calcidem
-from calcidem.analysis.published import published_study
+from calcidem.analysis.measured import published_study
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.storage.records import PackingRecord
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calcidem.analysis.published import published_study
+from calcidem.analysis.measured import published_study
 from calcidem.analysis.velocity import (
     SOIL_DENSITY,
     damping_ratio,

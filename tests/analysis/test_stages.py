@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from calcidem.analysis.published import STAGES, growth_by_stage
+from calcidem.analysis.measured import STAGES, growth_by_stage
 
 
 def test_slopes_of_a_drawn_curve() -> None:

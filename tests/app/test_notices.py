@@ -11,10 +11,10 @@ from places import SMALL_PACKING
 from rich.console import Console
 
 import calcidem
-from calcidem.app.campaign.notices import advise, listening, tell
 from calcidem.app.campaign.packing import packing_from_bytes
 from calcidem.app.campaign.status import ProgressDisplay
 from calcidem.app.config.schema import CampaignPlan, Configuration, Excitation
+from calcidem.wording import advise, listening, tell
 
 
 def test_one_terminal_hears_each_sentence_once() -> None:

@@ -13,8 +13,8 @@ from calcidem.app.campaign.run import run
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import ConfigurationError
 from calcidem.app.studies.verify import random_cells, verify
+from calcidem.dem.sample.compaction import _read_disks
 from calcidem.dem.sample.packing import PackingError
-from calcidem.dem.sample.packing_file import _read_disks
 from calcidem.storage.errors import CampaignMismatchError
 
 if TYPE_CHECKING:

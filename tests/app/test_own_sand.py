@@ -20,8 +20,8 @@ from calcidem.app.config.examples import (
 )
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation
+from calcidem.dem.sample.compaction import packing_from_csv, write_disks_csv
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.sample.packing_file import packing_from_csv, write_disks_csv
 from calcidem.dem.wave.measurement import measure
 from calcidem.input_file import InputFileError
 

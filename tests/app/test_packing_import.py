@@ -16,8 +16,8 @@ from calcidem.app.campaign.run import run
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.disks import ImportedPacking, import_packing
 from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.sample.compaction import _read_disks
 from calcidem.dem.sample.packing import Packing, PackingFileError
-from calcidem.dem.sample.packing_file import _read_disks
 from calcidem.input_file import InputFileError
 
 PEERS = Path(__file__).parents[2] / "benchmarks" / "peers"

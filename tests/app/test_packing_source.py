@@ -16,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calcidem.app.campaign import packing as packing_source
-from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.packing import (
     DamagedPackingError,
     _cached_name,
@@ -38,6 +37,7 @@ from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, canonical_json
 from calcidem.storage.sql.store import Store
+from calcidem.wording import listening
 
 TINY = Configuration(packing=PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3))
 """Some 60 disks, made in less than a second."""

@@ -7,7 +7,7 @@ import pytest
 from places import CHECKOUT
 
 import calcidem
-from calcidem.analysis.published import published_study
+from calcidem.analysis.measured import published_study
 from calcidem.app.campaign import opened
 
 

@@ -12,8 +12,7 @@ import pytest
 
 from calcidem.app.campaign.cells import cell_result
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.packing import packing_record
-from calcidem.app.campaign.patterns import section_of, section_reader
+from calcidem.app.campaign.packing import packing_record, section_of, section_reader
 from calcidem.app.config.examples import CALIBRATED, calibration_note
 from calcidem.app.config.presets import PRESETS, preset_text
 from calcidem.app.config.reader import change_configuration, load_configuration

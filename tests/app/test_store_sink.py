@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.plan import batches_of
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.run import StoreSink
@@ -20,6 +19,7 @@ from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, Cell
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, BatchOutcome
+from calcidem.wording import listening
 
 
 class OftenLockedStore(Store):

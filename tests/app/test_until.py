@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.plan import SeedDemand
 from calcidem.app.campaign.provenance import describe_run
@@ -22,6 +21,7 @@ from calcidem.ends import CellStatus
 from calcidem.storage.records import CellKey, CellResult
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import Batch, BatchOutcome, Cell, plan_batches
+from calcidem.wording import listening
 
 if TYPE_CHECKING:
     from conftest import Workshop

@@ -11,9 +11,15 @@ from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Sand
 from calcidem.dem.engine.state import UnstableRunError
 from calcidem.dem.sample import compaction
-from calcidem.dem.sample.compaction import make_packing
+from calcidem.dem.sample.compaction import (
+    FARTHEST,
+    _numbered_disks,
+    _read_disks,
+    make_packing,
+    packing_from_csv,
+    write_disks_csv,
+)
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingFileError, PackingRule
-from calcidem.dem.sample.packing_file import FARTHEST, _numbered_disks, _read_disks, packing_from_csv, write_disks_csv
 from calcidem.input_file import InputFileError, Table
 
 RULE = PackingRule(width=0.02, height=0.03)

@@ -17,9 +17,16 @@ from typing import TYPE_CHECKING, Any, Self
 import pytest
 
 from calcidem.ends import CellStatus
-from calcidem.sweep.attempt import SweepInterrupted
 from calcidem.sweep.run import _Master, run_sweep
-from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE, Batch, Progress, SweepError, SweepState, plan_batches
+from calcidem.sweep.schedule import (
+    LOSSES_BEFORE_QUARANTINE,
+    Batch,
+    Progress,
+    SweepError,
+    SweepInterrupted,
+    SweepState,
+    plan_batches,
+)
 from calcidem.sweep.workers import Workers
 
 if TYPE_CHECKING:

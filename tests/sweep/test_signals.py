@@ -3,7 +3,7 @@ import signal
 
 import pytest
 
-from calcidem.sweep.attempt import StopLevel, StopRequest
+from calcidem.sweep.schedule import StopLevel, StopRequest
 
 
 def send(number: signal.Signals) -> None:

@@ -26,8 +26,8 @@ from calcidem.analysis.figures.style import (
     new_panel,
 )
 from calcidem.analysis.fits import VelocityPredictor, power_law
+from calcidem.analysis.measured import published_study
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES
-from calcidem.analysis.published import published_study
 
 
 def _symbol(name: str) -> str:

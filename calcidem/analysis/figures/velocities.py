@@ -38,8 +38,7 @@ from calcidem.analysis.figures.style import (
     new_panel,
     pick_evenly,
 )
-from calcidem.analysis.measured import Target, group_specimens
-from calcidem.analysis.published import PublishedVelocity, published_study
+from calcidem.analysis.measured import PublishedVelocity, Target, group_specimens, published_study
 from calcidem.analysis.velocity import are_samples
 from calcidem.storage.records import NORMAL_95, depends_on_pulse
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.velocity import median_diameter_by_mass, wavelengths
-from calcidem.app.campaign.packing import cache_folder, packing_record
-from calcidem.app.campaign.patterns import pattern_of, stored_section
+from calcidem.app.campaign.packing import cache_folder, packing_record, pattern_of, stored_section
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
 from calcidem.dem.kernels.gpu import choose_gpu
@@ -50,7 +49,7 @@ _VERSION = f"calcidem {__version__} with physics version {PHYSICS_VERSION}"
 
 @dataclass(frozen=True)
 class CellComputation:
-    """Computation of a batch up to the stored bytes, a `calcidem.sweep.attempt.Compute`.
+    """Computation of a batch up to the stored bytes, a `calcidem.sweep.schedule.Compute`.
 
     It is prepared at its first batch, or when it is unpickled. Then the kernels are compiled first, each by one of the
     processes that begin together on a machine.

@@ -20,7 +20,6 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
-from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.run import LONGEST_WAIT, RunView, prepared_store, read_own_status
 from calcidem.app.campaign.status import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.config.schema import Configuration
@@ -28,7 +27,6 @@ from calcidem.storage.errors import PASSWORDS_VARIABLE, StoreError
 from calcidem.storage.records import RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import STALE_AFTER
-from calcidem.sweep.attempt import StopLevel, StopRequest, SweepInterrupted
 from calcidem.sweep.ranks import (
     COMMAND_VARIABLE,
     THREAD_VARIABLES,
@@ -38,7 +36,17 @@ from calcidem.sweep.ranks import (
     refuse_ranks_off_linux,
     whole_number,
 )
-from calcidem.sweep.schedule import EXIT_COMPLETE, EXIT_ERROR, EXIT_RESUMABLE, LaunchError, SweepState
+from calcidem.sweep.schedule import (
+    EXIT_COMPLETE,
+    EXIT_ERROR,
+    EXIT_RESUMABLE,
+    LaunchError,
+    StopLevel,
+    StopRequest,
+    SweepInterrupted,
+    SweepState,
+)
+from calcidem.wording import tell
 
 _MPIRUN_VARIABLE = "MPIRUN"
 """Variable that names the launcher, instead of the one next to Python or in the search path."""

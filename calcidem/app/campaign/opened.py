@@ -33,7 +33,7 @@ from calcidem.analysis.velocity import (
     notes_on,
     small_strain_modulus,
 )
-from calcidem.app.campaign.patterns import pattern_of, stored_experiment, with_patterns
+from calcidem.app.campaign.packing import pattern_of, stored_experiment, with_patterns
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.cement import CementCapacityError, CementKind
@@ -106,7 +106,7 @@ class Sample:
             raise ValueError(f"{file} ends with '{suffix}': give it one of the endings {', '.join(SUFFIXES)}")
         with write_atomically(file) as temporary:
             if suffix == ".csv":
-                from calcidem.dem.sample.packing_file import write_disks_csv  # noqa: PLC0415 - loads the engine
+                from calcidem.dem.sample.compaction import write_disks_csv  # noqa: PLC0415 - loads the engine
 
                 write_disks_csv(self.packing.x, self.packing.y, self.packing.radius, temporary)
             else:

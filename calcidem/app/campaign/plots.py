@@ -27,7 +27,7 @@ from calcidem.analysis.figures.samples import (
     write_movie,
 )
 from calcidem.analysis.figures.style import MM, MS, drawn_in
-from calcidem.app.campaign.patterns import section_of, section_reader, stored_section
+from calcidem.app.campaign.packing import section_of, section_reader, stored_section
 from calcidem.app.config.reader import read_targets
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.propagation import film_wave

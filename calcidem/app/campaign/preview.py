@@ -13,11 +13,10 @@ from time import thread_time
 import numpy as np
 
 from calcidem.analysis.velocity import FEWEST_GRAINS
-from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
-from calcidem.app.campaign.notices import listening
 from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder, kept_packing, stored_packing
 from calcidem.app.campaign.plan import batches_of, planned_cells, time_of_wave
+from calcidem.app.campaign.provenance import choose_campaign
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
 from calcidem.app.config.checks import (
     can_make_files,
@@ -38,7 +37,7 @@ from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import LAUNCHER_VARIABLES, available_cores, mpi_library_version, refuse_ranks_off_linux
 from calcidem.sweep.schedule import Batch, Cell, LaunchError
-from calcidem.wording import duration
+from calcidem.wording import duration, listening
 
 SECONDS_WHERE_MEASURED = 2.7e-3  # of `_seconds_of_arithmetic`
 

@@ -16,11 +16,9 @@ from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 import numpy as np
 
 from calcidem.app.campaign.cells import CellComputation, kernel_compilations
-from calcidem.app.campaign.identity import choose_campaign
-from calcidem.app.campaign.notices import advise, tell
 from calcidem.app.campaign.packing import packing_record, provide_packing, stored_packing
 from calcidem.app.campaign.plan import SeedDemand, batches_of, planned_cells
-from calcidem.app.campaign.provenance import describe_run
+from calcidem.app.campaign.provenance import choose_campaign, describe_run
 from calcidem.app.campaign.status import (
     STATUS_QUANTITIES,
     CampaignStatus,
@@ -47,7 +45,6 @@ from calcidem.storage.records import AttemptCount, CellKey, CellResult
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
-from calcidem.sweep.attempt import StopRequest, SweepInterrupted
 from calcidem.sweep.ranks import COMMAND_VARIABLE, keep_freed_memory, refuse_singletons
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import (
@@ -57,10 +54,13 @@ from calcidem.sweep.schedule import (
     BatchOutcome,
     Cell,
     LaunchError,
+    StopRequest,
     SweepEnd,
+    SweepInterrupted,
     SweepState,
     WorkersLostError,
 )
+from calcidem.wording import advise, tell
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign  # for statistics, which the ranks do not need
@@ -147,7 +147,7 @@ def run(
 
 
 class RunView(Protocol):
-    """Output and progress of a run; its sentences are log records (`calcidem.app.campaign.notices`)."""
+    """Output and progress of a run; its sentences are log records (`calcidem.wording`)."""
 
     def display(self) -> ProgressDisplay:
         """Receiver of the progress."""

@@ -21,7 +21,6 @@ from rich.text import Text
 
 from calcidem.analysis.intervals import Interval
 from calcidem.analysis.velocity import BUDGET_QUANTITIES, ErrorBudget, are_samples, error_budget
-from calcidem.app.campaign.notices import listening, printable, tell
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError, hide_passwords
 from calcidem.storage.records import CellKey, RunRecord
@@ -29,7 +28,7 @@ from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import launcher
 from calcidem.sweep.schedule import Batch, BatchOutcome, Progress, SweepEnd
-from calcidem.wording import duration, pluralize
+from calcidem.wording import duration, listening, pluralize, printable, tell
 
 if TYPE_CHECKING:
     from calcidem.dem.sample.packing import PackingStage  # which readers do not need

@@ -17,11 +17,11 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
-from calcidem.app.campaign.notices import CampaignWarning, listening, printable
 from calcidem.app.cli.options import IS_QUIET, IS_VERBOSE, say
 from calcidem.storage.errors import keep_passwords_back
 from calcidem.sweep.ranks import THREAD_VARIABLES, launcher, whole_number
 from calcidem.version import __version__
+from calcidem.wording import CampaignWarning, listening, printable
 
 PANELS = {
     "Compute": {
@@ -53,7 +53,7 @@ PANELS = {
 }
 """Short help of each command."""
 
-_MODULES = dict(zip(PANELS, ("run", "results", "exchange", "studies", "checks"), strict=True))
+_MODULES = dict(zip(PANELS, ("run", "results", "exchange", "studies", "studies"), strict=True))
 """Module of the commands of each panel."""
 
 _COMMON_OPTIONS: dict[str, Any] = {

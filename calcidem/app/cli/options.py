@@ -12,8 +12,8 @@ from typing import Annotated
 
 import typer
 
-from calcidem.app.campaign.notices import printable
 from calcidem.sweep.ranks import launcher
+from calcidem.wording import printable
 
 IS_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
 """Whether only results and errors are written; each command sets it."""

@@ -16,9 +16,9 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Column, Table
 from rich.text import Text
 
-from calcidem.app.campaign.notices import printable
 from calcidem.app.cli.options import say
 from calcidem.sweep.ranks import launcher
+from calcidem.wording import printable
 
 if TYPE_CHECKING:
     from calcidem.app.studies.study import StudyResult

@@ -17,7 +17,6 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from calcidem.app.campaign.notices import printable, tell
 from calcidem.app.cli.options import (
     HIGHEST_SEED,
     CampaignName,
@@ -33,7 +32,7 @@ from calcidem.app.cli.output import Format, FormatOption, RecordRows, WholeTable
 from calcidem.ends import CellStatus, Verdict
 from calcidem.storage.errors import QueryError
 from calcidem.storage.store import Selection
-from calcidem.wording import ABSENT, EXCEPTIONAL, decimal, pluralize, readable_unit, significant
+from calcidem.wording import ABSENT, EXCEPTIONAL, decimal, pluralize, printable, readable_unit, significant, tell
 
 if TYPE_CHECKING:
     from calcidem.app.campaign.opened import Campaign
@@ -280,7 +279,7 @@ def _numbers(form: str, *values: float) -> str:
 def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[RecordRows, str]:
     """Correlation of features of the selected cells with Vs within one content, and number of cells."""
     from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, feature_correlations
-    from calcidem.app.campaign.patterns import with_patterns
+    from calcidem.app.campaign.packing import with_patterns
     from calcidem.storage.sql.store import read_campaign
 
     with read_campaign(database, campaign_name) as store:

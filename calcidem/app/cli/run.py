@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calcidem.app.campaign.notices import advise, tell
 from calcidem.app.cli.options import (
     DEFAULT_CONFIGURATION,
     IS_QUIET,
@@ -21,7 +20,7 @@ from calcidem.app.cli.options import (
     say,
 )
 from calcidem.app.config.presets import PRESETS, preset_text, slurm_job
-from calcidem.wording import first_of, pluralize
+from calcidem.wording import advise, first_of, pluralize, tell
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -209,8 +208,8 @@ def run_command(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )
     with _live_page(configuration, overrides) if serve else nullcontext():
-        from calcidem.sweep.attempt import StopRequest
         from calcidem.sweep.ranks import run_on_ranks
+        from calcidem.sweep.schedule import StopRequest
 
         load = partial(_read_overridden, configuration, overrides, retry or ())
         if ranks is not None and ranks != 1:

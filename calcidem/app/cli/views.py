@@ -14,7 +14,6 @@ from rich.text import Text
 
 from calcidem.analysis.intervals import is_in_doubt
 from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, SOIL_DENSITY, are_samples, median_known, small_strain_modulus
-from calcidem.app.campaign.notices import printable, tell
 from calcidem.app.campaign.status import (
     FEWEST_TO_PLAN,
     STATUS_QUANTITIES,
@@ -33,7 +32,7 @@ from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import COMMAND_VARIABLE, available_cores, launcher
-from calcidem.wording import duration, first_of, number, pluralize
+from calcidem.wording import duration, first_of, number, pluralize, printable, tell
 
 if TYPE_CHECKING:  # the status needs no configuration and no packing
     from calcidem.analysis.intervals import SeedPlan

@@ -27,8 +27,8 @@ from calcidem.app.config.schema import SECTIONS, TAKEN_FROM_ELSEWHERE, Configura
 from calcidem.dem.engine.fields import accepted_values, field_hints, quote, unit_of, written
 from calcidem.dem.engine.scene import Sand
 from calcidem.dem.sample.cement import CementRule
+from calcidem.dem.sample.compaction import checked_disks
 from calcidem.dem.sample.packing import PackingRule, expected_overlap
-from calcidem.dem.sample.packing_file import checked_disks
 from calcidem.dem.wave.experiment import WAVELENGTHS
 from calcidem.dem.wave.rule import cutoff_frequency
 from calcidem.input_file import UNITS, Table, parse_number, read_input, unit_in_name, value_of

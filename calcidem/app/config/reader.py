@@ -22,7 +22,7 @@ from calcidem.app.config.schema import (
     Problem,
 )
 from calcidem.dem.engine.fields import FieldError, Settings, field_hints, quote, similar
-from calcidem.dem.sample.packing_file import checked_disks
+from calcidem.dem.sample.compaction import checked_disks
 from calcidem.input_file import (
     InputFileError,
     Table,

@@ -158,7 +158,7 @@ class PackingDraw:
     seed
         Seed of the random sizes and positions.
     file
-        CSV file of disks (`calcidem.dem.sample.packing_file`), relative to the configuration's folder.
+        CSV file of disks (`calcidem.dem.sample.compaction`), relative to the configuration's folder.
     file_sha256
         SHA-256 of the file's content, 64 hexadecimal digits; the campaign's identity depends on the content, not the
         name.

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, MeasuredSample, UnavailableError
 from calcidem.analysis.figures.samples import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.app.campaign.patterns import section_of, section_reader
+from calcidem.app.campaign.packing import section_of, section_reader
 from calcidem.dem.wave.reading import Reading
 from calcidem.ends import Verdict
 from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, QUANTITY_BY_NAME, CellResult, RecordedSection

@@ -20,8 +20,7 @@ from calcidem.analysis.figures.style import FigureEntry, render, save
 from calcidem.analysis.measured import Target
 from calcidem.analysis.packing_graph import installed_features
 from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
-from calcidem.app.campaign.notices import tell
-from calcidem.app.campaign.patterns import with_patterns
+from calcidem.app.campaign.packing import with_patterns
 from calcidem.app.report.cell_data import gather_cell_data, pack, page_templates
 from calcidem.app.report.sections import PAGE_SECTIONS, TABLES, Data, SectionPlan, make_or_explain
 from calcidem.app.report.tables import Table
@@ -30,7 +29,7 @@ from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import spreadsheet_value, write_text_atomically
 from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.wording import ABSENT, decimal, duration, pluralize
+from calcidem.wording import ABSENT, decimal, duration, pluralize, tell
 
 _MEANINGS: Mapping[str, str] = {
     "content": "Mass of calcite over mass of sand.",

@@ -14,8 +14,14 @@ from scipy import stats
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, published_velocities
 from calcidem.analysis.distribution import Distribution
-from calcidem.analysis.measured import is_covered, misfits, root_mean_square_misfit
-from calcidem.analysis.published import PUBLISHED_KEYS, PublishedVelocity, published_study
+from calcidem.analysis.measured import (
+    PUBLISHED_KEYS,
+    PublishedVelocity,
+    is_covered,
+    misfits,
+    published_study,
+    root_mean_square_misfit,
+)
 from calcidem.analysis.velocity import median_diameter_by_mass
 from calcidem.app.report.tables import RESULT_TABLES, Table, with_bounds
 from calcidem.storage.records import RunRecord, flat_parameters

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlation_tests, correlations
 from calcidem.analysis.intervals import Interval
+from calcidem.analysis.measured import published_study
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES, describe_feature
-from calcidem.analysis.published import published_study
 from calcidem.analysis.velocity import (
     FEWEST_WAVELENGTHS,
     SOIL_DENSITY,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.analysis.velocity import BUDGET_QUANTITIES, NOTE_QUANTITIES, notes_on
-from calcidem.app.campaign.patterns import with_patterns
+from calcidem.app.campaign.packing import with_patterns
 from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
 from calcidem.app.report.cell_data import (
     MOST_FULL_RECORDS,

@@ -19,11 +19,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from calcidem.analysis.distribution import Change, paired_changes
 from calcidem.analysis.figures.registry import STUDY_FIGURES
-from calcidem.analysis.published import published_study
+from calcidem.analysis.measured import published_study
 from calcidem.analysis.velocity import FEWEST_WAVELENGTHS
-from calcidem.app.campaign.notices import tell
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.patterns import stored_experiment
+from calcidem.app.campaign.packing import stored_experiment
 from calcidem.app.campaign.run import run
 from calcidem.app.config.reader import parse_file, put_values, read_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
@@ -36,7 +35,7 @@ from calcidem.dem.wave.propagation import send_waves
 from calcidem.dem.wave.reading import Method
 from calcidem.storage.errors import UnknownCampaignError
 from calcidem.storage.sql.store import read_campaign
-from calcidem.wording import ABSENT, number, pluralize
+from calcidem.wording import ABSENT, number, pluralize, tell
 
 REFERENCE = "reference"
 """Name of the unchanged configuration."""

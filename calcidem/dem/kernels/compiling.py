@@ -1,20 +1,34 @@
-"""How the functions of the kernel are compiled."""
+"""How the functions of the kernel are compiled, and how the compiler knows the values of an argument `Features`.
+
+The values are part of the argument's *type*. They replace ``features.slip`` before types are inferred, so a branch that
+is off is dropped before it is compiled. Each combination is compiled and cached once. Without the JIT the same code
+reads the plain dataclass.
+"""
+
+# ruff: noqa: ANN401 - options and values of the compiler (contexts, builders, LLVM values) have no static types
+# numba describes only a part of itself:
+# mypy: disable-error-code="no-untyped-call, untyped-decorator, override"
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 from llvmlite import binding
 from numba import njit
-from numba.core import codegen, config, event
+from numba.core import codegen, config, event, ir, types
+from numba.core.rewrites.registry import Rewrite, register_rewrite
+from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
+
+from calcidem.dem.kernels.features import Features
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-_COMPILING = event.TimingListener()  # type: ignore[no-untyped-call]  # numba describes only a part of itself
-event.register("numba:compiler_lock", _COMPILING)  # type: ignore[no-untyped-call]  # held while loading from the cache, too
+_COMPILING = event.TimingListener()
+event.register("numba:compiler_lock", _COMPILING)  # held while loading from the cache, too
 
 
 def seconds_compiling() -> float:
@@ -47,7 +61,7 @@ SOURCES = sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).pa
 """Identity of the kernel's source code."""
 
 
-def compile_function(**options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - options of numba, of many types
+def compile_function(**options: Any) -> Callable[[Function], Function]:
     """Return numba's ``njit``, without the counting of references to arrays.
 
     The kernel does not allocate or keep arrays, so the counts are not needed. Numba removes them itself, except around
@@ -75,6 +89,68 @@ def target_processor() -> tuple[str, tuple[str, ...]]:
     """LLVM's names of the processor and features for which kernels are compiled, with numba's settings."""
     name, features = (getattr(config, setting) for setting in ("CPU_NAME", "CPU_FEATURES"))
     if features is None:
-        features = codegen.get_host_cpu_features()  # type: ignore[no-untyped-call]
+        features = codegen.get_host_cpu_features()
     known = tuple(part[1:] for part in features.split(",") if part.startswith("+"))
     return name or binding.get_host_cpu_name(), known
+
+
+class FeaturesType(types.Type):
+    """Numba type of one combination of features."""
+
+    def __init__(self, values: tuple[tuple[str, int | bool], ...]) -> None:
+        self.values = values
+        super().__init__(name=f"Features({', '.join(f'{name}={value}' for name, value in values)})")
+
+    @property
+    def key(self) -> tuple[tuple[str, int | bool], ...]:
+        """Identity of a combination."""
+        return self.values
+
+
+@typeof_impl.register(Features)
+def type_of_features(features: Features, context: Any) -> FeaturesType:
+    """Numba type of a `Features` object."""
+    del context
+    return FeaturesType(features.items())
+
+
+@register_model(FeaturesType)
+class _FeaturesModel(models.OpaqueModel):
+    """No data are passed at run time."""
+
+
+@unbox(FeaturesType)
+def _unbox_features(kind: FeaturesType, features: Any, context: Any) -> Any:
+    """Pass no data: the type has all values."""
+    del kind, features
+    return NativeValue(context.context.get_dummy_value())
+
+
+@register_rewrite("before-inference")
+class KnownFeatures(Rewrite):
+    """Replaces ``features.name`` by the value of the switch."""
+
+    representation: ModuleType = ir
+    """Module of the compiler's intermediate representation."""
+
+    def __init__(self, state: Any) -> None:
+        self._kinds = state.args
+
+    def match(self, func_ir: Any, block: Any, typemap: Any, calltypes: Any) -> bool:
+        """Whether a block reads a switch of one of the function's arguments."""
+        del typemap, calltypes
+        ir = self.representation
+        self._definitions, self._block, self._values = func_ir._definitions, block, {}  # noqa: SLF001 - numba has no other
+        for read in block.find_exprs("getattr"):
+            (owner, *others) = self._definitions[read.value.name]
+            if not others and isinstance(owner, ir.Arg) and isinstance(self._kinds[owner.index], FeaturesType):
+                self._values[read] = ir.Const(dict(self._kinds[owner.index].values)[read.attr], read.loc)
+        return bool(self._values)
+
+    def apply(self) -> Any:
+        """The block with the values."""
+        for statement in self._block.find_insts(self.representation.Assign):
+            if constant := self._values.get(statement.value):
+                statement.value = constant
+                self._definitions[statement.target.name] = [constant]
+        return self._block

@@ -19,7 +19,7 @@ Leapfrog (explicit central differences, as in Cundall & Strack 1979, doi:10.1680
 by the displacement between the two last positions, ``dt v(n - 1/2)``, so they belong to ``x(n)`` as the overlap does.
 """
 
-import calcidem.dem.kernels.switches  # noqa: F401 - makes Features a type of the compiler
+import calcidem.dem.kernels.compiling  # noqa: F401 - makes Features a type of the compiler
 from calcidem.dem.kernels.compiling import compile_function, inline
 from calcidem.dem.kernels.features import ABREAST, Features
 from calcidem.dem.kernels.lanes import (

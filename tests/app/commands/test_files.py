@@ -13,7 +13,7 @@ import pytest
 from places import TUTORIAL
 
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.dem.sample.packing_file import _read_disks
+from calcidem.dem.sample.compaction import _read_disks
 from calcidem.storage.errors import ForeignDatabaseError, OutputRefusedError
 from calcidem.storage.netcdf import export_netcdf
 

@@ -11,7 +11,7 @@ import calcidem.dem
 from calcidem.analysis.distribution import Distribution
 from calcidem.app.campaign import opened as opened_campaign
 from calcidem.app.campaign.opened import Campaign, open_campaign
-from calcidem.app.campaign.patterns import with_patterns
+from calcidem.app.campaign.packing import with_patterns
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.wave.experiment import Experiment

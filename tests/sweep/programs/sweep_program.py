@@ -18,10 +18,17 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from calcidem.sweep.attempt import StopRequest
 from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.schedule import LOSSES_BEFORE_QUARANTINE, Batch, BatchOutcome, Cell, SweepState, plan_batches
+from calcidem.sweep.schedule import (
+    LOSSES_BEFORE_QUARANTINE,
+    Batch,
+    BatchOutcome,
+    Cell,
+    StopRequest,
+    SweepState,
+    plan_batches,
+)
 
 CONTENTS = (0.0, 2.55, 9.0)
 

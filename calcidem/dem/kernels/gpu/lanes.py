@@ -1,4 +1,4 @@
-"""Teaches numba-cuda what `switches` and `vectors` teach numba: features, and lane vectors of one sample.
+"""Teaches numba-cuda what `compiling` and `vectors` teach numba: features, and lane vectors of one sample.
 
 Types, operators and intrinsics of lane vectors are numba's, which numba-cuda shares. It has registries of its own for
 the types of constants and for rewrites. NVVM lacks some LLVM functions of vectors, and must not contract products.
@@ -16,15 +16,15 @@ from numba.cuda.core.rewrites.registry import Rewrite, register_rewrite
 from numba.cuda.cudadrv import nvvm
 from numba.cuda.typing.typeof import typeof_impl
 
-from calcidem.dem.kernels import switches
+from calcidem.dem.kernels import compiling
 from calcidem.dem.kernels.features import Features
 
 config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # a batch has a block for each of its samples, at most 32
 
-typeof_impl.register(Features)(switches.type_of_features)
+typeof_impl.register(Features)(compiling.type_of_features)
 
 
-@lower_constant(switches.FeaturesType)
+@lower_constant(compiling.FeaturesType)
 def _constant_features(context: Any, builder: Any, kind: Any, features: Any) -> Any:
     """Pass no data: the type has all values."""
     del builder, kind, features
@@ -32,7 +32,7 @@ def _constant_features(context: Any, builder: Any, kind: Any, features: Any) -> 
 
 
 @register_rewrite("before-inference")
-class _KnownFeatures(switches.KnownFeatures, Rewrite):
+class _KnownFeatures(compiling.KnownFeatures, Rewrite):
     """The same rewrite of numba-cuda's intermediate representation."""
 
     representation = ir
