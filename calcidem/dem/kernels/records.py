@@ -20,7 +20,8 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
 from calcidem.dem.kernels.features import ABREAST
-from calcidem.dem.kernels.lanes import LaneType, Vector, compile_as
+from calcidem.dem.kernels.lanes import Vector
+from calcidem.dem.kernels.vectors import LaneType, compile_as
 
 RECORD = 4
 """Numbers in a record."""
