@@ -38,7 +38,7 @@ receiver_half_width = 0.005
 listening_depth = 0.006
 boundary_thickness = 0.004
 [run]
-lanes = 2
+lanes = 8
 """
 
 
@@ -66,7 +66,7 @@ def test_own_disks_make_a_campaign(workshop: "Workshop", own: Path, monkeypatch:
         assert sorted(campaign.packing().radius) == sorted(radius)
         assert "file_sha256" in campaign.record.config
         assert str(own) not in campaign.record.config
-        found = list(verify(campaign.store, random_cells(campaign.store, 2), campaign.experiment, lanes=2))
+        found = list(verify(campaign.store, random_cells(campaign.store, 2), campaign.experiment, lanes=8))
     assert [verification.differences for verification in found] == [{}, {}]
 
     # Elsewhere, under another name: it is the content that counts. What is stored is not computed again.

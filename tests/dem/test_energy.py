@@ -41,11 +41,10 @@ def test_energy_balances_in_a_heap_with_friction_damping_and_moving_walls() -> N
 def test_energy_balances_with_bonds_the_better_the_smaller_the_step() -> None:
     """In a bonded heap without sliding contacts only the turning of bonds within a step is lost, of first order."""
     scene = jumble(4, 16, share_bonded=1.0, walls=False, cement=replace(SOFT_CEMENT, linear_modulus=0.0))
-    features = Features(bonds=True, slip=False, rescaling=False, account=True)
-    step = 0.4 * float(start(scene, features=features).critical_time_step[0])
+    step = 0.4 * float(start(scene, features=ACCOUNT).critical_time_step[0])
     coarse, fine = (
         abs(change) / turned
-        for change, turned in (imbalances(scene, features, part * step, 300.0 * step) for part in (1.0, 0.125))
+        for change, turned in (imbalances(scene, ACCOUNT, part * step, 300.0 * step) for part in (1.0, 0.125))
     )
     assert coarse < 1e-5
     assert fine < coarse / 8.0

@@ -164,7 +164,7 @@ def test_a_deep_contact_elsewhere_changes_no_step(elsewhere: str) -> None:
 def test_a_small_disk_in_free_flight_has_not_blown_up() -> None:
     """The step resolves the motion of the smallest disk, of which the mean radius, and so the skin, say nothing."""
     scene = Scene(np.zeros(2), np.array([0.0, 500.0 * RADIUS]), RADIUS * np.array([1.0, 100.0]), sand=SOFT)
-    state = advance(start(scene, velocity=np.array([[1e3 * RADIUS * 2.0, 0.0], [0.0, 0.0]])), 50)
+    state = advance(start(scene, features=HERTZ, velocity=np.array([[1e3 * RADIUS * 2.0, 0.0], [0.0, 0.0]])), 50)
     assert state.time_step[0] * 2e3 < 0.1
     assert state.position()[0, 0] == pytest.approx(2e3 * RADIUS * state.time[0])
 

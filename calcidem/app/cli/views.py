@@ -136,7 +136,8 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     found = CampaignStatus.of(store, columns, ())
     velocities = ("mean m/s", "sd m/s", "reading m/s", "effective mean m/s", "effective sd m/s")
     table = make_table("Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda"))
-    table.add_column("other cells")
+    if has_others := any(one.counts.keys() - {CellStatus.DONE} for one in found.contents):
+        table.add_column("other cells")
     marks, is_near, counted = [], False, are_samples(columns["vs"], columns["content"])
     for one in found.contents:
         here = (columns["content"] == one.content) & counted
@@ -147,14 +148,14 @@ def _vs_table(store: Store, selection: Selection) -> Table:
         effective = effective[np.isfinite(effective)]
         mean = float(effective.mean()) if effective.size else np.nan
         deviation = float(effective.std(ddof=1)) if effective.size > 1 else np.nan
-        others = one.counts.keys() - {CellStatus.DONE}
+        others = [status for status in CellStatus if status in one.counts and status != CellStatus.DONE]
         table.add_row(
             f"{one.content:g}",
             f"{one.counts.get(CellStatus.DONE, 0)}/{len(one.statuses)}{marks[-1]}",
             *map(number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
             number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, ".4g"),
             number(median, ".2f") + (" *" if near else ""),
-            ", ".join(f"{one.counts[status]} {status.words}" for status in CellStatus if status in others),
+            *([", ".join(f"{one.counts[status]} {status.words}" for status in others)] if has_others else ()),
         )
     remarks = [
         (
