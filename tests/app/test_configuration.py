@@ -216,7 +216,7 @@ WRONG = {
     "unknown method": ('[pick]\nmethod = "eye"\n', ('pick.method = "eye"', '"peak", "first_arrival" or "cross_corr')),
     "error out of reach": ("[pick]\nlargest_error = 1.5\n", ("pick.largest_error = 1.5", "give ")),
     "odd lanes": ("[run]\nlanes = 7\n", ("run.lanes = 7", "give 1, 2, 4, 8, 16 or 32")),
-    "truth as a number": ("[run]\nstore_sections = 1\n", ("run.store_sections = 1", "give a valid boolean")),
+    "truth as a number": ("[run]\nstore_sections = 1\n", ("run.store_sections = 1", "give true or false")),
     "no time": ("[run]\ntime_limit = 0.0\n", ("run.time_limit = 0.0", "give seconds above 0")),
     "database is a folder": ('[run]\ndatabase = "."\n', ('run.database = "."', "is a folder", "give a file name")),
     "database nowhere": (

@@ -117,7 +117,8 @@ def _problems(hints: Mapping[str, Any], values: Mapping[str, object], error: Val
         elif name not in values:
             yield Problem(f"{name}: is missing; add it", (name,))
         elif name not in seen:
-            accepted = accepted_values(hints[name]) or detail["msg"].removeprefix("Input should be ")
+            told = detail["msg"].removeprefix("Input should be ").replace("a valid boolean", "true or false")
+            accepted = accepted_values(hints[name]) or told
             entry = next((f"entry {place + 1}: " for place in detail["loc"] if isinstance(place, int)), "")
             yield Problem(f"{name} = {quote(values[name])}: {entry}give {accepted}", (name,))
         seen.add(name)
