@@ -39,14 +39,15 @@ def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.D
     Both arguments are along (seed, content): Vs in m/s, NaN if missing, and the outcome as text. It is "done" if Vs is
     a number, "" if the cell was not computed, and else the name of the failure. Without `status` every NaN counts as
     not computed. Returns `measured`, `missing` and `failed` along content, and `failures` along (outcome, content).
-    `ValueError` if `vs` has other dimensions, an infinite value, or disagrees with `status`.
+    `ValueError` for other dimensions.
     """
-    vs = arrange_matrix(vs)
+    vs = vs.transpose("seed", "content")
     measured = np.isfinite(vs.to_numpy())
-    text = np.where(measured, "done", "") if status is None else _check_status(vs, status, measured)
+    text = np.where(measured, "done", "").astype(object)
+    if status is not None:
+        text = status.transpose("seed", "content").to_numpy().astype(object)
     for column in np.flatnonzero(vs["content"].to_numpy() == 0.0):
         best = max(range(len(text)), key=lambda seed: (text[seed, column] == "done", text[seed, column] != ""))
-        text = text.copy()
         text[np.arange(len(text)) != best, column] = _REPEATED
         measured[np.arange(len(text)) != best, column] = False
     names = sorted(set(text.ravel().tolist()) - {"done", "", _REPEATED})
@@ -70,30 +71,6 @@ def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
         if name not in (CellStatus.PENDING, NOT_PLANNED):
             names[code] = str(name)
     return xr.DataArray(names[codes.to_numpy()], codes.coords, codes.dims)
-
-
-def arrange_matrix(vs: xr.DataArray) -> xr.DataArray:
-    """Return `vs` along (seed, content); `ValueError` if it has other dimensions or holds an infinite value."""
-    if set(vs.dims) != {"seed", "content"}:
-        raise ValueError(f"vs has the dimensions {vs.dims}; give it the dimensions ('seed', 'content')")
-    if bool(np.isinf(vs).any()):
-        raise ValueError("vs holds infinite values; put NaN where a cell has no velocity")
-    return vs.transpose("seed", "content")
-
-
-def _check_status(vs: xr.DataArray, status: xr.DataArray, measured: NDArray[np.bool_]) -> NDArray[np.object_]:
-    if dict(status.sizes) != dict(vs.sizes):
-        raise ValueError(f"status has shape {dict(status.sizes)}, vs {dict(vs.sizes)}; make them equal")
-    text = status.transpose("seed", "content").to_numpy().astype(object)
-    wrong = np.argwhere((text == "done") != measured)
-    if wrong.size:
-        row, column = wrong[0]
-        seed, content = vs["seed"].to_numpy()[row], vs["content"].to_numpy()[column]
-        raise ValueError(
-            f"seed {seed} at {content} %: status is {text[row, column]!r} but vs is "
-            f"{vs.to_numpy()[row, column]}; vs must be a number exactly where status is 'done'"
-        )
-    return text
 
 
 def normality_of_moments(n: int, skewness: float, kurtosis: float) -> tuple[float, float, float]:
@@ -228,8 +205,8 @@ def describe_contents(
     one sample without cement gives its interval.
     """
     counts = count_outcomes(vs, status)
-    columns = arrange_matrix(vs).to_numpy().T
-    errors = np.full_like(columns, np.nan) if error is None else arrange_matrix(error).to_numpy().T
+    columns = vs.transpose("content", "seed").to_numpy()
+    errors = np.full_like(columns, np.nan) if error is None else error.transpose("content", "seed").to_numpy()
     numbers = (vs["content"].to_numpy().tolist(), counts["missing"].to_numpy(), counts["failed"].to_numpy())
     found = []
     for content, missing, failed, column, error_there in zip(*numbers, columns, errors, strict=True):
@@ -281,22 +258,23 @@ def budget_dataset(cells: xr.Dataset) -> xr.Dataset:
     )
 
 
-def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, replicates: int = 2000) -> xr.Dataset:
-    """Forecast the half-widths of mean, standard deviation and skewness for at least 3 seeds.
+def narrowing(values: ArrayLike, counts: Sequence[int]) -> xr.Dataset:
+    """Forecast the half-widths of 95 % intervals of mean, standard deviation and skewness for at least 3 seeds.
 
     They are along `count`, the first two in the unit of the values (n,); NaN are left out. That of the mean is
     t s / sqrt(count). The other two are bootstrap results without assumed distribution: half the width of the central
-    `level` over samples of `count` values. Few values underestimate the half-width of skewness, which depends on rare
+    95 % over samples of `count` values. Few values underestimate the half-width of skewness, which depends on rare
     values. `ValueError` for fewer than two values, or a count below 3.
     """
     sample = finite_values(values)
     if min(counts, default=3) < 3:  # fewer values always have the same skewness
         raise ValueError(f"counts holds {min(counts)}; a standard deviation and a skewness need at least 3 seeds")
     deviation = float(standard_deviation(sample))
-    ends, generator = [(1 - level) / 2, (1 + level) / 2], np.random.default_rng(BOOTSTRAP_SEED)
+    level, generator = 0.95, np.random.default_rng(BOOTSTRAP_SEED)
+    ends = [(1 - level) / 2, (1 + level) / 2]
     centre, spread, skew = [], [], []
     for count in counts:
-        resampled = sample[generator.integers(sample.size, size=(replicates, count))]
+        resampled = sample[generator.integers(sample.size, size=(2000, count))]
         varied = resampled[np.ptp(resampled, axis=1) > 0]  # equal values have no skewness
         centre.append(mean_half_width(deviation, count, level))
         spread.append(np.ptp(np.quantile(np.std(resampled, axis=1, ddof=1), ends)) / 2)
@@ -329,7 +307,7 @@ class Change:
     """
 
 
-def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float = 0.95) -> tuple[Change, ...]:
+def paired_changes(variant: xr.DataArray, reference: xr.DataArray) -> tuple[Change, ...]:
     """Compare two matrices of Vs (m/s) along (seed, content), NaN if missing, on their common seeds.
 
     Contents that the reference lacks are left out.
@@ -340,7 +318,7 @@ def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float 
         own = variant.sel(content=content).to_numpy()
         pair = np.stack([first.sel(content=content).to_numpy(), second.sel(content=content).to_numpy()])
         measured = own[np.isfinite(own)]
-        mean_ratio, deviation_ratio, interval = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)], level)
+        mean_ratio, deviation_ratio, interval = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)])
         changes.append(
             Change(
                 content=content,
@@ -356,8 +334,8 @@ def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float 
     return tuple(changes)
 
 
-def _paired_ratios(pair: np.ndarray, level: float) -> tuple[float, float, Interval]:
-    """Ratios of means and of standard deviations of two rows of equal seeds, shape (2, n); interval of the latter."""
+def _paired_ratios(pair: np.ndarray) -> tuple[float, float, Interval]:
+    """Ratios of means and of standard deviations of two rows of equal seeds, (2, n); 95 % interval of the latter."""
     count = pair.shape[1]
     if count < 4:  # common seeds, for a meaningful ratio of standard deviations
         return math.nan, math.nan, UNDEFINED
@@ -368,5 +346,5 @@ def _paired_ratios(pair: np.ndarray, level: float) -> tuple[float, float, Interv
     with np.errstate(divide="ignore", invalid="ignore"):
         deviations = np.divide(*standard_deviation(drawn))
     ratio, finite = float(own / reference), deviations[np.isfinite(deviations)]
-    low, high = np.quantile(finite, [(1 - level) / 2, (1 + level) / 2]).tolist()
+    low, high = np.quantile(finite, [(1 - 0.95) / 2, (1 + 0.95) / 2]).tolist()
     return mean_ratio, ratio, Interval(low, high)

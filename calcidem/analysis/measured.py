@@ -199,10 +199,6 @@ def growth_by_stage(
 ) -> tuple[StageGrowth, ...]:
     """Return the growth rate of each stage from contents (%) and mean velocities (m/s), both (k,), without NaN."""
     contents, means = np.asarray(content, dtype=np.float64), np.asarray(mean_vs, dtype=np.float64)
-    if contents.ndim != 1 or contents.shape != means.shape:
-        raise ValueError(
-            f"content has shape {contents.shape} and mean_vs {means.shape}; give one mean for each content"
-        )
     order = np.argsort(contents)
     contents, means = contents[order], means[order]
     growth = []

@@ -18,6 +18,12 @@ def test_contacts_of_the_graph_are_those_of_the_packing(analysis: CampaignAnalys
     assert {tuple(pair) for pair in made.tolist()} == {tuple(pair) for pair in found.tolist()}
 
 
+def test_a_straight_row_spans_the_width_with_median_grains(analysis: CampaignAnalysis) -> None:
+    """So many grains of the median diameter by count have one contact fewer."""
+    graph = analysis.graphs[0]
+    assert (graph.straight + 1) * 2 * np.median(graph.packing.radius) == pytest.approx(graph.packing.width)
+
+
 def test_paths_end_at_grains_that_touch_the_bands(analysis: CampaignAnalysis) -> None:
     """Each path starts at a grain pressed to the left wall in its band and ends at one at the right wall."""
     packing = analysis.store.packing()

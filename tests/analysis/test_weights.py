@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.contact_graph import ContactWeights, normalized_connectivity, straight_contacts
+from calcidem.analysis.contact_graph import ContactWeights, normalized_connectivity
 from calcidem.analysis.correlation import (
     PathEnvelope,
     _correlate_sums,
@@ -56,7 +56,7 @@ def test_correlation_is_that_of_normalised_connectivity() -> None:
     """At each ratio the coefficient is SciPy's, between C_d,n itself and Vs."""
     envelopes, velocity, seeds = campaign(0.6, 100.0)
     scan = scan_ratio(envelopes, velocity, seeds, ratios=[0.3, 0.83], replicates=10)
-    straight = straight_contacts(0.1, 2.56e-3)
+    straight = 0.1 / 2.56e-3 - 1
     for ratio, found in zip(scan.ratios, scan.correlation, strict=True):
         weights = ContactWeights.from_ratio(ratio)
         lengths = [float(envelope.connectivity(ratio)) for envelope in envelopes]
