@@ -13,10 +13,8 @@ import numpy as np
 from scipy import stats
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, published_velocities
-from calcidem.analysis.distribution import Distribution
 from calcidem.analysis.measured import (
     PUBLISHED_KEYS,
-    PublishedVelocity,
     is_covered,
     misfits,
     published_study,
@@ -55,14 +53,16 @@ def _published_table(analysis: CampaignAnalysis) -> Table | None:
     published = published_velocities(analysis)
     if not published:
         return None
-    here = {round(row.content, 6): row.vs for row in analysis.distributions}
+    here, seeds = {round(row.content, 6): row.vs for row in analysis.distributions}, published_study().seeds
     rows: list[tuple[str, ...]] = []
     marked: set[int] = set()
     for content, row in published:
         vs = here[round(content, 6)]
         p_value = vs.p_small_sample
-        if _differs(vs, row):
-            marked.add(len(rows))
+        if vs.standard_deviation > 0:  # a mean without scatter can't be compared
+            moments = (vs.mean, vs.standard_deviation, vs.n, row.mean, row.standard_deviation, seeds)
+            if stats.ttest_ind_from_stats(*moments, equal_var=False).pvalue < 0.05:
+                marked.add(len(rows))
         rows.append(
             (
                 f"{content:g}",
@@ -138,22 +138,6 @@ def _measured_table(analysis: CampaignAnalysis) -> Table | None:
         rows,
         (i for i, one in enumerate(found) if abs(one.standard_errors) > 2.0),
     )
-
-
-def _differs(here: Distribution, published: PublishedVelocity) -> bool:
-    """Return whether two means differ significantly; False for a mean without scatter."""
-    if not here.standard_deviation > 0:
-        return False
-    test = stats.ttest_ind_from_stats(
-        here.mean,
-        here.standard_deviation,
-        here.n,
-        published.mean,
-        published.standard_deviation,
-        published_study().seeds,
-        equal_var=False,
-    )
-    return bool(test.pvalue < 0.05)
 
 
 def _parameter_table(config: Mapping[str, Any]) -> Table | None:
