@@ -345,10 +345,6 @@ class RatioScan:
     """Coefficient at the best ratio."""
     best_ratio_interval: Interval
     """Bootstrap interval of the best ratio, by default at 95 %."""
-    n: int
-    """Number of samples used."""
-    left_out: int
-    """Number of samples without velocity."""
 
 
 def scan_ratio(
@@ -411,8 +407,6 @@ def scan_ratio(
         best_ratio=float(grid[best]),
         best_correlation=float(correlation[best]),
         best_ratio_interval=Interval(float(low), float(high)),
-        n=int(known.sum()),
-        left_out=int((~known).sum()),
     )
 
 

@@ -40,8 +40,6 @@ class PowerLawFit:
     """Standard deviation of the residuals with n - 3 degrees of freedom, in m/s."""
     n: int
     """Number of samples used."""
-    left_out: int
-    """Number of samples without velocity or connectivity."""
 
     def predict(self, connectivity: ArrayLike) -> NDArray[np.float64]:
         """Return the velocity in m/s for positive values of C_d,n, any shape."""
@@ -125,7 +123,6 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
         residuals=residuals,
         residual_standard_deviation=float(np.sqrt(residuals @ residuals / (x.size - _PARAMETER_COUNT))),
         n=x.size,
-        left_out=int((~known).sum()),
     )
 
 

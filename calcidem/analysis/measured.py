@@ -147,11 +147,6 @@ def is_covered(row: Target, lowest: float, highest: float) -> bool:
     return lowest - 1e-6 <= row.content <= highest + 1e-6
 
 
-def root_mean_square_misfit(found: Sequence[_Misfit]) -> float:
-    """Root mean square of the relative differences of the means; NaN if there are none."""
-    return float(np.sqrt(np.mean([one.difference**2 for one in found]))) if found else math.nan
-
-
 STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 9.0)}
 """First and last content of each stage, percent, whose end points give the printed growth rates. The text of the paper
 has other bounds (0.66, 2.55 and 6 %), which do not give these rates; see docs/reproduction/published_check.py.

@@ -118,10 +118,17 @@ class CellColumns:
         """
         arrays, described, offset = [], [], 0
         for name in names:
-            kind, array, texts = _as_array(name, self.values[name])
+            column, texts = self.values[name], dict[str, int]()
+            if _holds_texts(name):
+                texts = {text: place for place, text in enumerate(dict.fromkeys(column.tolist()))}
+                kind, array = "Uint32", np.array([texts[text] for text in column.tolist()], dtype="<u4")
+            elif QUANTITY_BY_NAME[name].kind == "whole":
+                kind, array = "Float64", column.astype("<f8")
+            else:
+                kind, array = "Float32", column.astype("<f4")
             data = array.tobytes()
             data += bytes(-len(data) % 8)  # typed arrays of browsers begin at multiples of their element size
-            described.append({"name": name, "type": kind, "offset": offset, "texts": texts})
+            described.append({"name": name, "type": kind, "offset": offset, "texts": list(texts)})
             arrays.append(data)
             offset += len(data)
         axes = describe_axes(self.seeds, self.contents, [name for name in names if name in QUANTITY_BY_NAME])
@@ -132,16 +139,6 @@ class CellColumns:
 
 def _holds_texts(name: str) -> bool:
     return QUANTITY_BY_NAME[name].kind == "text"
-
-
-def _as_array(name: str, column: NDArray[Any]) -> tuple[str, NDArray[Any], list[str]]:
-    """Type of a browser's array, the array, and the texts that it indexes."""
-    if _holds_texts(name):
-        texts = {text: place for place, text in enumerate(dict.fromkeys(column.tolist()))}
-        return "Uint32", np.array([texts[text] for text in column.tolist()], dtype="<u4"), list(texts)
-    if QUANTITY_BY_NAME[name].kind == "whole":
-        return "Float64", column.astype("<f8"), []
-    return "Float32", column.astype("<f4"), []
 
 
 Event = tuple[str, dict[str, Any]]
