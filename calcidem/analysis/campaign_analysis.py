@@ -23,7 +23,7 @@ from calcidem.analysis.correlation import (
     scan_ratio,
     seed_permutation_test,
 )
-from calcidem.analysis.distribution import ContentDistribution, count_outcomes, describe_contents, name_outcomes
+from calcidem.analysis.distribution import ContentDistribution, describe_contents, name_outcomes
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.measured import (
     PublishedLaw,
@@ -137,11 +137,6 @@ class CampaignAnalysis:
     def status(self) -> xr.DataArray:
         """Outcome of each cell as text along (seed, content), empty if not computed."""
         return name_outcomes(self.cells["status"])
-
-    @cached_property
-    def outcomes(self) -> xr.Dataset:
-        """Measured, missing and failed cells along content; see `distribution.count_outcomes`."""
-        return count_outcomes(self.vs, self.status)
 
     @cached_property
     def distributions(self) -> tuple[ContentDistribution, ...]:

@@ -40,21 +40,21 @@ class Correlations:
     """
 
 
-def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
+def correlate(table: xr.Dataset) -> Correlations:
     """Correlate all variables of a table with one another.
 
-    The table has numbers along (seed, content), NaN if missing; only complete samples count. ``level`` is the level of
-    the intervals. `ValueError` for other dimensions.
+    The table has numbers along (seed, content), NaN if missing; only complete samples count. `ValueError` for other
+    dimensions.
 
-    Intervals by Fisher's z, tanh(artanh(r) -/+ z / sqrt(n - 3)), with one degree of freedom less for each further
-    content whose mean was subtracted (Fisher 1924, on partial correlation). They assume independent samples. Samples of
-    one seed share their cement, so the intervals are too narrow; `seed_permutation_test` has others.
+    Intervals of 95 % by Fisher's z, tanh(artanh(r) -/+ z / sqrt(n - 3)), with one degree of freedom less for each
+    further content whose mean was subtracted (Fisher 1924, on partial correlation). They assume independent samples.
+    Samples of one seed share their cement, so the intervals are too narrow; `seed_permutation_test` has others.
     """
     names, values = _complete_values(table)
     complete = np.isfinite(values[..., 0])
     groups = [values[complete[:, column], column] for column in range(values.shape[1]) if complete[:, column].any()]
     pooled = [np.concatenate(groups)] if groups else []
-    return Correlations(*(_correlation_matrix(parts, names, level) for parts in (pooled, groups)))
+    return Correlations(*(_correlation_matrix(parts, names) for parts in (pooled, groups)))
 
 
 def correlate_by_content(table: xr.Dataset, target: str) -> xr.Dataset:
@@ -190,7 +190,7 @@ def _complete_values(table: xr.Dataset) -> tuple[list[str], NDArray[np.float64]]
     return names, np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, np.nan)
 
 
-def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str], level: float) -> xr.Dataset:
+def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str]) -> xr.Dataset:
     """Correlation matrix of samples in groups (n, variables), each variable relative to its mean in the group.
 
     With three or fewer samples less those lost to means, Fisher's interval is NaN.
@@ -198,7 +198,7 @@ def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str],
     pearson, count, lost = _pearson_matrix(groups, len(names))
     spearman, *_ = _pearson_matrix([stats.rankdata(group, axis=0) for group in groups], len(names))
     freedom = count - lost - 3.0
-    half = float(stats.norm.ppf((1 + level) / 2)) / np.sqrt(np.where(freedom > 0.0, freedom, np.nan))
+    half = float(stats.norm.ppf(0.975)) / np.sqrt(np.where(freedom > 0.0, freedom, np.nan))
     with np.errstate(divide="ignore"):  # a coefficient of one has an infinite z, and tanh returns one
         z = np.arctanh(pearson)
     square = ("variable", "other")
@@ -211,7 +211,7 @@ def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str],
             "n": sum(map(len, groups)),
         },
         coords={"variable": names, "other": names},
-        attrs={"level": level},
+        attrs={"level": 0.95},
     )
 
 

@@ -27,42 +27,6 @@ from calcidem.analysis.velocity import are_samples, error_budget
 from calcidem.ends import CellStatus
 from calcidem.storage.records import NOT_PLANNED, STATUS_CODES
 
-_REPEATED = "repeated"
-
-
-def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.Dataset:
-    """Count the cells of each content by outcome.
-
-    A cell that was not computed yet carries no information about Vs. A failed cell may, since the arrival of slow
-    samples is hard to pick. The two are therefore never added. Without cement all seeds are one sample and count once.
-
-    Both arguments are along (seed, content): Vs in m/s, NaN if missing, and the outcome as text. It is "done" if Vs is
-    a number, "" if the cell was not computed, and else the name of the failure. Without `status` every NaN counts as
-    not computed. Returns `measured`, `missing` and `failed` along content, and `failures` along (outcome, content).
-    `ValueError` for other dimensions.
-    """
-    vs = vs.transpose("seed", "content")
-    measured = np.isfinite(vs.to_numpy())
-    text = np.where(measured, "done", "").astype(object)
-    if status is not None:
-        text = status.transpose("seed", "content").to_numpy().astype(object)
-    for column in np.flatnonzero(vs["content"].to_numpy() == 0.0):
-        best = max(range(len(text)), key=lambda seed: (text[seed, column] == "done", text[seed, column] != ""))
-        text[np.arange(len(text)) != best, column] = _REPEATED
-        measured[np.arange(len(text)) != best, column] = False
-    names = sorted(set(text.ravel().tolist()) - {"done", "", _REPEATED})
-    failures = np.array([(text == name).sum(axis=0) for name in names], dtype=np.int64)
-    failures = failures.reshape(len(names), vs.sizes["content"])
-    return xr.Dataset(
-        {
-            "measured": ("content", measured.sum(axis=0)),
-            "missing": ("content", (text == "").sum(axis=0)),
-            "failed": ("content", failures.sum(axis=0)),
-            "failures": (("outcome", "content"), failures),
-        },
-        coords={"content": vs["content"], "outcome": np.array(names, dtype=str)},
-    )
-
 
 def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
     """Outcome of each cell as text along (seed, content), from its `STATUS_CODES`; empty if there is none."""
@@ -199,23 +163,33 @@ class ContentDistribution:
 def describe_contents(
     vs: xr.DataArray, status: xr.DataArray | None = None, level: float = 0.95, error: xr.DataArray | None = None
 ) -> tuple[ContentDistribution, ...]:
-    """Describe the velocities of the distinct samples at every content of a campaign.
+    """Describe the velocities of the distinct samples at every content of a campaign, and count the cells without one.
 
-    Arguments and errors of `count_outcomes`; ``error`` has the relative standard errors of the velocities. That of the
-    one sample without cement gives its interval.
+    A cell that was not computed yet carries no information about Vs. A failed cell may, since the arrival of slow
+    samples is hard to pick. The two are therefore never added. Without cement all seeds are one sample and count once.
+
+    The arguments are along (seed, content), else `ValueError`: Vs in m/s, NaN if missing; the outcome as text, which is
+    "done" if Vs is a number, "" if the cell was not computed, and else the name of the failure; and the relative
+    standard error of Vs. That of the one sample without cement gives its interval. Without ``status`` every NaN counts
+    as not computed.
     """
-    counts = count_outcomes(vs, status)
     columns = vs.transpose("content", "seed").to_numpy()
+    outcomes = np.where(np.isfinite(columns), "done", "")
+    if status is not None:
+        outcomes = status.transpose("content", "seed").to_numpy()
     errors = np.full_like(columns, np.nan) if error is None else error.transpose("content", "seed").to_numpy()
-    numbers = (vs["content"].to_numpy().tolist(), counts["missing"].to_numpy(), counts["failed"].to_numpy())
-    found = []
-    for content, missing, failed, column, error_there in zip(*numbers, columns, errors, strict=True):
+    contents, found = vs["content"].to_numpy().tolist(), []
+    for content, column, outcome, error_there in zip(contents, columns, outcomes, errors, strict=True):
         counted = are_samples(column, content)
         described = Distribution.of_sample(column[counted], level)
-        if content == 0.0 and counted.any():
-            interval = Interval.of_velocity(described.mean, float(error_there[counted][0]), level)
-            described = replace(described, mean_interval=interval)
-        found.append(ContentDistribution(content, int(missing), int(failed), described))
+        missing, failed = int(np.sum(outcome == "")), int(np.sum((outcome != "") & (outcome != "done")))
+        if content == 0.0:  # the best outcome of any seed counts
+            failed = int(failed > 0 and not counted.any())
+            missing = int(missing > 0 and not failed and not counted.any())
+            if counted.any():
+                interval = Interval.of_velocity(described.mean, float(error_there[counted][0]), level)
+                described = replace(described, mean_interval=interval)
+        found.append(ContentDistribution(content, missing, failed, described))
     return tuple(found)
 
 
