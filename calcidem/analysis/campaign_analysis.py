@@ -1,7 +1,7 @@
 """Products of the analysis of a stored campaign, each computed at first use."""
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,7 +23,7 @@ from calcidem.analysis.correlation import (
     scan_ratio,
     seed_permutation_test,
 )
-from calcidem.analysis.distribution import ContentDistribution, count_outcomes, describe_contents, name_outcomes
+from calcidem.analysis.distribution import ContentDistribution, describe_contents, name_outcomes
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.measured import (
     PublishedLaw,
@@ -139,11 +139,6 @@ class CampaignAnalysis:
         return name_outcomes(self.cells["status"])
 
     @cached_property
-    def outcomes(self) -> xr.Dataset:
-        """Measured, missing and failed cells along content; see `distribution.count_outcomes`."""
-        return count_outcomes(self.vs, self.status)
-
-    @cached_property
     def distributions(self) -> tuple[ContentDistribution, ...]:
         """Distribution of Vs at each content."""
         return describe_contents(self.vs, self.status, error=self.cells["vs_error"])
@@ -195,7 +190,8 @@ class CampaignAnalysis:
         """
         found: dict[tuple[int | None, float], MeasuredSample] = {}
         with _translate_refusals():
-            for cell in self.outcomes_of(Selection(self.analysed_seeds), ("path", "cement")):
+            stored = self.store.results(Selection(self.analysed_seeds), with_arrays=("path", "cement"))
+            for cell in self.with_cement(self.store, stored):
                 key = cell.key.seed if cell.key.content else None, cell.key.content
                 if cell.cement is not None and key not in found:
                     found[key] = self._sample(cell, cell.cement)
@@ -251,18 +247,13 @@ class CampaignAnalysis:
         return self._law("physical meaning", self.graphs[0].weights, connectivity)
 
     @cached_property
-    def scanned_law(self) -> LawFit:
-        """The law with the weight ratio of the best correlation with Vs."""
-        return self.law_of_ratio(self.ratio_scan.best_ratio, "Monte-Carlo")
-
-    @cached_property
     def compared_laws(self) -> tuple[list[LawFit], tuple[PublishedLaw, ...]]:
         """Laws with C_d,n, and the published ones for a campaign with the published sand and contents.
 
         Of the former the last is that of the scan; a published law whose weights no other has is fitted before it.
         """
         published = published_study().laws if published_velocities(self) else ()
-        laws = [self.physical_law, self.scanned_law]
+        laws = [self.physical_law, self.law_of_ratio(self.ratio_scan.best_ratio, "Monte-Carlo")]
         # Only with equal weights is C_d,n comparable.
         others = [other for other in published if all(ratios_differ(law, other) for law in laws)]
         laws[1:1] = [self.law_of_ratio(other.weights.ratio, "the paper") for other in others]
@@ -296,10 +287,6 @@ class CampaignAnalysis:
     def sample_seeds(self) -> NDArray[np.int64]:
         """Seed of each of the samples, shape (n,)."""
         return np.array([sample.seed for sample in self.samples])
-
-    def outcomes_of(self, selection: Selection, arrays: bool | Collection[str] = True) -> Iterator[CellResult]:
-        """Yield outcomes of the selected cells with the requested arrays and, if known, their cement."""
-        return self.with_cement(self.store, self.store.results(selection, with_arrays=arrays))
 
     def cell(self, seed: int, content: float) -> CellResult:
         """Return the outcome of one cell; `UnknownCellError` if there is none."""

@@ -52,19 +52,6 @@ class ContactWeights:
         return self.bond / self.hertz
 
 
-def straight_contacts(distance: float, median_diameter: float) -> float:
-    """Contacts of a straight row of median grains from transmitter to receiver, L / d50 - 1; both lengths in m.
-
-    `ValueError` if 0 < median_diameter < distance does not hold.
-    """
-    if not 0 < median_diameter < distance:
-        raise ValueError(
-            f"median_diameter = {median_diameter} m and distance = {distance} m; "
-            "the diameter must be positive and smaller than the distance"
-        )
-    return distance / median_diameter - 1
-
-
 def connectivity(hertz_contacts: int, bonded_contacts: int, weights: ContactWeights) -> float:
     """Return C_d, the weighted length of a path of N_h sand contacts and N_LPB cemented ones, Eq. 9."""
     return weights.hertz * hertz_contacts + weights.bond * bonded_contacts
@@ -73,8 +60,8 @@ def connectivity(hertz_contacts: int, bonded_contacts: int, weights: ContactWeig
 def normalized_connectivity(c_d: float, weights: ContactWeights, straight: float) -> float:
     """Return C_d,n, Eq. 9: 0 for a straight row of cemented contacts, 1 for a straight row of sand contacts.
 
-    The weights are those of C_d; ``straight`` is from `straight_contacts`. `ValueError` for equal weights, since the
-    definition divides by their difference.
+    The weights are those of C_d; ``straight`` is the number of contacts of such a row. `ValueError` for equal weights,
+    since the definition divides by their difference.
     """
     if weights.bond == weights.hertz:
         raise ValueError(f"both weights are {weights.hertz}; C_d,n exists only where bond < hertz")
@@ -92,8 +79,7 @@ class ContactGraph:
     Raises
     ------
     ValueError
-        If a grain does not exist, a contact joins a grain to itself or appears twice, or a list is empty or
-        shares a grain with the other.
+        If a list of grains is empty or shares a grain with the other.
     """
 
     grain_count: int
@@ -109,12 +95,16 @@ class ContactGraph:
     """Contact of each entry of the sparse matrix, integers, shape (2 m,)."""
 
     def __post_init__(self) -> None:
-        """Check the contacts and arrange them for searches."""
+        """Check the lists and arrange the contacts for searches."""
         pairs = np.asarray(self.pairs, dtype=np.int64).reshape(-1, 2)
         lists = {
             name: np.unique(np.asarray(getattr(self, name), dtype=np.int64)) for name in ("transmitter", "receiver")
         }
-        _check(self.grain_count, pairs, lists)
+        for name, grains in lists.items():
+            if not grains.size:
+                raise ValueError(f"{name} is empty; name at least one grain")
+        if (common := np.intersect1d(lists["transmitter"], lists["receiver"])).size:
+            raise ValueError(f"grain {common[0]} is in both transmitter and receiver; the two must be apart")
         # Every contact is stored in both directions, rows and columns ascending. `entry_contacts` maps entries to
         # contacts, so a cell only fills in the weights.
         rows, columns = np.concatenate([pairs, pairs[:, ::-1]]).T
@@ -313,23 +303,3 @@ class ShortestPaths:
         """Return the next grains of a shortest path, ascending, each with True if the contact is cemented."""
         contacts = slice(self._begin[grain], self._begin[grain + 1])
         return list(zip(self._following[contacts].tolist(), self._cemented[contacts].tolist(), strict=True))
-
-
-def _check(grain_count: int, pairs: NDArray[np.int64], lists: dict[str, NDArray[np.int64]]) -> None:
-    for name, grains in {"pairs": pairs, **lists}.items():
-        if grains.size and not (grains.min() >= 0 and grains.max() < grain_count):
-            raise ValueError(
-                f"{name} names grains {grains.min()} to {grains.max()}; with grain_count = {grain_count} "
-                f"they must lie between 0 and {grain_count - 1}"
-            )
-    for name, grains in lists.items():
-        if not grains.size:
-            raise ValueError(f"{name} is empty; name at least one grain")
-    common = np.intersect1d(lists["transmitter"], lists["receiver"])
-    if common.size:
-        raise ValueError(f"grain {common[0]} is in both transmitter and receiver; the two must be apart")
-    if (pairs[:, 0] == pairs[:, 1]).any():
-        raise ValueError(f"pairs joins grain {pairs[pairs[:, 0] == pairs[:, 1]][0, 0]} to itself; remove that contact")
-    unique, counts = np.unique(np.sort(pairs, axis=1), axis=0, return_counts=True)
-    if (counts > 1).any():
-        raise ValueError(f"pairs holds the contact {tuple(unique[counts > 1][0].tolist())} more than once; keep one")

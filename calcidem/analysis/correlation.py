@@ -40,38 +40,38 @@ class Correlations:
     """
 
 
-def correlate(table: xr.Dataset, level: float = 0.95) -> Correlations:
+def correlate(table: xr.Dataset) -> Correlations:
     """Correlate all variables of a table with one another.
 
-    The table has numbers along (seed, content), NaN if missing; only complete samples count. ``level`` is the level of
-    the intervals. `ValueError` for other dimensions, or fewer than two variables.
+    The table has numbers along (seed, content), NaN if missing; only complete samples count. `ValueError` for other
+    dimensions.
 
-    Intervals by Fisher's z, tanh(artanh(r) -/+ z / sqrt(n - 3)), with one degree of freedom less for each further
-    content whose mean was subtracted (Fisher 1924, on partial correlation). They assume independent samples. Samples of
-    one seed share their cement, so the intervals are too narrow; `seed_permutation_test` has others.
+    Intervals of 95 % by Fisher's z, tanh(artanh(r) -/+ z / sqrt(n - 3)), with one degree of freedom less for each
+    further content whose mean was subtracted (Fisher 1924, on partial correlation). They assume independent samples.
+    Samples of one seed share their cement, so the intervals are too narrow; `seed_permutation_test` has others.
     """
     names, values = _complete_values(table)
     complete = np.isfinite(values[..., 0])
     groups = [values[complete[:, column], column] for column in range(values.shape[1]) if complete[:, column].any()]
     pooled = [np.concatenate(groups)] if groups else []
-    return Correlations(*(_correlation_matrix(parts, names, level) for parts in (pooled, groups)))
+    return Correlations(*(_correlation_matrix(parts, names) for parts in (pooled, groups)))
 
 
-def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) -> xr.Dataset:
+def correlate_by_content(table: xr.Dataset, target: str) -> xr.Dataset:
     """Correlate the variables of a table with a positive target variable at each content.
 
     Table and errors are as for `correlate`; also `ValueError` if the table lacks the target. Intervals of a variable
-    hold at all contents simultaneously with probability ``level``. Returns along (variable, content), without the
+    hold at all contents simultaneously with a probability of 95 %. Returns along (variable, content), without the
     target: ``n``, ``pearson``, ``pearson_log`` with the logarithm of the target, ``spearman``, its interval ``low`` and
     ``high`` and its ``p``, and ``p_corrected`` for all variables and contents. NaN for constant variables or fewer than
     four samples; a coefficient of 1 has no interval.
 
     The p of up to eight samples is exact, that of more by Student's t. Intervals by Fisher's z with the variance of
-    Bonett and Wright (2000, doi:10.1007/BF02294183), each at level 1 - (1 - level) / contents (Bonferroni). The
+    Bonett and Wright (2000, doi:10.1007/BF02294183), each at level 1 - 0.05 / contents (Bonferroni). The
     correction of p controls the false discovery rate (Benjamini and Hochberg 1995).
     """
     names, values = _complete_values(table)
-    place = _place_of(target, names)
+    place = names.index(target)
     others = [number for number in range(len(names)) if number != place]
     found = np.full((4, len(others), values.shape[1]), np.nan)
     counts = np.isfinite(values[..., 0]).sum(axis=0)
@@ -89,6 +89,7 @@ def correlate_by_content(table: xr.Dataset, target: str, level: float = 0.95) ->
                 linear, logarithmic = (stats.pearsonr(x, other).statistic for other in (y, np.log(y)))
                 found[:4, row, column] = linear, logarithmic, *_rank_correlation(x, y)
     pearson, logarithm, spearman, p = found[:4]
+    level = 0.95
     normal = float(stats.norm.ppf(1 - (1 - level) / (2 * max(scattered, 1))))
     with np.errstate(divide="ignore", invalid="ignore"):
         half = normal * np.sqrt((1 + spearman**2 / 2) / (counts - 3))
@@ -139,7 +140,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     and Young 1993, doi:10.2307/2532216) and does not assume any dependence of the variables.
     """
     names, values = _complete_values(table)
-    place = _place_of(target, names)
+    place = names.index(target)
     values = values[np.isfinite(values).any(axis=(1, 2))]  # seeds without data are not permuted
     known: NDArray[np.bool_] = np.asarray(np.isfinite(values).any(axis=-1))
     standard = np.zeros(values.shape)
@@ -183,18 +184,13 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
 def _complete_values(table: xr.Dataset) -> tuple[list[str], NDArray[np.float64]]:
     """Names of the variables of a table and values (seed, content, variable); NaN in all if one is missing."""
     names = [str(name) for name in table.data_vars]
-    if len(names) <= 1:
-        raise ValueError(f"table holds the variables {names}; a correlation needs at least two")
-    for name in names:
-        if set(table[name].dims) != {"seed", "content"}:
-            raise ValueError(f"variable {name} has dimensions {table[name].dims}; give it ('seed', 'content')")
     values = np.stack([table[name].transpose("seed", "content").to_numpy() for name in names], axis=-1).astype(
         np.float64
     )
     return names, np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, np.nan)
 
 
-def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str], level: float) -> xr.Dataset:
+def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str]) -> xr.Dataset:
     """Correlation matrix of samples in groups (n, variables), each variable relative to its mean in the group.
 
     With three or fewer samples less those lost to means, Fisher's interval is NaN.
@@ -202,7 +198,7 @@ def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str],
     pearson, count, lost = _pearson_matrix(groups, len(names))
     spearman, *_ = _pearson_matrix([stats.rankdata(group, axis=0) for group in groups], len(names))
     freedom = count - lost - 3.0
-    half = float(stats.norm.ppf((1 + level) / 2)) / np.sqrt(np.where(freedom > 0.0, freedom, np.nan))
+    half = float(stats.norm.ppf(0.975)) / np.sqrt(np.where(freedom > 0.0, freedom, np.nan))
     with np.errstate(divide="ignore"):  # a coefficient of one has an infinite z, and tanh returns one
         z = np.arctanh(pearson)
     square = ("variable", "other")
@@ -215,7 +211,7 @@ def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str],
             "n": sum(map(len, groups)),
         },
         coords={"variable": names, "other": names},
-        attrs={"level": level},
+        attrs={"level": 0.95},
     )
 
 
@@ -245,13 +241,6 @@ def _standardised(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     scale = centred.std(axis=0)
     constant = scale <= _ROUND_OFF * np.abs(samples).max(axis=0)
     return np.asarray(centred / np.where(constant, np.nan, scale))
-
-
-def _place_of(target: str, names: list[str]) -> int:
-    """Index of a variable; `ValueError` if the table lacks it."""
-    if target not in names:
-        raise ValueError(f"table holds the variables {names}; {target} is not one of them")
-    return names.index(target)
 
 
 class _PathLine(NamedTuple):
@@ -356,10 +345,6 @@ class RatioScan:
     """Coefficient at the best ratio."""
     best_ratio_interval: Interval
     """Bootstrap interval of the best ratio, by default at 95 %."""
-    n: int
-    """Number of samples used."""
-    left_out: int
-    """Number of samples without velocity."""
 
 
 def scan_ratio(
@@ -422,8 +407,6 @@ def scan_ratio(
         best_ratio=float(grid[best]),
         best_correlation=float(correlation[best]),
         best_ratio_interval=Interval(float(low), float(high)),
-        n=int(known.sum()),
-        left_out=int((~known).sum()),
     )
 
 

@@ -27,41 +27,6 @@ from calcidem.analysis.velocity import are_samples, error_budget
 from calcidem.ends import CellStatus
 from calcidem.storage.records import NOT_PLANNED, STATUS_CODES
 
-_REPEATED = "repeated"
-
-
-def count_outcomes(vs: xr.DataArray, status: xr.DataArray | None = None) -> xr.Dataset:
-    """Count the cells of each content by outcome.
-
-    A cell that was not computed yet carries no information about Vs. A failed cell may, since the arrival of slow
-    samples is hard to pick. The two are therefore never added. Without cement all seeds are one sample and count once.
-
-    Both arguments are along (seed, content): Vs in m/s, NaN if missing, and the outcome as text. It is "done" if Vs is
-    a number, "" if the cell was not computed, and else the name of the failure. Without `status` every NaN counts as
-    not computed. Returns `measured`, `missing` and `failed` along content, and `failures` along (outcome, content).
-    `ValueError` if `vs` has other dimensions, an infinite value, or disagrees with `status`.
-    """
-    vs = arrange_matrix(vs)
-    measured = np.isfinite(vs.to_numpy())
-    text = np.where(measured, "done", "") if status is None else _check_status(vs, status, measured)
-    for column in np.flatnonzero(vs["content"].to_numpy() == 0.0):
-        best = max(range(len(text)), key=lambda seed: (text[seed, column] == "done", text[seed, column] != ""))
-        text = text.copy()
-        text[np.arange(len(text)) != best, column] = _REPEATED
-        measured[np.arange(len(text)) != best, column] = False
-    names = sorted(set(text.ravel().tolist()) - {"done", "", _REPEATED})
-    failures = np.array([(text == name).sum(axis=0) for name in names], dtype=np.int64)
-    failures = failures.reshape(len(names), vs.sizes["content"])
-    return xr.Dataset(
-        {
-            "measured": ("content", measured.sum(axis=0)),
-            "missing": ("content", (text == "").sum(axis=0)),
-            "failed": ("content", failures.sum(axis=0)),
-            "failures": (("outcome", "content"), failures),
-        },
-        coords={"content": vs["content"], "outcome": np.array(names, dtype=str)},
-    )
-
 
 def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
     """Outcome of each cell as text along (seed, content), from its `STATUS_CODES`; empty if there is none."""
@@ -70,30 +35,6 @@ def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
         if name not in (CellStatus.PENDING, NOT_PLANNED):
             names[code] = str(name)
     return xr.DataArray(names[codes.to_numpy()], codes.coords, codes.dims)
-
-
-def arrange_matrix(vs: xr.DataArray) -> xr.DataArray:
-    """Return `vs` along (seed, content); `ValueError` if it has other dimensions or holds an infinite value."""
-    if set(vs.dims) != {"seed", "content"}:
-        raise ValueError(f"vs has the dimensions {vs.dims}; give it the dimensions ('seed', 'content')")
-    if bool(np.isinf(vs).any()):
-        raise ValueError("vs holds infinite values; put NaN where a cell has no velocity")
-    return vs.transpose("seed", "content")
-
-
-def _check_status(vs: xr.DataArray, status: xr.DataArray, measured: NDArray[np.bool_]) -> NDArray[np.object_]:
-    if dict(status.sizes) != dict(vs.sizes):
-        raise ValueError(f"status has shape {dict(status.sizes)}, vs {dict(vs.sizes)}; make them equal")
-    text = status.transpose("seed", "content").to_numpy().astype(object)
-    wrong = np.argwhere((text == "done") != measured)
-    if wrong.size:
-        row, column = wrong[0]
-        seed, content = vs["seed"].to_numpy()[row], vs["content"].to_numpy()[column]
-        raise ValueError(
-            f"seed {seed} at {content} %: status is {text[row, column]!r} but vs is "
-            f"{vs.to_numpy()[row, column]}; vs must be a number exactly where status is 'done'"
-        )
-    return text
 
 
 def normality_of_moments(n: int, skewness: float, kurtosis: float) -> tuple[float, float, float]:
@@ -222,23 +163,33 @@ class ContentDistribution:
 def describe_contents(
     vs: xr.DataArray, status: xr.DataArray | None = None, level: float = 0.95, error: xr.DataArray | None = None
 ) -> tuple[ContentDistribution, ...]:
-    """Describe the velocities of the distinct samples at every content of a campaign.
+    """Describe the velocities of the distinct samples at every content of a campaign, and count the cells without one.
 
-    Arguments and errors of `count_outcomes`; ``error`` has the relative standard errors of the velocities. That of the
-    one sample without cement gives its interval.
+    A cell that was not computed yet carries no information about Vs. A failed cell may, since the arrival of slow
+    samples is hard to pick. The two are therefore never added. Without cement all seeds are one sample and count once.
+
+    The arguments are along (seed, content), else `ValueError`: Vs in m/s, NaN if missing; the outcome as text, which is
+    "done" if Vs is a number, "" if the cell was not computed, and else the name of the failure; and the relative
+    standard error of Vs. That of the one sample without cement gives its interval. Without ``status`` every NaN counts
+    as not computed.
     """
-    counts = count_outcomes(vs, status)
-    columns = arrange_matrix(vs).to_numpy().T
-    errors = np.full_like(columns, np.nan) if error is None else arrange_matrix(error).to_numpy().T
-    numbers = (vs["content"].to_numpy().tolist(), counts["missing"].to_numpy(), counts["failed"].to_numpy())
-    found = []
-    for content, missing, failed, column, error_there in zip(*numbers, columns, errors, strict=True):
+    columns = vs.transpose("content", "seed").to_numpy()
+    outcomes = np.where(np.isfinite(columns), "done", "")
+    if status is not None:
+        outcomes = status.transpose("content", "seed").to_numpy()
+    errors = np.full_like(columns, np.nan) if error is None else error.transpose("content", "seed").to_numpy()
+    contents, found = vs["content"].to_numpy().tolist(), []
+    for content, column, outcome, error_there in zip(contents, columns, outcomes, errors, strict=True):
         counted = are_samples(column, content)
         described = Distribution.of_sample(column[counted], level)
-        if content == 0.0 and counted.any():
-            interval = Interval.of_velocity(described.mean, float(error_there[counted][0]), level)
-            described = replace(described, mean_interval=interval)
-        found.append(ContentDistribution(content, int(missing), int(failed), described))
+        missing, failed = int(np.sum(outcome == "")), int(np.sum((outcome != "") & (outcome != "done")))
+        if content == 0.0:  # the best outcome of any seed counts
+            failed = int(failed > 0 and not counted.any())
+            missing = int(missing > 0 and not failed and not counted.any())
+            if counted.any():
+                interval = Interval.of_velocity(described.mean, float(error_there[counted][0]), level)
+                described = replace(described, mean_interval=interval)
+        found.append(ContentDistribution(content, missing, failed, described))
     return tuple(found)
 
 
@@ -281,22 +232,23 @@ def budget_dataset(cells: xr.Dataset) -> xr.Dataset:
     )
 
 
-def narrowing(values: ArrayLike, counts: Sequence[int], level: float = 0.95, replicates: int = 2000) -> xr.Dataset:
-    """Forecast the half-widths of mean, standard deviation and skewness for at least 3 seeds.
+def narrowing(values: ArrayLike, counts: Sequence[int]) -> xr.Dataset:
+    """Forecast the half-widths of 95 % intervals of mean, standard deviation and skewness for at least 3 seeds.
 
     They are along `count`, the first two in the unit of the values (n,); NaN are left out. That of the mean is
     t s / sqrt(count). The other two are bootstrap results without assumed distribution: half the width of the central
-    `level` over samples of `count` values. Few values underestimate the half-width of skewness, which depends on rare
+    95 % over samples of `count` values. Few values underestimate the half-width of skewness, which depends on rare
     values. `ValueError` for fewer than two values, or a count below 3.
     """
     sample = finite_values(values)
     if min(counts, default=3) < 3:  # fewer values always have the same skewness
         raise ValueError(f"counts holds {min(counts)}; a standard deviation and a skewness need at least 3 seeds")
     deviation = float(standard_deviation(sample))
-    ends, generator = [(1 - level) / 2, (1 + level) / 2], np.random.default_rng(BOOTSTRAP_SEED)
+    level, generator = 0.95, np.random.default_rng(BOOTSTRAP_SEED)
+    ends = [(1 - level) / 2, (1 + level) / 2]
     centre, spread, skew = [], [], []
     for count in counts:
-        resampled = sample[generator.integers(sample.size, size=(replicates, count))]
+        resampled = sample[generator.integers(sample.size, size=(2000, count))]
         varied = resampled[np.ptp(resampled, axis=1) > 0]  # equal values have no skewness
         centre.append(mean_half_width(deviation, count, level))
         spread.append(np.ptp(np.quantile(np.std(resampled, axis=1, ddof=1), ends)) / 2)
@@ -329,7 +281,7 @@ class Change:
     """
 
 
-def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float = 0.95) -> tuple[Change, ...]:
+def paired_changes(variant: xr.DataArray, reference: xr.DataArray) -> tuple[Change, ...]:
     """Compare two matrices of Vs (m/s) along (seed, content), NaN if missing, on their common seeds.
 
     Contents that the reference lacks are left out.
@@ -340,7 +292,7 @@ def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float 
         own = variant.sel(content=content).to_numpy()
         pair = np.stack([first.sel(content=content).to_numpy(), second.sel(content=content).to_numpy()])
         measured = own[np.isfinite(own)]
-        mean_ratio, deviation_ratio, interval = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)], level)
+        mean_ratio, deviation_ratio, interval = _paired_ratios(pair[:, np.isfinite(pair).all(axis=0)])
         changes.append(
             Change(
                 content=content,
@@ -356,8 +308,8 @@ def paired_changes(variant: xr.DataArray, reference: xr.DataArray, level: float 
     return tuple(changes)
 
 
-def _paired_ratios(pair: np.ndarray, level: float) -> tuple[float, float, Interval]:
-    """Ratios of means and of standard deviations of two rows of equal seeds, shape (2, n); interval of the latter."""
+def _paired_ratios(pair: np.ndarray) -> tuple[float, float, Interval]:
+    """Ratios of means and of standard deviations of two rows of equal seeds, (2, n); 95 % interval of the latter."""
     count = pair.shape[1]
     if count < 4:  # common seeds, for a meaningful ratio of standard deviations
         return math.nan, math.nan, UNDEFINED
@@ -368,5 +320,5 @@ def _paired_ratios(pair: np.ndarray, level: float) -> tuple[float, float, Interv
     with np.errstate(divide="ignore", invalid="ignore"):
         deviations = np.divide(*standard_deviation(drawn))
     ratio, finite = float(own / reference), deviations[np.isfinite(deviations)]
-    low, high = np.quantile(finite, [(1 - level) / 2, (1 + level) / 2]).tolist()
+    low, high = np.quantile(finite, [(1 - 0.95) / 2, (1 + 0.95) / 2]).tolist()
     return mean_ratio, ratio, Interval(low, high)

@@ -40,8 +40,6 @@ class PowerLawFit:
     """Standard deviation of the residuals with n - 3 degrees of freedom, in m/s."""
     n: int
     """Number of samples used."""
-    left_out: int
-    """Number of samples without velocity or connectivity."""
 
     def predict(self, connectivity: ArrayLike) -> NDArray[np.float64]:
         """Return the velocity in m/s for positive values of C_d,n, any shape."""
@@ -49,10 +47,8 @@ class PowerLawFit:
         velocity: NDArray[np.float64] = power_law(x, self.a, self.b, self.c)
         return velocity
 
-    def prediction_bounds(
-        self, connectivity: ArrayLike, level: float = 0.95
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the bounds, in m/s, that contain the velocity of a new sample with probability `level`.
+    def prediction_bounds(self, connectivity: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the bounds, in m/s, that contain the velocity of a new sample with a probability of 95 %.
 
         They combine scatter of a sample and uncertainty of the curve (delta method) with Student's t. C_d,n is
         positive, of any shape, and the scatter is assumed equal for all. If it is not, `leave_one_seed_out` gives the
@@ -61,7 +57,7 @@ class PowerLawFit:
         x = np.asarray(connectivity, dtype=np.float64)
         gradient = _power_law_gradient(x, self.a, self.b, self.c)
         curve = np.einsum("...i,ij,...j->...", gradient, self.covariance, gradient)
-        quantile = float(stats.t.ppf((1 + level) / 2, self.n - _PARAMETER_COUNT))
+        quantile = float(stats.t.ppf(0.975, self.n - _PARAMETER_COUNT))
         half = quantile * np.sqrt(self.residual_standard_deviation**2 + curve)
         centre = self.predict(x)
         return centre - half, centre + half
@@ -79,10 +75,10 @@ class LeaveOneSeedOut:
     """Share of samples inside their prediction interval, for comparison with its level."""
 
 
-def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -> PowerLawFit:
+def fit_power_law(connectivity: ArrayLike, vs: ArrayLike) -> PowerLawFit:
     """Fit Vs = a C^b + c by least squares to positive C_d,n and velocities (m/s), both (n,), NaN if unknown.
 
-    ``level`` is that of the parameters' intervals. `ValueError` if shapes disagree, a connectivity is not positive,
+    The parameters' intervals are those of 95 %. `ValueError` if shapes disagree, a connectivity is not positive,
     there are fewer than four samples or three different connectivities, or the fit does not converge.
     """
     x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
@@ -108,7 +104,7 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
             "use samples over a wider range of connectivity"
         ) from error
     residuals = y - power_law(x, *parameters)
-    quantile = float(stats.t.ppf((1 + level) / 2, x.size - _PARAMETER_COUNT))
+    quantile = float(stats.t.ppf(0.975, x.size - _PARAMETER_COUNT))
     intervals = [
         Interval(float(value - quantile * error), float(value + quantile * error))
         for value, error in zip(parameters, np.sqrt(np.diag(covariance)), strict=True)
@@ -125,15 +121,14 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, level: float = 0.95) -
         residuals=residuals,
         residual_standard_deviation=float(np.sqrt(residuals @ residuals / (x.size - _PARAMETER_COUNT))),
         n=x.size,
-        left_out=int((~known).sum()),
     )
 
 
-def leave_one_seed_out(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike, level: float = 0.95) -> LeaveOneSeedOut:
+def leave_one_seed_out(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike) -> LeaveOneSeedOut:
     """Predict the samples of each seed from a law fitted to all other seeds; errors as for `fit_power_law`.
 
     All contents of a seed are left out together, because they share their cement. The coverage is that of prediction
-    intervals at ``level``.
+    intervals of 95 %.
     """
     x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
     seeds = np.asarray(seed)
@@ -146,9 +141,9 @@ def leave_one_seed_out(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike, 
     predicted, low, high = np.empty_like(y), np.empty_like(y), np.empty_like(y)
     for name in np.unique(seeds):
         out = seeds == name
-        fit = fit_power_law(x[~out], y[~out], level)
+        fit = fit_power_law(x[~out], y[~out])
         predicted[out] = fit.predict(x[out])
-        low[out], high[out] = fit.prediction_bounds(x[out], level)
+        low[out], high[out] = fit.prediction_bounds(x[out])
     errors = y - predicted
     return LeaveOneSeedOut(
         errors=errors,

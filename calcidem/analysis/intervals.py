@@ -202,30 +202,28 @@ class SeedPlan:
         return math.ceil(max(0, self.needed - self.present) * (self.present + self.unreadable) / self.present)
 
     @classmethod
-    def of_values(cls, values: ArrayLike, half_width: float, level: float = 0.95, unreadable: int = 0) -> Self:
+    def of_values(cls, values: ArrayLike, half_width: float, unreadable: int = 0) -> Self:
         """Plan the seeds of one content from its values (n,), without NaN, and its seeds without a velocity.
 
-        ``level`` applies to the planned interval and to the interval of the deviation, which gives the range of the
-        plan. `ValueError` for fewer than two values, or if the half-width, in their unit, is not positive.
+        The planned interval, and that of the deviation, which gives the range of the plan, are those of 95 %.
+        `ValueError` for fewer than two values, or if the half-width, in their unit, is not positive.
         """
         sample = finite_values(values)
         deviation = float(standard_deviation(sample))
-        spread = Interval.of_standard_deviation(sample, level)
+        spread = Interval.of_standard_deviation(sample)
         return cls(
             half_width=half_width,
             present=sample.size,
-            present_half_width=mean_half_width(deviation, sample.size, level),
+            present_half_width=mean_half_width(deviation, sample.size, 0.95),
             unreadable=unreadable,
-            needed=_seeds_needed(deviation, half_width, level),
-            needed_low=_seeds_needed(spread.low, half_width, level),
-            needed_high=_seeds_needed(spread.high, half_width, level),
+            needed=_seeds_needed(deviation, half_width),
+            needed_low=_seeds_needed(spread.low, half_width),
+            needed_high=_seeds_needed(spread.high, half_width),
         )
 
 
 def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0.95) -> int:
     """Smallest number of seeds for an interval of the mean of at most this half-width, in the unit of the deviation."""
-    if not (math.isfinite(standard_deviation) and standard_deviation >= 0):
-        raise ValueError(f"standard_deviation is {standard_deviation}; it must be a finite number, not negative")
     if not half_width > 0:
         raise ValueError(f"half_width is {half_width}; it must be positive")
     # The normal quantile gives two or three too few, since Student's is larger.

@@ -147,11 +147,6 @@ def is_covered(row: Target, lowest: float, highest: float) -> bool:
     return lowest - 1e-6 <= row.content <= highest + 1e-6
 
 
-def root_mean_square_misfit(found: Sequence[_Misfit]) -> float:
-    """Root mean square of the relative differences of the means; NaN if there are none."""
-    return float(np.sqrt(np.mean([one.difference**2 for one in found]))) if found else math.nan
-
-
 STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 9.0)}
 """First and last content of each stage, percent, whose end points give the printed growth rates. The text of the paper
 has other bounds (0.66, 2.55 and 6 %), which do not give these rates; see docs/reproduction/published_check.py.
@@ -199,10 +194,6 @@ def growth_by_stage(
 ) -> tuple[StageGrowth, ...]:
     """Return the growth rate of each stage from contents (%) and mean velocities (m/s), both (k,), without NaN."""
     contents, means = np.asarray(content, dtype=np.float64), np.asarray(mean_vs, dtype=np.float64)
-    if contents.ndim != 1 or contents.shape != means.shape:
-        raise ValueError(
-            f"content has shape {contents.shape} and mean_vs {means.shape}; give one mean for each content"
-        )
     order = np.argsort(contents)
     contents, means = contents[order], means[order]
     growth = []

@@ -26,7 +26,6 @@ from calcidem.analysis.contact_graph import (
     ShortestPaths,
     connectivity,
     normalized_connectivity,
-    straight_contacts,
 )
 from calcidem.storage.records import CementPattern, NetworkFeatures, PackingRecord, PathFeatures
 
@@ -195,7 +194,7 @@ class PackingGraph:
     weights: ContactWeights
     """Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains."""
     straight: float
-    """Contacts of a straight row of grains of the median diameter by count, from transmitter to receiver."""
+    """Contacts of a straight row of grains of the median diameter by count, from wall to wall: L / d50 - 1."""
     network: ContactNetwork
     """The contacts with what features of the cement as a network need."""
     _keys: NDArray[np.int64] = field(init=False, repr=False)
@@ -295,7 +294,7 @@ def packing_graph(
         packing=packing,
         graph=graph,
         weights=ContactWeights.from_coordination_number(graph.coordination_number),
-        straight=straight_contacts(packing.width, 2 * float(np.median(packing.radius))),
+        straight=packing.width / (2 * float(np.median(packing.radius))) - 1,
         network=contact_network(packing, graph, boundary_thickness),
     )
 

@@ -258,15 +258,15 @@ def dispersion(
     found, left_out = _ridge(total, velocity), np.array([_ridge(total - power, velocity) for power in powers])
     error = _jackknife(left_out)
     known = np.fmax(error, 1e-3 * found)  # at least the resolution of the grid by a parabola
-    limits = np.array([_long_wave(wanted, ridge, known) for ridge in left_out])
+    limits = np.array([np.polyfit(wanted**2, ridge, 1, w=1.0 / known)[1] for ridge in (found, *left_out)])  # intercepts
     return Dispersion(
         frequency=wanted,
         velocity=velocity,
         power=total / count,
         phase_velocity=found,
         standard_error=error,
-        long_wave=_long_wave(wanted, found, known),
-        long_wave_error=float(_jackknife(limits)),
+        long_wave=float(limits[0]),
+        long_wave_error=float(_jackknife(limits[1:])),
         samples=count,
     )
 
@@ -299,14 +299,6 @@ def _ridge(power: NDArray[np.float64], velocity: NDArray[np.float64]) -> NDArray
     shift = np.where(bend < 0.0, 0.5 * (left - right) / np.where(bend < 0.0, bend, -1.0), 0.0)
     step = np.log(velocity[1] / velocity[0])
     return np.asarray(velocity[best] * np.exp(np.clip(shift, -1.0, 1.0) * step))
-
-
-def _long_wave(
-    frequency: NDArray[np.float64], phase_velocity: NDArray[np.float64], error: NDArray[np.float64]
-) -> float:
-    """Limit of the phase velocity at frequency zero, m/s."""
-    _, intercept = np.polyfit(frequency**2, phase_velocity, 1, w=1.0 / error)
-    return float(intercept)
 
 
 def _jackknife(left_out: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calcidem.analysis.contact_graph import ContactWeights, connectivity, normalized_connectivity, straight_contacts
+from calcidem.analysis.contact_graph import ContactWeights, connectivity, normalized_connectivity
 
 
 def test_weights_of_the_paper_follow_from_its_coordination_number() -> None:
@@ -17,11 +17,6 @@ def test_a_path_is_as_long_as_its_contacts_together() -> None:
     assert connectivity(10, 5, ContactWeights.from_ratio(0.83)) == pytest.approx(14.15)
 
 
-def test_straight_length_counts_the_contacts_of_a_row() -> None:
-    """A row of 40 grains of 2.5 mm spans 0.1 m and has 39 contacts."""
-    assert straight_contacts(0.1, 2.5e-3) == pytest.approx(39)
-
-
 @given(
     coordination=st.floats(1.5, 6),
     grains=st.integers(2, 200),
@@ -33,7 +28,7 @@ def test_normalised_connectivity_measures_the_sand_share_of_a_straight_row(
 ) -> None:
     """On a straight row C_d,n is the share of sand contacts, whatever the weights."""
     weights = ContactWeights.from_coordination_number(coordination)
-    contacts = straight_contacts(grains * 1e-3, 1e-3)
+    contacts = grains - 1
     c_d = weights.hertz * share * contacts + weights.bond * (1 - share) * contacts
     # Subtracting nearly equal weights loses up to four digits here.
     assert normalized_connectivity(c_d, weights, contacts) == pytest.approx(share, abs=1e-9)
@@ -42,7 +37,7 @@ def test_normalised_connectivity_measures_the_sand_share_of_a_straight_row(
 def test_equal_weights_have_no_normalised_connectivity() -> None:
     """Where both kinds of contact weigh the same, Eq. 9 divides by zero, which is refused."""
     with pytest.raises(ValueError, match="bond < hertz"):
-        normalized_connectivity(40.0, ContactWeights(1.0, 1.0), straight_contacts(0.1, 2.5e-3))
+        normalized_connectivity(40.0, ContactWeights(1.0, 1.0), 39.0)
 
 
 @pytest.mark.parametrize(("hertz", "bond"), [(1.0, 0.0), (1.0, 1.1), (1.0, -0.5), (float("nan"), 0.5)])
@@ -50,13 +45,6 @@ def test_impossible_weights_are_refused(hertz: float, bond: float) -> None:
     """Weights must be positive, and cement never lengthens the way."""
     with pytest.raises(ValueError, match="0 < bond <= hertz"):
         ContactWeights(hertz, bond)
-
-
-@pytest.mark.parametrize(("distance", "diameter"), [(0.1, 0.0), (0.1, 0.1), (0.001, 0.0025)])
-def test_impossible_scales_are_refused(distance: float, diameter: float) -> None:
-    """The median grain must be smaller than the distance."""
-    with pytest.raises(ValueError, match="median_diameter"):
-        straight_contacts(distance, diameter)
 
 
 def test_ratio_is_bond_over_hertz() -> None:

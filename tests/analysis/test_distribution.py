@@ -3,7 +3,7 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from calcidem.analysis.distribution import Distribution, count_outcomes, describe_contents, tabulate
+from calcidem.analysis.distribution import Distribution, describe_contents, tabulate
 
 
 def matrix(values: list[list[float]], contents: list[float]) -> xr.DataArray:
@@ -42,11 +42,6 @@ def test_outcomes_are_counted_apart() -> None:
     nan = float("nan")
     vs = matrix([[200.0, nan], [210.0, nan], [nan, 900.0]], [0.11, 5.0])
     status = vs.copy(data=np.array([["done", "no_arrival"], ["done", "unstable"], ["", "done"]]))
-    counts = count_outcomes(vs, status)
-    assert counts["measured"].to_numpy().tolist() == [2, 1]
-    assert counts["missing"].to_numpy().tolist() == [1, 0]
-    assert counts["failed"].to_numpy().tolist() == [0, 2]
-    assert counts["failures"].sel(outcome="unstable", content=5.0) == 1
     rows = describe_contents(vs, status)
     assert [(row.content, row.vs.n, row.missing, row.failed) for row in rows] == [
         (0.11, 2, 1, 0),
@@ -65,38 +60,23 @@ def test_outcomes_are_counted_apart() -> None:
 def test_without_cement_all_seeds_are_one_cell(outcomes: list[str], counts: tuple[int, int, int]) -> None:
     """The best outcome of any seed counts, once; other contents count each seed."""
     vs = matrix([[200.0 if each == "done" else float("nan")] * 2 for each in outcomes], [0.0, 0.05])
-    found = count_outcomes(vs, vs.copy(data=np.array([[each, each] for each in outcomes])))
-    names = ("measured", "missing", "failed")
-    assert tuple(int(found[name].sel(content=0.0)) for name in names) == counts
+    rows = describe_contents(vs, vs.copy(data=np.array([[each, each] for each in outcomes])))
     of_seeds = outcomes.count("done"), outcomes.count(""), outcomes.count("unstable")
-    assert tuple(int(found[name].sel(content=0.05)) for name in names) == of_seeds
+    assert [(row.vs.n, row.missing, row.failed) for row in rows] == [counts, of_seeds]
 
 
 def test_without_status_every_gap_counts_as_not_computed() -> None:
-    """With no outcomes at hand nothing is called a failure."""
-    counts = count_outcomes(matrix([[200.0, float("nan")]], [0.11, 5.0]))
-    assert counts["missing"].to_numpy().tolist() == [0, 1]
-    assert counts["failed"].to_numpy().tolist() == [0, 0]
-    assert counts.sizes["outcome"] == 0
-
-
-@pytest.mark.parametrize(("velocity", "status"), [(200.0, "unstable"), (float("nan"), "done"), (200.0, "")])
-def test_velocity_and_status_must_agree(velocity: float, status: str) -> None:
-    """A failed cell with a velocity, or a done one without, is refused and named."""
-    vs = matrix([[velocity]], [5.0])
-    with pytest.raises(ValueError, match=r"seed 0 at 5\.0 %"):
-        count_outcomes(vs, vs.copy(data=np.array([[status]])))
+    """With no outcomes at hand nothing is called a failure, and a second seed without cement is no gap."""
+    rows = describe_contents(matrix([[200.0, 210.0, float("nan")], [200.0, 220.0, 900.0]], [0.0, 0.11, 5.0]))
+    assert [row.missing for row in rows] == [0, 0, 1]
+    assert [row.failed for row in rows] == [0, 0, 0]
 
 
 def test_malformed_matrices_are_refused() -> None:
-    """Infinite velocities, foreign dimensions and unequal shapes are refused."""
+    """Foreign dimensions and missing values are refused."""
     vs = matrix([[200.0, 300.0]], [0.11, 5.0])
-    with pytest.raises(ValueError, match="infinite"):
-        count_outcomes(vs * np.inf)
-    with pytest.raises(ValueError, match="dimensions"):
-        count_outcomes(vs.rename(seed="run"))
-    with pytest.raises(ValueError, match="shape"):
-        count_outcomes(vs, xr.DataArray([["done"]], dims=("seed", "content")))
+    with pytest.raises(ValueError, match="seed"):
+        describe_contents(vs.rename(seed="run"))
     with pytest.raises(ValueError, match="finite"):
         Distribution.of_sample([1.0, float("nan")])
 

@@ -14,7 +14,6 @@ from calcidem.analysis.contact_graph import (
     ContactWeights,
     PreferentialPath,
     ShortestPaths,
-    straight_contacts,
 )
 from calcidem.analysis.packing_graph import FEATURES, PackingGraph
 from calcidem.storage.records import PathFeatures
@@ -31,7 +30,7 @@ def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np
     """The drawing's path has 4 contacts, cement on 3 of them and on 2 in a row, and is straight."""
     paths = ShortestPaths.search(*drawn_sample, WEIGHTS)
     path = paths.first()
-    found = features_of(paths, drawn_sample[0], straight_contacts(5.0, 1.0))
+    found = features_of(paths, drawn_sample[0], 4.0)
     assert path.grains == (5, 6, 7, 8, 9)
     assert (found.path_contacts, found.path_hertz_contacts, found.path_bonded_contacts) == (4, 1, 3)
     assert found.path_bonded_fraction == 3 / 4
@@ -57,7 +56,7 @@ def test_features_of_any_path_fit_together(bonded: list[bool]) -> None:
     )
     paths = ShortestPaths.search(chain, bonded, WEIGHTS)
     assert paths.first() == path
-    found = features_of(paths, chain, straight_contacts(0.1, 2.5e-3))
+    found = features_of(paths, chain, 39.0)
     text = "".join("b" if kind else " " for kind in bonded)
     assert found.path_longest_bonded_run == max((len(run) for run in text.split()), default=0)
     assert found.path_contacts == found.path_hertz_contacts + found.path_bonded_contacts == len(bonded)

@@ -25,7 +25,7 @@ from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.analysis.figures.relations import _law_text, _symbol
 from calcidem.analysis.figures.samples import (
     COLOURS,
-    _round_length,
+    _draw_scale,
     draw_cemented_samples,
     draw_measurement,
     draw_preferential_paths,
@@ -171,7 +171,10 @@ def test_paths_are_drawn_through_their_grains(analysis: CampaignAnalysis) -> Non
 @pytest.mark.parametrize(("width", "length"), [(100.0, 20.0), (22.0, 5.0), (4.5, 1.0), (0.04, 0.01), (1500.0, 200.0)])
 def test_a_scale_bar_has_a_round_length(width: float, length: float) -> None:
     """It is 1, 2 or 5 times a power of ten, and at most a quarter of the picture."""
-    assert _round_length(width) == pytest.approx(length)
+    axes = Figure().subplots()
+    _draw_scale(axes, 1.0, 2.0, width)
+    assert np.ptp(axes.lines[0].get_xdata()) == pytest.approx(length)
+    assert axes.texts[0].get_text() == f"{length:g} mm"
 
 
 def test_fine_grains_are_drawn_as_coarse_ones(analysis: CampaignAnalysis) -> None:

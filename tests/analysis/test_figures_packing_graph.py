@@ -18,6 +18,12 @@ def test_contacts_of_the_graph_are_those_of_the_packing(analysis: CampaignAnalys
     assert {tuple(pair) for pair in made.tolist()} == {tuple(pair) for pair in found.tolist()}
 
 
+def test_a_straight_row_spans_the_width_with_median_grains(analysis: CampaignAnalysis) -> None:
+    """So many grains of the median diameter by count have one contact fewer."""
+    graph = analysis.graphs[0]
+    assert (graph.straight + 1) * 2 * np.median(graph.packing.radius) == pytest.approx(graph.packing.width)
+
+
 def test_paths_end_at_grains_that_touch_the_bands(analysis: CampaignAnalysis) -> None:
     """Each path starts at a grain pressed to the left wall in its band and ends at one at the right wall."""
     packing = analysis.store.packing()
@@ -74,6 +80,6 @@ def test_missing_and_failed_cells_are_told_apart(analysis: CampaignAnalysis) -> 
     """A cell that was not computed has no status, one that failed has its own."""
     assert analysis.status.sel(seed=6, content=0.34).item() == ""
     assert analysis.status.sel(seed=6, content=9.0).item() == "failed"
-    assert int(analysis.outcomes["missing"].sum()) == 1
+    assert sum(row.missing for row in analysis.distributions) == 1
     known = np.isfinite(analysis.vs.to_numpy())
-    assert int(analysis.outcomes["measured"].sum()) == known.sum()
+    assert sum(row.vs.n for row in analysis.distributions) == known.sum()

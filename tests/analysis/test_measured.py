@@ -9,7 +9,7 @@ import xarray as xr
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import velocities
-from calcidem.analysis.measured import Target, group_specimens, misfits, root_mean_square_misfit
+from calcidem.analysis.measured import Target, group_specimens, misfits
 from calcidem.app.report.sections import _measured_table
 
 VS = xr.DataArray(
@@ -30,7 +30,7 @@ def test_misfits_are_those_counted_by_hand() -> None:
     assert np.isnan(first.deviation_ratio)
     assert second.standard_errors == pytest.approx(50.0 / np.sqrt((10.0**2 + 20.0**2) / 3.0))
     assert second.deviation_ratio == pytest.approx(0.5)
-    assert root_mean_square_misfit((first, second)) == pytest.approx(np.sqrt(((10 / 210) ** 2 + 0.25**2) / 2))
+    assert second.difference == pytest.approx(0.25)
     assert misfits(describe_contents(VS * np.nan), measured) == ()
 
 
@@ -130,6 +130,11 @@ def test_a_report_has_the_misfit_only_where_something_was_measured(analysis: Cam
     assert [row[0] for row in table.rows] == ["0.66"]
     assert "beyond the campaign's contents, and not compared: 99 % (2000 m/s)" in table.caption
     assert "of 1 measured values are outside the interval of 95 % of new samples" in table.caption
+    both = (Target(0.66, 380.0), Target(2.55, 900.0))
+    differences = [one.difference for one in misfits(analysis.distributions, both)]
+    assert (compared := _measured_table(replace(analysis, measured=both))) is not None
+    mean_square = f"{100.0 * np.sqrt(np.mean(np.square(differences))):.1f} %"
+    assert f"root mean square of the differences of the means {mean_square}" in compared.caption
     stress = analysis.config["packing"]["stress"]
     foreign = _measured_table(replace(analysis, measured=(Target(0.66, 380.0, samples=1, stress=2 * stress),)))
     assert foreign is not None

@@ -40,9 +40,3 @@ def test_missing_contents_are_left_out() -> None:
 def test_stages_do_not_overlap() -> None:
     """Each stage begins above the end of the one before."""
     assert all(after[0] > before[1] for before, after in itertools.pairwise(STAGES.values()))
-
-
-def test_unequal_lengths_are_refused() -> None:
-    """One mean belongs to each content."""
-    with pytest.raises(ValueError, match="one mean for each content"):
-        growth_by_stage([1, 2], [3])

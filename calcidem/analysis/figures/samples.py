@@ -437,8 +437,12 @@ def _legend_handles() -> list[Artist]:
 
 
 def _draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
-    """Draw a scale bar below a picture of this width with this lower left corner; all in mm, the unit of the data."""
-    length = _round_length(width)
+    """Draw a scale bar below a picture of this width with this lower left corner; all in mm, the unit of the data.
+
+    Its length is the largest of 1, 2 and 5 times a power of ten that is at most a quarter of the width.
+    """
+    power = 10.0 ** math.floor(math.log10(0.25 * width))
+    length = max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= 0.25 * width)
     y = low - 0.04 * width
     axes.plot([left, left + length], [y, y], color=BLACK, linewidth=2.0, solid_capstyle="butt", clip_on=False)
     axes.annotate(
@@ -451,12 +455,6 @@ def _draw_scale(axes: Axes, left: float, low: float, width: float) -> None:
         fontsize=8.0,
         annotation_clip=False,
     )
-
-
-def _round_length(width: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is at most a quarter of a width."""
-    power = 10.0 ** math.floor(math.log10(0.25 * width))
-    return max(factor * power for factor in (1.0, 2.0, 5.0) if factor * power <= 0.25 * width)
 
 
 class _SmallGifWriter(PillowWriter):

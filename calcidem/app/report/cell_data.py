@@ -17,8 +17,7 @@ from calcidem.analysis.figures.samples import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.packing import section_of, section_reader
 from calcidem.dem.wave.reading import Reading
-from calcidem.ends import Verdict
-from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, QUANTITY_BY_NAME, CellResult, RecordedSection
+from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, QUANTITY_BY_NAME, CellResult
 from calcidem.storage.store import ALL_CELLS, Selection
 from calcidem.wording import EXCEPTIONAL, pluralize, readable_unit
 
@@ -171,13 +170,39 @@ def describe_cells(
 
 
 def describe_sections(analysis: CampaignAnalysis, cells: Iterable[CellResult]) -> list[dict[str, Any]]:
-    """Return the sections of the cells of one seed."""
-    read = section_reader(analysis.store)
-    return [
-        {"content": cell.key.content} | _describe_section(cell, cell.section, read(cell))
-        for cell in cells
-        if cell.section is not None
-    ]
+    """Return the motion across the path of the cells of one seed that have a section, and the peaks at the receiver.
+
+    Motion is given as differences of levels at each place. Times are in milliseconds, places in millimetres. A peak has
+    its travel time, and whether it is that which is read; the other is that of the fitted wave.
+    """
+    read, described = section_reader(analysis.store), []
+    for cell in cells:
+        if cell.section is None:
+            continue
+        section, found = section_of(cell.section), read(cell)
+        motion = np.asarray(section.across, dtype=float)
+        peaks: list[tuple[float, int]] = []
+        if isinstance(found, Reading):
+            peaks = [(section.distance / (found.wave.velocity * (1.0 + found.bias)), 0)]
+            peaks += [(found.travel_time, 1)] if cell.vs_peak is not None else []
+        stride, height = -(-len(motion) // 90), 40  # times and levels, finer than the drawing's lines
+        traces = motion[::stride]
+        largest = np.abs(traces).max(axis=0, initial=0.0)
+        levels = np.rint(traces / np.where(largest > 0.0, largest, 1.0) * height).astype(int)
+        described.append(
+            {
+                "content": cell.key.content,
+                "start": round(1e3 * section.start_time, 6),
+                "interval": float(f"{1e3 * stride * section.sampling_interval:.6g}"),
+                "levels": height,
+                "places": [round(1e3 * place, 2) for place in section.places],
+                "traces": np.diff(levels, axis=0, prepend=0).T.tolist(),
+                "begin": float(f"{0.5e3 / section.frequency:.6g}"),
+                "coherence": cell.coherence,
+                "peaks": [[float(f"{1e3 * travel:.5g}"), chosen] for travel, chosen in sorted(peaks)],
+            }
+        )
+    return described
 
 
 def _describe_signal(analysis: CampaignAnalysis, cell: CellResult) -> dict[str, Any]:
@@ -227,31 +252,3 @@ def page_templates(*packages: str) -> Environment:
 def pack(content: bytes) -> str:
     """Return bytes for the page: deflated, in base64."""
     return b64encode(zlib.compress(content, 9)).decode()
-
-
-def _describe_section(cell: CellResult, stored: RecordedSection, found: Reading | Verdict) -> dict[str, Any]:
-    """Return the motion across the path at each place, as differences of levels, and the peaks at the receiver.
-
-    Times are in milliseconds, places in millimetres. A peak has its travel time, and whether it is that which is read;
-    the other is that of the fitted wave.
-    """
-    section = section_of(stored)
-    motion = np.asarray(section.across, dtype=float)
-    peaks: list[tuple[float, int]] = []
-    if isinstance(found, Reading):
-        peaks = [(section.distance / (found.wave.velocity * (1.0 + found.bias)), 0)]
-        peaks += [(found.travel_time, 1)] if cell.vs_peak is not None else []
-    stride, height = -(-len(motion) // 90), 40  # times and levels, finer than the drawing's lines
-    traces = motion[::stride]
-    largest = np.abs(traces).max(axis=0, initial=0.0)
-    levels = np.rint(traces / np.where(largest > 0.0, largest, 1.0) * height).astype(int)
-    return {
-        "start": round(1e3 * section.start_time, 6),
-        "interval": float(f"{1e3 * stride * section.sampling_interval:.6g}"),
-        "levels": height,
-        "places": [round(1e3 * place, 2) for place in section.places],
-        "traces": np.diff(levels, axis=0, prepend=0).T.tolist(),
-        "begin": float(f"{0.5e3 / section.frequency:.6g}"),
-        "coherence": cell.coherence,
-        "peaks": [[float(f"{1e3 * travel:.5g}"), chosen] for travel, chosen in sorted(peaks)],
-    }

@@ -184,10 +184,10 @@ def _render_page(
 
 def _key_facts(analysis: CampaignAnalysis) -> tuple[tuple[str, str], ...]:
     """Return the key numbers of the campaign."""
-    outcomes, (error, parts) = analysis.outcomes, analysis.budget.texts
-    done, failed = int(outcomes["measured"].sum()), int(outcomes["failed"].sum())
-    missing = int(outcomes["missing"].sum())
-    means = [row.vs.mean for row in analysis.distributions if row.vs.n]
+    rows, (error, parts) = analysis.distributions, analysis.budget.texts
+    done, failed = sum(row.vs.n for row in rows), sum(row.failed for row in rows)
+    missing = sum(row.missing for row in rows)
+    means = [row.vs.mean for row in rows if row.vs.n]
     seconds = float(np.nansum(analysis.cells["seconds"].to_numpy()))
     span = f"{decimal(min(means))} to {decimal(max(means))} m/s" if means else "none"
     return (

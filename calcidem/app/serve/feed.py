@@ -73,11 +73,15 @@ class CellColumns:
         places = self.places(rows)
         changed = np.zeros(places.size, dtype=bool)
         for name in self.values.keys() & rows.keys():
-            found = _as_kept(name, rows[name])
             old = self.values[name][places]
-            same = old == found
-            if not _holds_texts(name):
-                same |= np.isnan(old) & np.isnan(found)
+            if _holds_texts(name):
+                found = np.array([text or "" for text in rows[name].tolist()], dtype=object)
+                if name == "status":
+                    found[found == CellStatus.PENDING.value] = ""
+                same = old == found
+            else:
+                found = rows[name].astype(np.float64)
+                same = (old == found) | (np.isnan(old) & np.isnan(found))
             changed |= ~same
             self.values[name][places] = found
         return [int(place) for place in places[changed]]
@@ -114,10 +118,17 @@ class CellColumns:
         """
         arrays, described, offset = [], [], 0
         for name in names:
-            kind, array, texts = _as_array(name, self.values[name])
+            column, texts = self.values[name], dict[str, int]()
+            if _holds_texts(name):
+                texts = {text: place for place, text in enumerate(dict.fromkeys(column.tolist()))}
+                kind, array = "Uint32", np.array([texts[text] for text in column.tolist()], dtype="<u4")
+            elif QUANTITY_BY_NAME[name].kind == "whole":
+                kind, array = "Float64", column.astype("<f8")
+            else:
+                kind, array = "Float32", column.astype("<f4")
             data = array.tobytes()
             data += bytes(-len(data) % 8)  # typed arrays of browsers begin at multiples of their element size
-            described.append({"name": name, "type": kind, "offset": offset, "texts": texts})
+            described.append({"name": name, "type": kind, "offset": offset, "texts": list(texts)})
             arrays.append(data)
             offset += len(data)
         axes = describe_axes(self.seeds, self.contents, [name for name in names if name in QUANTITY_BY_NAME])
@@ -128,26 +139,6 @@ class CellColumns:
 
 def _holds_texts(name: str) -> bool:
     return QUANTITY_BY_NAME[name].kind == "text"
-
-
-def _as_kept(name: str, column: NDArray[Any]) -> NDArray[Any]:
-    """Values in the form of this class."""
-    if not _holds_texts(name):
-        return column.astype(np.float64)
-    texts = np.array([text or "" for text in column.tolist()], dtype=object)
-    if name == "status":
-        texts[texts == CellStatus.PENDING.value] = ""
-    return texts
-
-
-def _as_array(name: str, column: NDArray[Any]) -> tuple[str, NDArray[Any], list[str]]:
-    """Type of a browser's array, the array, and the texts that it indexes."""
-    if _holds_texts(name):
-        texts = {text: place for place, text in enumerate(dict.fromkeys(column.tolist()))}
-        return "Uint32", np.array([texts[text] for text in column.tolist()], dtype="<u4"), list(texts)
-    if QUANTITY_BY_NAME[name].kind == "whole":
-        return "Float64", column.astype("<f8"), []
-    return "Float32", column.astype("<f4"), []
 
 
 Event = tuple[str, dict[str, Any]]
@@ -229,11 +220,8 @@ class CampaignFeed:
 
     def _status_event(self) -> Event:
         """Record the progress, and return a message."""
-        self._told = self._look()
-        return "status", self._told
-
-    def _look(self) -> dict[str, Any]:
         with self._lock:
+            known = self._told or {}
             told: dict[str, Any] = {
                 "campaign": self.number,
                 "database": self.label,
@@ -247,8 +235,9 @@ class CampaignFeed:
                     found = CampaignStatus.of(self._store, self._columns.rows(STATUS_QUANTITIES), ())
                     notes = notes_on(self._columns.rows(NOTE_QUANTITIES))
                     told |= {"name": found.name, "reasons": self._reasons(self._columns), "notes": notes}
-                    return found.to_json() | told
-            return (self._told or {}) | told
+                    known = found.to_json()
+            self._told = known | told
+            return "status", self._told
 
     def records(self) -> bytes:
         """Return all cells (`CellColumns.packed`); empty as long as the database cannot be read."""

@@ -265,13 +265,20 @@ class _LiveApplication:
     """Sources of the answers."""
 
     def routes(self) -> Starlette:
-        """Return the application of a server."""
+        """Return the application of a server; page, style and script are made from those of the report."""
+        environment = page_templates("calcidem.app.serve", "calcidem.app.report")
+        page = environment.get_template("live.html").render(campaigns=len(self.hub.feeds), remarks=())
+        fixed = {
+            "/": ("text/html", page),
+            "/page.css": ("text/css", environment.get_template("live_page.css").render()),
+            "/page.js": ("text/javascript", environment.get_template("live_page.js").render()),
+        }
         of_campaign = "/campaigns/{campaign:number}"
         return Starlette(
             routes=[
                 *(
                     Route(address, lambda _request, kind=kind, text=text: Response(text, media_type=kind))
-                    for address, (kind, text) in _fixed(self.hub).items()
+                    for address, (kind, text) in fixed.items()
                 ),
                 Route("/events", self._events),
                 Route(f"{of_campaign}/records", self._records),
@@ -324,17 +331,6 @@ class _LiveApplication:
         if number >= len(self.hub.feeds):
             raise HTTPException(404)
         return self.hub.feeds[number]
-
-
-def _fixed(hub: Hub) -> dict[str, tuple[str, str]]:
-    """Type and text of the page, its style and its script, by address; made from those of the report."""
-    environment = page_templates("calcidem.app.serve", "calcidem.app.report")
-    page = environment.get_template("live.html").render(campaigns=len(hub.feeds), remarks=())
-    return {
-        "/": ("text/html", page),
-        "/page.css": ("text/css", environment.get_template("live_page.css").render()),
-        "/page.js": ("text/javascript", environment.get_template("live_page.js").render()),
-    }
 
 
 def _wanted(request: Request) -> Wanted:
@@ -397,7 +393,10 @@ class _Guard:
             answer = RedirectResponse("/", 303)  # so that neither history nor address bar has the token
             answer.set_cookie(self._cookie, self._token.decode(), httponly=True, samesite="lax", path="/")
             return answer
-        if not any(map(self._is_token, _cookies(headers, self._cookie))) or _is_foreign(scope, headers):
+        # Cookies of other pages of the host may have any text, and this name.
+        cookies = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
+        admitted = any(self._is_token(value) for name, _, value in cookies if name == self._cookie)
+        if not admitted or _is_foreign(scope, headers):
             told = "Open this page with the whole address that calcidem has printed; it ends with ?token=... .\n"
             return PlainTextResponse(told, 403)
         return None
@@ -414,12 +413,6 @@ class _Guard:
         except ValueError:
             return name in self._names
         return True
-
-
-def _cookies(headers: Mapping[str, str], name: str) -> list[str]:
-    """Values of the cookies of a name; those of other pages of the host may have any text."""
-    pairs = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
-    return [value for key, _, value in pairs if key == name]
 
 
 def _is_foreign(scope: Scope, headers: Mapping[str, str]) -> bool:

@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -133,13 +134,17 @@ def compute_variants(variants: Sequence[Variant], say: Callable[[str], None], ex
 
 def variant_changes(variants: Sequence[Variant]) -> dict[str, tuple[Change, ...]]:
     """Compare every computed variant with its reference variant, by its name."""
-    found = {variant.name: _variant_velocities(variant) for variant in variants}
-    compared = {}
+    found: dict[str, xr.DataArray] = {}
     for variant in variants:
-        own, other = found[variant.name], found.get(variant.against)
-        if own is not None and other is not None:
-            compared[variant.name] = paired_changes(own, other)
-    return compared
+        plan = variant.configuration.campaign
+        # None of its cells may be computed, and a database may contain more of them from an earlier plan.
+        with suppress(UnknownCampaignError), open_campaign(variant.configuration.database, variant.name) as campaign:
+            found[variant.name] = campaign.vs().reindex(seed=list(plan.seed_numbers), content=sorted(plan.contents))
+    return {
+        variant.name: paired_changes(found[variant.name], found[variant.against])
+        for variant in variants
+        if variant.name in found and variant.against in found
+    }
 
 
 def variant_table(variants: Sequence[Variant]) -> StudyResult:
@@ -182,17 +187,6 @@ def _variant(entry: _ListedVariant, base: Mapping[str, Any], plan: _ListedPlan, 
     folder = (Path(source).parent / plan.configuration).parent
     configuration = read_configuration(document, f"{source}, {entry.name}", folder)
     return Variant(entry.name, entry.choice, entry.value, entry.against, configuration)
-
-
-def _variant_velocities(variant: Variant) -> xr.DataArray | None:
-    """Vs of the planned cells of a variant, m/s along (seed, content); None if none was computed."""
-    plan = variant.configuration.campaign
-    try:
-        with open_campaign(variant.configuration.database, variant.name) as campaign:
-            # A database may contain more cells from an earlier plan.
-            return campaign.vs().reindex(seed=list(plan.seed_numbers), content=sorted(plan.contents))
-    except UnknownCampaignError:
-        return None
 
 
 def _table_entry(change: Change | None, *, is_reference: bool) -> str:

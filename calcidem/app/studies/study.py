@@ -308,7 +308,11 @@ class ParameterRange:
         key = _variable_keys()[self.name]
         value = getattr(getattr(configuration, key.attribute), key.name)
         if self.name == "pattern.cluster_area" and value is None:
-            value = _area_of_clusters(configuration, packing)
+            ordering = configuration.experiment(packing).ordering(configuration.campaign.seed_numbers[0])
+            cement, pattern = ordering.at(min(5.0, ordering.maximum_content)), configuration.pattern
+            calcite = (cement.content_reached - pattern.threshold) / 100.0
+            densities = pattern.sand_density / pattern.calcite_density
+            value = float(calcite * densities * np.pi * np.sum(packing.radius**2) / max(1, cement.clusters))
         if not isinstance(value, float) or value <= 0.0:
             if not 0.0 < self.low < self.high < math.inf:
                 raise ValueError(f"{self.name} = {value}: is not a positive start value; give a range low:high")
@@ -323,15 +327,6 @@ def _variable_keys() -> dict[str, KeyReference]:
         for key in key_references()
         if key.kind == "number" and key.section not in {"campaign", "packing", "run"}
     }
-
-
-def _area_of_clusters(configuration: Configuration, packing: Packing) -> float:
-    """Area of a cluster's calcite by Eq. 2 for the contacts of a mean cluster, m2."""
-    ordering = configuration.experiment(packing).ordering(configuration.campaign.seed_numbers[0])
-    cement = ordering.at(min(5.0, ordering.maximum_content))
-    calcite = (cement.content_reached - configuration.pattern.threshold) / 100.0
-    densities = configuration.pattern.sand_density / configuration.pattern.calcite_density
-    return float(calcite * densities * np.pi * np.sum(packing.radius**2) / max(1, cement.clusters))
 
 
 def text_with_values(text: str, values: Mapping[str, float | str]) -> str:

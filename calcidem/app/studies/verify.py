@@ -104,26 +104,20 @@ def verify(
 
 def _compare_outcomes(stored: CellResult, computed: CellResult) -> Verification:
     """Compare two outcomes of one cell: status, numbers, and cement and section if stored."""
-    differences = dict(_different_quantities(stored, computed))
-    if stored.cement is not None:
-        differences |= _different_arrays("cement", stored.cement, computed.cement)
-    if stored.section is not None:
-        differences |= _different_arrays("section", stored.section, computed.section)
-    return Verification(stored, computed, differences)
-
-
-def _different_quantities(stored: CellResult, computed: CellResult) -> Iterator[tuple[str, float]]:
-    """Yield differing status and numbers with their differences."""
-    if stored.status != computed.status:
-        yield "status", math.inf
+    differences = {} if stored.status == computed.status else {"status": math.inf}
     for name in EXACT_QUANTITIES:
         one, other = getattr(stored, name), getattr(computed, name)
         if one == other:
             continue
         if one is None or other is None or isinstance(one, str):
-            yield name, math.inf
+            differences[name] = math.inf
         else:
-            yield name, abs(other - one) / (1.0 if name in _SHARES else max(abs(one), abs(other)))
+            differences[name] = abs(other - one) / (1.0 if name in _SHARES else max(abs(one), abs(other)))
+    if stored.cement is not None:
+        differences |= _different_arrays("cement", stored.cement, computed.cement)
+    if stored.section is not None:
+        differences |= _different_arrays("section", stored.section, computed.section)
+    return Verification(stored, computed, differences)
 
 
 def _different_arrays(
