@@ -15,7 +15,7 @@ from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.assembly import lanes_of_bits
 from calcidem.dem.engine.leapfrog import run_in_place
-from calcidem.dem.kernels.layout import LISTENED, NORMAL, OVERLAP, SHEAR, Floats, Recording, X, Y
+from calcidem.dem.kernels.layout import NORMAL, OVERLAP, SHEAR, Floats, Recording, X, Y
 from calcidem.dem.wave.experiment import TRANSMITTER, Experiment
 from calcidem.dem.wave.propagation import Recorder, prepare_recorder
 from calcidem.dem.wave.reading import Reading, read_section
@@ -135,14 +135,13 @@ def _run(recorder: Recorder, samples: int) -> Floats:
         driven_disks=recorder.driven_disks,
         offset=0,
         stride=recorder.stride,
-        receiver=0,
         listeners=np.concatenate(groups),
         groups=np.cumsum([0, *map(len, groups)]),
         axes=np.repeat([Y, X], len(recorder.listeners)),
-        samples=np.zeros((samples, 1 + len(groups), _LANES)),
+        samples=np.zeros((samples, len(groups), _LANES)),
     )
     run_in_place(state, samples * recorder.stride, recording)
-    return recording.samples[:, LISTENED:, 0].T.reshape(2, len(recorder.listeners), samples)
+    return recording.samples[:, :, 0].T.reshape(2, len(recorder.listeners), samples)
 
 
 def _times(step: float, stride: int, samples: int) -> Floats:

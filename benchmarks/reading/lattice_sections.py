@@ -441,14 +441,13 @@ def simulate(cell: Lattice, trial: Trial) -> tuple[Floats, Floats, Floats, Float
         driven_disks=np.sort(rank[driven]),
         offset=0,
         stride=stride,
-        receiver=0,
         listeners=np.concatenate(groups * 2),
         groups=np.cumsum([0, *map(len, groups * 2)]),
         axes=np.repeat([0, 1], SLICES),
-        samples=np.zeros((samples, 1 + 2 * SLICES, LANES)),
+        samples=np.zeros((samples, 2 * SLICES, LANES)),
     )
     run_in_place(state, steps, recording)
-    lab_x, lab_y = recording.samples[:, 1 : 1 + SLICES], recording.samples[:, 1 + SLICES :]
+    lab_x, lab_y = recording.samples[:, :SLICES], recording.samples[:, SLICES:]
     times = ((np.arange(samples) + 1) * stride - 0.5) * step
     distances = places - _origin(lattice, trial)
     return times, cosine * lab_y - sine * lab_x, cosine * lab_x + sine * lab_y, distances

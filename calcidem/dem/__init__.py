@@ -4,7 +4,7 @@ For scenes of your own: build a `Scene` from arrays, `start` it, `advance` it, a
 `energies`; that is what this package exports. docs/scenes.md explains it with an example.
 
 Folders: ``kernels`` has the compiled loop and the contact laws, ``engine`` makes scenes, advances and reads their
-states, ``sample`` makes packings and cements them, ``wave`` transmits a pulse through a sample and picks its arrival.
+states, ``sample`` makes packings and cements them, ``wave`` transmits a pulse through a sample and reads its velocity.
 """
 
 from importlib import import_module

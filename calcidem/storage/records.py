@@ -463,7 +463,7 @@ class AttemptCount:
     attempts: int = 0
     """Attempts so far, over all runs; the next one has the number ``attempts + 1``."""
     losses: int = 0
-    """Number of these since the last retry that ended with the loss of the worker."""
+    """Number of these since the last retry during which the run died."""
 
 
 @dataclass(frozen=True, slots=True)

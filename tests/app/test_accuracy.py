@@ -77,8 +77,8 @@ def test_the_error_is_as_large_as_stated(study: Study) -> None:
     """Most errors of the default are within 1.96 standard errors that its content states, which are small."""
     cells = [cell for cell in study.cells if cell.setting == DEFAULT]
     assert all(cell.stated is not None for cell in cells)
-    assert covered_share([cell.vs_error for cell in cells], [cell.stated for cell in cells]) > 0.8
-    assert covered_share([cell.effective_error for cell in cells], [cell.stated for cell in cells]) > 0.8
+    assert covered_share([cell.vs_deviation for cell in cells], [cell.stated for cell in cells]) > 0.8
+    assert covered_share([cell.effective_deviation for cell in cells], [cell.stated for cell in cells]) > 0.8
     assert max(cell.stated or 0.0 for cell in cells) < 0.03
     assert all(cell.stated is None for cell in study.cells if cell.setting != DEFAULT)
 

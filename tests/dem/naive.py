@@ -1,6 +1,7 @@
 """A slow twin of the kernel: one sample, one pair at a time, plain Python floats, the formulas of the textbooks.
 
-It shares no code with `calcidem.dem.kernels`, `assembly` or `stability`. Pairs are found by looking at all.
+It shares the switches with `calcidem.dem.kernels`, and no other code with it, `assembly` or `stability`. Pairs are
+found by looking at all.
 Where the kernel rearranges a formula (change of distance, curvature of a step), the twin takes the plain one.
 """
 

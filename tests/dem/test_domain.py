@@ -15,7 +15,7 @@ from calcidem.dem.wave.experiment import Experiment, domain_of, listening_disks,
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.propagation import SAMPLES_PER_CHUNK, prepare_recorder
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import WHOLE_DOMAIN, Law, WaveRule
+from calcidem.dem.wave.rule import Law, WaveRule
 from calcidem.dem.wave.section import RESOLUTION, Counts
 from calcidem.ends import CellStatus
 
@@ -70,7 +70,7 @@ def test_what_is_heard_does_not_depend_on_disks_out_of_reach(
 ) -> None:
     """With the same step, the signal is that of the whole packing; a finite one feels it coming to rest."""
     rule = replace(RULE, law=law, amplitude=amplitude)
-    whole = replace(rule, keep=(WHOLE_DOMAIN,))
+    whole = replace(rule, whole_domain=True)
     part = domain_of(packing, rule, "preserve").packing
     assert 0.4 < len(part.x) / len(packing.x) < 0.85
     time_step = 3e-8
@@ -86,7 +86,7 @@ def test_what_is_heard_does_not_depend_on_disks_out_of_reach(
 
 def test_the_whole_packing_is_kept_where_a_signal_could_come_back(packing: Packing) -> None:
     """Layers that damp by less than 1, bonds that move the sample, and a rule that says so keep every disk."""
-    for rule in (replace(RULE, keep=(WHOLE_DOMAIN,)), replace(RULE, boundary_damping=0.9, law="finite")):
+    for rule in (replace(RULE, whole_domain=True), replace(RULE, boundary_damping=0.9, law="finite")):
         assert len(domain_of(packing, rule, "preserve").packing.x) == len(packing.x)
     assert len(domain_of(packing, RULE, "zero").packing.x) == len(packing.x)
 

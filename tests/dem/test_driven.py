@@ -38,13 +38,12 @@ def send(state: State, drive: Floats, driven: list[int], heard: int) -> tuple[St
         driven_disks=np.sort(place[driven]),
         offset=0,
         stride=1,
-        receiver=0,
         listeners=place[[heard]],
         groups=np.array([0, 1]),
         axes=np.array([1]),
-        samples=np.zeros((len(drive), 2, state.features.lanes), dtype),
+        samples=np.zeros((len(drive), 1, state.features.lanes), dtype),
     )
-    return run_in_place(state, len(drive), recording), recording.samples[:, 1]
+    return run_in_place(state, len(drive), recording), recording.samples[:, 0]
 
 
 def pulses(lanes: int) -> Floats:

@@ -49,7 +49,7 @@ def begin(features, precision, steps, skin=None):
 def run(state, told, *kernel):
     lists = state.assembly.pairs.first
     state = run_in_place(state, len(told.drive), told, *kernel)
-    arrays = *state.motion, told.samples[:, 1:], state.assembly.pairs.intact, state.assembly.walls.motion
+    arrays = *state.motion, told.samples, state.assembly.pairs.intact, state.assembly.walls.motion
     return [array.astype(float).tolist() for array in arrays], state.assembly.pairs.first is not lists
 """
 

@@ -7,15 +7,16 @@ from typing import Any
 import assembly
 import numpy as np
 import pytest
+from numba.core import config
+from numba.core.codegen import get_host_cpu_features
 
 from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds, Law, Scene
 from calcidem.dem.engine.state import choose_features, start
-from calcidem.dem.kernels.compiling import target_processor
 
 LANES = 8
-FEATURES = target_processor()[1]
+FEATURES = [part[1:] for part in (config.CPU_FEATURES or get_host_cpu_features()).split(",") if part[0] == "+"]
 REGISTER = "zmm" if "avx512f" in FEATURES else "ymm" if "avx2" in FEATURES else None
 SCALAR_DIVIDER = ("divsd", "vdivsd", "sqrtsd", "vsqrtsd", "divss", "vdivss", "sqrtss", "vsqrtss")
 

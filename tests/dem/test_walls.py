@@ -79,12 +79,12 @@ def test_each_disk_belongs_to_the_wall_whose_span_holds_it() -> None:
 
 def recorded(state: State, calls: list[int], stride: int, drive: np.ndarray) -> tuple[State, np.ndarray]:  # type: ignore[type-arg]
     """Samples of a run in several calls, with a driven floor."""
-    samples = np.zeros((sum(calls) // stride, 2, 1))
+    samples = np.zeros((sum(calls) // stride, 1, 1))
     done = 0
     for steps in calls:
         nobody, listeners = np.zeros(0, dtype=np.int64), np.array([0])
         groups = np.array([0, 1])
-        recording = Recording(drive, 0, nobody, done, stride, 1, listeners, groups, np.array([1]), samples)
+        recording = Recording(drive, 0, nobody, done, stride, listeners, groups, np.array([1]), samples)
         state = run_in_place(state, steps, recording)
         done += steps
     return state, samples

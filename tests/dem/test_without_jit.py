@@ -50,7 +50,7 @@ def run(case, precision):
             stride=1,
             listeners=np.array([1, 2, 3]),
             groups=np.array([0, 3]),
-            samples=np.zeros((25, 2, features.lanes), kind),
+            samples=np.zeros((25, 1, features.lanes), kind),
         )
     state = run_in_place(state, 25, told)
     arrays = state.motion.displacement, state.motion.velocity, state.account, told.samples

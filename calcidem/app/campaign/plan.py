@@ -37,10 +37,11 @@ def planned_batches(configuration: Configuration) -> tuple[Batch[Cell], ...]:
 
 def planned_cells(configuration: Configuration) -> set[Cell]:
     """All cells of a campaign's plan, or of its part; those without cement are in one part."""
+    seeds = configuration.campaign.seed_numbers
+    if configuration.run.part is None:
+        return set(product(seeds, configuration.campaign.contents))
     found = {cell for batch in planned_batches(configuration) for cell in batch.cells}
-    if any(content == 0.0 for _, content in found):
-        found |= {(seed, 0.0) for seed in configuration.campaign.seed_numbers}
-    return found
+    return found | ({(seed, 0.0) for seed in seeds} if any(content == 0.0 for _, content in found) else set())
 
 
 def batches_of(

@@ -87,7 +87,7 @@ class Trouble:
     """The cell and its present status."""
     attempts: int
     losses: int
-    """Number of attempts, and of workers lost since the last retry."""
+    """Number of attempts, and of those since the last retry during which the run died."""
     reason: str
     """First line of the reason; empty for a done or pending cell."""
     retry: str = ""

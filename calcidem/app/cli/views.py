@@ -304,7 +304,7 @@ def _trouble_line(trouble: Trouble) -> str:
     """One line about a cell."""
     history = pluralize(trouble.attempts, "attempt")
     if trouble.losses:
-        history += f", {pluralize(trouble.losses, 'worker')} lost"
+        history += f", {pluralize(trouble.losses, 'run')} died meanwhile"
     if trouble.retry:
         history += f", computed again with half the time step ({trouble.retry})"
     reason = f": {trouble.reason}" if trouble.reason else ""

@@ -347,8 +347,8 @@ class Configuration:
         Distribution of the cement.
     wave, excitation
         Transmitted wave, and its frequency.
-    pick, velocity_choice
-        Criteria of the arrival, and method for Vs.
+    pick
+        Method and criteria of a reading.
     """
 
     campaign: CampaignPlan = field(default_factory=CampaignPlan)

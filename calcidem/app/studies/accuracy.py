@@ -32,7 +32,7 @@ from calcidem.dem.wave.check import cheapest_law
 from calcidem.dem.wave.experiment import Experiment, domain_of
 from calcidem.dem.wave.measurement import Measurement
 from calcidem.dem.wave.reading import smooth
-from calcidem.dem.wave.rule import WHOLE_DOMAIN, Pulse
+from calcidem.dem.wave.rule import Pulse
 from calcidem.storage.records import NORMAL_95
 from calcidem.wording import pluralize
 
@@ -94,7 +94,7 @@ def settings(experiment: Experiment, contents: Sequence[float]) -> Iterator[Sett
     share = stroke / experiment.packing.report.mean_overlap
     why = f"{checked}; the pulse moves the transmitter by {share:.1g} mean overlaps"
     yield replace(finite, adds="slip, opening, new contacts", why=why) if wave.law == "linear" else finite
-    everywhere = Setting("whole domain", experiment.with_wave(keep=(*wave.keep, WHOLE_DOMAIN)))
+    everywhere = Setting("whole domain", experiment.with_wave(whole_domain=True))
     domain = domain_of(experiment.packing, wave, experiment.installation).packing
     share = 1.0 - len(domain.x) / len(experiment.packing.x)
     why = f"no signal reaches {share:.0%} of the disks, deep in the damping layers or without contacts"
@@ -138,9 +138,9 @@ class CellError:
     vs: float | None
     reference_vs: float | None
     """m/s; None without a reliable pick."""
-    vs_error: float | None
-    effective_error: float | None
-    """Relative errors of Vs and of the effective velocity, signed; None unless both have one."""
+    vs_deviation: float | None
+    effective_deviation: float | None
+    """Relative deviations of Vs and of the effective velocity, signed; None unless both have one."""
     arrival_error: float | None
     """Relative error of the travel time of the first arrival, signed; None unless both have one."""
     signal_error: float | None
@@ -159,8 +159,8 @@ class CellError:
             content=found.content,
             vs=found.vs,
             reference_vs=exact.vs,
-            vs_error=relative_deviation(found.vs, exact.vs),
-            effective_error=relative_deviation(found.effective_vs, exact.effective_vs),
+            vs_deviation=relative_deviation(found.vs, exact.vs),
+            effective_deviation=relative_deviation(found.effective_vs, exact.effective_vs),
             arrival_error=relative_deviation(exact_arrival, arrival),
             signal_error=distance if np.isfinite(distance) else None,
             stated=found.check.numerical_error,
@@ -222,12 +222,15 @@ class Summary:
         def sizes(values: Iterable[float | None]) -> list[float]:
             return [abs(value) for value in values if value is not None] or [np.inf]
 
-        errors, effective = sizes(cell.vs_error for cell in cells), sizes(cell.effective_error for cell in cells)
+        errors, effective = (
+            sizes(cell.vs_deviation for cell in cells),
+            sizes(cell.effective_deviation for cell in cells),
+        )
         changes = sizes(relative_deviation(cell.vs, own.get((cell.seed, cell.content))) for cell in cells)
         return cls(
             setting=setting,
             numerical=numerical,
-            cells=sum(cell.vs_error is not None for cell in cells),
+            cells=sum(cell.vs_deviation is not None for cell in cells),
             lost=sum(cell.vs is None and cell.reference_vs is not None for cell in cells),
             median=float(np.median(errors)),
             worst=max(errors),
@@ -395,7 +398,7 @@ def find_reference(
     exact = replace(cells.experiment, is_checked=False).with_wave(
         precision="float64",
         law="finite",
-        keep=(WHOLE_DOMAIN,),
+        whole_domain=True,
         samples_per_period=max(REFERENCE_SAMPLES, cells.experiment.wave.samples_per_period),
     )
     step, waiting = coarsest, list(cells.seeds)
@@ -527,8 +530,8 @@ def _covered(parts: Iterable[ContentErrors]) -> tuple[str, str]:
     """Shares of the default's cells with an error of Vs, and of the effective velocity, within the stated one."""
     cells = [cell for part in parts for cell in part.cells if cell.setting == DEFAULT]
     stated = [cell.stated for cell in cells]
-    of_vs = covered_share([cell.vs_error for cell in cells], stated)
-    of_effective = covered_share([cell.effective_error for cell in cells], stated)
+    of_vs = covered_share([cell.vs_deviation for cell in cells], stated)
+    of_effective = covered_share([cell.effective_deviation for cell in cells], stated)
     first, second = (f"{100 * share:.0f} %" if np.isfinite(share) else "-" for share in (of_vs, of_effective))
     return first, second
 

@@ -80,7 +80,7 @@ def bundle(system: System, bundles: _Bundles, features: Features) -> System:
     return system._replace(
         grains=grains._replace(
             inverse_mass=_records(inverse),
-            damping=_records(damping) if features.damping else grains.load,
+            damping=_records(damping) if features.damping else grains.load,  # in its place, and not read
             load=_records(grains.load) if features.loads else grains.load,
         ),
         motion=Motion(*(_records(array.reshape(-1, 3)) for array in motion)),
@@ -349,11 +349,10 @@ def no_recording(state: State) -> Recording:
         driven_disks=np.zeros(0, dtype=np.int64),
         offset=0,
         stride=np.iinfo(np.int64).max,  # never write: the buffer holds no samples
-        receiver=0,
         listeners=np.zeros(0, dtype=np.int64),
         groups=np.zeros(2, dtype=np.int64),
         axes=np.zeros(1, dtype=np.int64),
-        samples=np.zeros((0, 2, lanes), dtype),
+        samples=np.zeros((0, 1, lanes), dtype),
     )
 
 

@@ -16,9 +16,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
-from llvmlite import binding
 from numba import njit
-from numba.core import codegen, config, event, ir, types
+from numba.core import event, ir, types
 from numba.core.rewrites.registry import Rewrite, register_rewrite
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
@@ -83,15 +82,6 @@ def compile_function(**options: Any) -> Callable[[Function], Function]:
 
 # Only compiled code calls these. Entries for Python are omitted, since making them took a third of the compile time.
 inline = compile_function(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-
-
-def target_processor() -> tuple[str, tuple[str, ...]]:
-    """LLVM's names of the processor and features for which kernels are compiled, with numba's settings."""
-    name, features = (getattr(config, setting) for setting in ("CPU_NAME", "CPU_FEATURES"))
-    if features is None:
-        features = codegen.get_host_cpu_features()
-    known = tuple(part[1:] for part in features.split(",") if part.startswith("+"))
-    return name or binding.get_host_cpu_name(), known
 
 
 class FeaturesType(types.Type):

@@ -35,8 +35,6 @@ GAIN, TARGET, TOP_SPEED = range(3)
 """Columns of `Walls.servo`."""
 WALL_WORK, CONTACT_LOSS, DAMPING_LOSS, LOAD_WORK = range(4)
 """Rows of `Watch.account`."""
-RECEIVED, LISTENED = range(2)
-"""Columns of `Recording.samples`."""
 
 
 class Grains(NamedTuple):
@@ -186,8 +184,6 @@ class Recording(NamedTuple):
     """Steps of the drive and the samples that earlier calls have done."""
     stride: int
     """Steps between two samples."""
-    receiver: int
-    """Index of the wall whose shear force is recorded."""
     listeners: Integers
     """Disks whose mean velocities are recorded, group by group."""
     groups: Integers
@@ -195,7 +191,7 @@ class Recording(NamedTuple):
     axes: Integers
     """(G,) component of the velocity of each group, `X` or `Y`."""
     samples: Floats
-    """(S // stride, 1 + G, L) shear force on the receiving wall (N/m), mean velocity of each group (m/s)."""
+    """(S // stride, G, L) mean velocity of each group, m/s."""
 
 
 class Watch(NamedTuple):

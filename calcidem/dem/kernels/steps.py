@@ -29,8 +29,9 @@ from calcidem.dem.kernels.lanes import (
     load,
     scalar,
     store,
+    zero_like,
 )
-from calcidem.dem.kernels.layout import LISTENED, RECEIVED, SHEAR, Floats, Front, Recording, System
+from calcidem.dem.kernels.layout import Floats, Front, Recording, System
 from calcidem.dem.kernels.motion import add_force, drive_disks, integrate, integrate_records, of_disk
 from calcidem.dem.kernels.pair import pair_force, pair_geometry, push_apart
 from calcidem.dem.kernels.wall import add_reaction, finish_walls, start_walls, wall_force, wall_is_far
@@ -146,15 +147,12 @@ def _add_pair_forces(features: Features, begin: int, end: int, level: int, dt: V
 
 @inline
 def _record_sample(features: Features, sample: int, system: System) -> None:
-    """Record the shear force on the receiving wall and the mean velocities of the groups of listening disks."""
-    lanes = features.lanes
+    """Record the mean velocities of the groups of listening disks."""
     recording = system.recording
-    received = load(system.walls.reaction, (recording.receiver, SHEAR), lanes)
-    store(recording.samples, (sample, RECEIVED), received)
     for group in range(recording.groups.shape[0] - 1):
         begin, end = scalar(recording.groups, (group,)), scalar(recording.groups, (group + 1,))
         axis = scalar(recording.axes, (group,))
-        total = received * 0.0
+        total = zero_like(load(recording.samples, (sample, group), features.lanes))
         for place in range(begin, end):
             total = total + of_disk(features, system.motion.velocity, scalar(recording.listeners, (place,)), axis)
-        store(recording.samples, (sample, LISTENED + group), total * (1.0 / float(max(1, end - begin))))
+        store(recording.samples, (sample, group), total * (1.0 / float(max(1, end - begin))))

@@ -23,7 +23,7 @@ from calcidem.dem.kernels.layout import Flags, Integers
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import WHOLE_DOMAIN, WaveRule, excitation_frequency
+from calcidem.dem.wave.rule import WaveRule, excitation_frequency
 from calcidem.dem.wave.section import clamp_of_strip
 
 WAVELENGTHS = 2.5
@@ -36,7 +36,7 @@ _Found = TypeVar("_Found")
 _Arguments = TypeVarTuple("_Arguments")
 
 
-TRANSMITTER, RECEIVER = 1, 4  # indices of the walls of `wave_scene`
+TRANSMITTER = 1  # index of the wall of `wave_scene`
 DEEPEST_LISTENING = 0.3
 """Largest listening depth over box width; beyond it, velocities in a lattice are over 10 % high (docs/velocity.md)."""
 
@@ -115,7 +115,7 @@ def domain_of(packing: Packing, rule: WaveRule, installation: Installation) -> D
         Installation of the bonds. If it changes the contact forces, the whole packing settles again.
     """
     count = len(packing.x)
-    if WHOLE_DOMAIN in rule.keep or installation != "preserve":
+    if rule.whole_domain or installation != "preserve":
         return Domain(packing, np.arange(len(packing.pairs)), np.zeros(count, dtype=bool))
     kept = np.ones(count, dtype=bool)
     if rule.boundary_damping >= 1.0:

@@ -24,11 +24,10 @@ from calcidem.dem.engine.stability import critical_time_step, stiffest_contacts
 from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.gpu import gpu_steps
-from calcidem.dem.kernels.layout import LISTENED, XY, Flags, Floats, Integers, Recording, X, Y
+from calcidem.dem.kernels.layout import XY, Flags, Floats, Integers, Recording, X, Y
 from calcidem.dem.sample.cement import CementOrdering
 from calcidem.dem.sample.compaction import settle
 from calcidem.dem.wave.experiment import (
-    RECEIVER,
     TRANSMITTER,
     Experiment,
     driven_disks,
@@ -38,7 +37,7 @@ from calcidem.dem.wave.experiment import (
     wave_scene,
 )
 from calcidem.dem.wave.reading import is_settled, record_duration
-from calcidem.dem.wave.rule import FEWEST_SAMPLES, WHOLE_DOMAIN, Pulse
+from calcidem.dem.wave.rule import FEWEST_SAMPLES, Pulse
 from calcidem.dem.wave.section import Counts, Section, quantise
 
 SAMPLES_PER_CHUNK = 20  # samples between two checks of the section: half a period of the pulse
@@ -111,15 +110,14 @@ class Recorder:
             driven_disks=self.driven_disks,
             offset=0,
             stride=self.stride,
-            receiver=RECEIVER,
             listeners=np.concatenate(groups),
             groups=np.cumsum([0, *map(len, groups)]),
             axes=np.repeat([Y, X], len(self.listeners)),
-            samples=np.zeros((samples, 1 + len(groups), lanes), dtype),
+            samples=np.zeros((samples, len(groups), lanes), dtype),
         )
         self.state = run_in_place(self.state, steps, recording, self.kernel)
         self.broken = broken_bonds(self.state)
-        recorded = recording.samples[:, LISTENED:].astype(float).transpose(2, 1, 0)
+        recorded = recording.samples.astype(float).transpose(2, 1, 0)
         recorded *= self.signs[:, None, None]
         chunk = quantise(recorded, self.pulse.amplitude).reshape(lanes, 2, len(self.listeners), samples)
         self.counts = np.concatenate([self.counts, chunk], axis=3)
@@ -369,9 +367,9 @@ def _limit_of_all_patterns(experiment: Experiment, cemented: bool) -> float:
 
 
 def _wave_features(scene: Scene, experiment: Experiment, lanes: int) -> Features:
-    """Kernel features that the wave needs or the rule keeps; samples without cement use the kernel of the others."""
+    """Kernel features that the wave needs; samples without cement use the kernel of the others."""
     rule, finite = experiment.wave, experiment.wave.contact_law == "finite"
-    features = replace(
+    return replace(
         choose_features(scene, rule.contact_law, lanes),
         recording=True,
         driven=rule.transmitter == "driven",
@@ -381,7 +379,6 @@ def _wave_features(scene: Scene, experiment: Experiment, lanes: int) -> Features
         linear_group=experiment.cement.linear_modulus > 0.0,
         breakage=finite,
     )
-    return replace(features, **{name: True for name in rule.keep if name != WHOLE_DOMAIN})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,7 +14,6 @@ from calcidem.dem.kernels.layout import Floats
 
 Transmitter = Literal["wall", "driven"]
 
-WHOLE_DOMAIN = "whole_domain"
 FEWEST_SAMPLES = 20  # samples per period of the pulse; with 20 a peak shifts by 0.1 % (docs/velocity.md)
 
 
@@ -62,9 +61,8 @@ class WaveRule:
         Ratio at which a sample has settled after bonds changed its forces.
     most_settling_steps
         Most time steps for settling.
-    keep
-        Kernel features kept without need (`kernels.features.Features`), and ``whole_domain`` for disks that the wave
-        cannot reach.
+    whole_domain
+        Whether disks that the wave cannot reach are computed, too.
     """
 
     amplitude: Annotated[Positive, Unit("m/s")] = 1.0e-3
@@ -83,7 +81,7 @@ class WaveRule:
     law: Literal["auto", "linear", "finite"] = "auto"
     both_sides: bool = False
     precision: Precision = "float64"
-    step_fraction: Annotated[PositivePart, "0.05 to 0.95: above 1 the scheme is unstable"] = 0.8
+    step_fraction: Annotated[PositivePart, "a part of it above 0, at most 1: above 1 the scheme is unstable"] = 0.8
     samples_per_period: Annotated[
         int, Interval(ge=FEWEST_SAMPLES), f"{FEWEST_SAMPLES} or more: a peak cannot be read from fewer"
     ] = 40
@@ -92,7 +90,7 @@ class WaveRule:
     most_broken_bonds: Part = 0.0
     unbalanced_force_ratio: Positive = 1.0e-6
     most_settling_steps: Annotated[int, Interval(ge=1)] = 2_000_000
-    keep: tuple[str, ...] = ()
+    whole_domain: bool = False
 
     @property
     def contact_law(self) -> Law:
@@ -139,16 +137,6 @@ class Pulse:
             raise ValueError(f"frequency = {self.frequency} Hz: give a positive, finite frequency")
 
     @property
-    def duration(self) -> float:
-        """One period, s."""
-        return 1.0 / self.frequency
-
-    @property
-    def peak_time(self) -> float:
-        """Time of the largest velocity, 1 / (2 f), s."""
-        return 0.5 / self.frequency
-
-    @property
     def stroke(self) -> float:
         """Displacement that remains after the pulse, v0 / f, m."""
         return self.amplitude / self.frequency
@@ -157,11 +145,6 @@ class Pulse:
         """Return the velocity at times (s, any shape), m/s; zero before 0 and after one period."""
         cycle = np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
         return np.asarray(self.amplitude * (2.0 * sine_of_turns(0.5 * cycle) ** 2))
-
-    def displacement(self, time: npt.ArrayLike) -> Floats:
-        """Return the displacement since time 0 at times (s, any shape), m: the integral of the velocity."""
-        cycle = np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
-        return np.asarray(self.stroke * (cycle - sine_of_turns(cycle) / (2.0 * np.pi)))
 
 
 def excitation_frequency(content: float) -> float:

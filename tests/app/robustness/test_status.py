@@ -32,7 +32,9 @@ def test_every_state_has_its_character(troubled: Path, invoke: Callable[..., str
 def test_troubles_are_named_with_their_history(troubled: Path, invoke: Callable[..., str]) -> None:
     """The quarantined cell comes first, with its attempts, its lost worker and the reason."""
     output = invoke("status", troubled)
-    assert "seed 9, 2.55 %: quarantined after 2 attempts, 1 worker lost: what went wrong is quarantined" in output
+    assert (
+        "seed 9, 2.55 %: quarantined after 2 attempts, 1 run died meanwhile: what went wrong is quarantined" in output
+    )
     assert output.index("quarantined after 2") < output.index("failed after 1 attempt:")
     assert "calcidem run CONFIG --retry quarantined" in output
 

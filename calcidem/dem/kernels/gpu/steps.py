@@ -19,7 +19,6 @@ from calcidem.dem.kernels.compiling import SOURCES, inline
 from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import Vector, bits_of_mask, load, row, scalar, store
 from calcidem.dem.kernels.layout import (
-    LISTENED,
     Floats,
     Front,
     Integers,
@@ -170,7 +169,6 @@ def _sample_of(system: System, sample: int, motion: Motion, force: Floats, react
             recording.driven_disks,
             recording.offset,
             recording.stride,
-            recording.receiver,
             recording.listeners,
             recording.groups,
             recording.axes,
@@ -237,4 +235,4 @@ def _finish_step(features: Features, done: int, dt: Vector, system: System) -> N
                     disk, axis = scalar(recording.listeners, (place,)), scalar(recording.axes, (group,))
                     total = total + of_disk(features, system.motion.velocity, disk, axis)
                 mean = total * (1.0 / float(max(1, end - begin)))
-                store(recording.samples, (done // recording.stride - 1, LISTENED + group), mean)
+                store(recording.samples, (done // recording.stride - 1, group), mean)
