@@ -8,7 +8,7 @@ import numpy.typing as npt
 from annotated_types import Interval, Unit
 
 from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, checked
-from calcidem.dem.engine.portable import interpolate, sine_of_turns
+from calcidem.dem.engine.portable import sine_of_turns
 from calcidem.dem.engine.scene import Law, Precision
 from calcidem.dem.kernels.layout import Floats
 
@@ -144,11 +144,6 @@ class Pulse:
         return 1.0 / self.frequency
 
     @property
-    def peak_time(self) -> float:
-        """Time of the largest velocity, 1 / (2 f), s."""
-        return 0.5 / self.frequency
-
-    @property
     def stroke(self) -> float:
         """Displacement that remains after the pulse, v0 / f, m."""
         return self.amplitude / self.frequency
@@ -162,25 +157,6 @@ class Pulse:
         """Return the displacement since time 0 at times (s, any shape), m: the integral of the velocity."""
         cycle = np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
         return np.asarray(self.stroke * (cycle - sine_of_turns(cycle) / (2.0 * np.pi)))
-
-
-def excitation_frequency(content: float) -> float:
-    """Return the excitation frequency for a calcite content (percent), Hz.
-
-    The paper's values (`EXCITATION`), interpolated linearly between its contents.
-
-    Raises
-    ------
-    ValueError
-        Outside the contents of Table 2, where a guess could exceed the cut-off frequency.
-    """
-    contents, frequencies = zip(*EXCITATION, strict=True)
-    if not contents[0] <= content <= contents[-1]:
-        raise ValueError(
-            f"content = {content} %: Table 2 has frequencies from {contents[0]:g} to {contents[-1]:g} %; "
-            "give the frequency for this content"
-        )
-    return interpolate(content, contents, frequencies)
 
 
 def cutoff_frequency(stiffness: float, mass: float) -> float:
@@ -199,6 +175,4 @@ def cutoff_frequency(stiffness: float, mass: float) -> float:
     Structures, 1946), so ``f = sqrt(k / m) / pi``. Its long waves have the speed ``V = d sqrt(k / m)`` for a spacing d,
     so ``f = V / (pi d)``.
     """
-    if not (stiffness > 0.0 and mass > 0.0):
-        raise ValueError(f"stiffness = {stiffness} N/m, mass = {mass} kg: give positive numbers")
     return float(np.sqrt(stiffness / mass) / np.pi)

@@ -65,8 +65,6 @@ def sheared_motion(state: State, held: Flags) -> Floats:
 class ShearedTriangles(NamedTuple):
     """Delaunay triangles between centres of a sheared sample; weighted sums give the values of a part."""
 
-    corners: Integers
-    """(K, 3) disks."""
     middle: Floats
     """(K, 2) centroids, m."""
     area: Floats
@@ -112,7 +110,6 @@ def sheared_triangles(state: State, motion: Floats, corners: Integers) -> Sheare
     # A linear function has the gradient sum(value times normal of the opposite side) over twice the area.
     shear = motion[corners, 0] * sides[:, :, 0] - motion[corners, 1] * sides[:, :, 1]
     return ShearedTriangles(
-        corners,
         centres[corners].mean(axis=1),
         0.5 * np.abs(double),
         0.5 * (radius[corners] ** 2 * _angles(sides)).sum(axis=1),
