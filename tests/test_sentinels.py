@@ -14,7 +14,7 @@ SENTINELS = [
     ("analysis/fits.py", "np.array([-half, 0.0", "np.array([half, 0.0", "analysis/test_predictor.py"),
     ("analysis/intervals.py", "+ 2.0 / (1.0 - level)", "+ 3.0 / (1.0 - level)", "analysis/test_predictor.py"),
     ("dem/wave/rule.py", "self.amplitude / self.frequency", "self.amplitude * self.frequency", "dem/test_pulse.py"),
-    ("dem/wave/rule.py", "(cycle - sine_of_turns", "(cycle + sine_of_turns", "dem/test_pulse.py"),
+    ("dem/wave/rule.py", "(0.5 * cycle) ** 2", "(0.5 * cycle) ** 4", "dem/test_pulse.py"),
     ("dem/wave/check.py", "0.5 * step_fraction", "1.0 * step_fraction", "dem/test_check.py"),
     ("dem/engine/portable.py", "0.5 * (left", "0.4 * (left", "dem/test_maxima.py"),
     ("dem/engine/scene.py", "(2.0 / 3.0 * self.shear", "(1.0 / 3.0 * self.shear", "dem/test_verification.py"),

@@ -45,7 +45,7 @@ def test_width_of_the_sent_pulse_gives_its_frequency() -> None:
     for frequency in (4e3, 25e3):
         pulse = Pulse(1e-3, frequency)
         signal = pulse.velocity(np.arange(0, 2 / frequency, interval))
-        found = _pulse_frequency(signal, interval, 0.5 * pulse.duration, reach=0.1 / frequency)
+        found = _pulse_frequency(signal, interval, 0.5 / frequency, reach=0.1 / frequency)
         # The straight line between two samples is off by less than (omega dt)^2 / 8.
         assert found == pytest.approx(frequency, rel=(2 * np.pi * frequency * interval) ** 2)
 

@@ -139,11 +139,6 @@ class Pulse:
             raise ValueError(f"frequency = {self.frequency} Hz: give a positive, finite frequency")
 
     @property
-    def duration(self) -> float:
-        """One period, s."""
-        return 1.0 / self.frequency
-
-    @property
     def stroke(self) -> float:
         """Displacement that remains after the pulse, v0 / f, m."""
         return self.amplitude / self.frequency
@@ -152,11 +147,6 @@ class Pulse:
         """Return the velocity at times (s, any shape), m/s; zero before 0 and after one period."""
         cycle = np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
         return np.asarray(self.amplitude * (2.0 * sine_of_turns(0.5 * cycle) ** 2))
-
-    def displacement(self, time: npt.ArrayLike) -> Floats:
-        """Return the displacement since time 0 at times (s, any shape), m: the integral of the velocity."""
-        cycle = np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
-        return np.asarray(self.stroke * (cycle - sine_of_turns(cycle) / (2.0 * np.pi)))
 
 
 def cutoff_frequency(stiffness: float, mass: float) -> float:
