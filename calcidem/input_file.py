@@ -71,16 +71,16 @@ def read_input(path: Path, limit: int) -> bytes:
     return content
 
 
-def read_text(path: Path, limit: int, fallback: str = "") -> str:
-    """Text of a file as `read_input`, in UTF-8 or, with a byte order mark, UTF-16; lines end with one character.
-
-    Other text is taken to be in the encoding ``fallback``, if there is one.
-    """
-    return as_text(read_input(path, limit), path, fallback)
+def read_text(path: Path, limit: int) -> str:
+    """Text of a file as `read_input` and `as_text`."""
+    return as_text(read_input(path, limit), path)
 
 
 def as_text(content: bytes, path: Path, fallback: str = "") -> str:
-    """Decode the content of a file as `read_text` does."""
+    """Text of the content of a file, in UTF-8 or, with a byte order mark, UTF-16; lines end with one character.
+
+    Other text is taken to be in the encoding ``fallback``, if there is one.
+    """
     encoding = "utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
     try:
         text = content.decode(encoding)
@@ -94,8 +94,8 @@ def as_text(content: bytes, path: Path, fallback: str = "") -> str:
     return text.replace("\r\n", "\n")
 
 
-def zip_members(content: bytes, limit: int = MOST_BYTES) -> dict[str, bytes]:
-    """Members of a zip or npz archive by name; together of at most `limit` bytes, whatever the archive states.
+def zip_members(content: bytes) -> dict[str, bytes]:
+    """Members of a zip or npz archive by name; together of at most `MOST_BYTES`, whatever the archive states.
 
     `InputFileError` for a larger or damaged archive.
     """
@@ -103,7 +103,7 @@ def zip_members(content: bytes, limit: int = MOST_BYTES) -> dict[str, bytes]:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = archive.infolist()
             total = sum(member.file_size for member in members)
-            if total > limit or {member.compress_type for member in members} - {
+            if total > MOST_BYTES or {member.compress_type for member in members} - {
                 zipfile.ZIP_STORED,
                 zipfile.ZIP_DEFLATED,
             }:

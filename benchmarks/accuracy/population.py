@@ -52,7 +52,7 @@ def main() -> None:
         found += new
         for name, rows in ((f"{content:g}", new), ("all", found)):
             columns = []
-            for error in ("vs_error", "effective_error"):
+            for error in ("vs_deviation", "effective_deviation"):
                 errors, own = ([getattr(row, field) for row in rows] for field in (error, "stated"))
                 known = np.abs([one for one in errors if one is not None] or [np.nan])
                 middle = np.nanmedian([np.nan if one is None else one for one in own])

@@ -83,7 +83,7 @@ class Sleep:
 
     def __call__(self, batch: Batch[Cell], raise_if_stopped: Callable[[], None]) -> Sequence[Any]:
         """Give outcomes after the batch's time, without a payload the cells themselves."""
-        time.sleep(self.times[batch.identifier])
+        time.sleep(self.times[(batch.cells[0][0] - 100) // CELLS])  # see `numbered`
         raise_if_stopped()
         return moved(self.payload, batch) if self.payload else batch.cells
 
@@ -128,9 +128,7 @@ def open_sink(database: str, batches: Sequence[Batch[Cell]]) -> tuple[Store, Sto
 
 def numbered(count: int) -> list[Batch[Cell]]:
     """Batches of cells that the database does not have."""
-    return [
-        Batch(number, tuple((100 + CELLS * number + lane, CONTENT) for lane in range(CELLS))) for number in range(count)
-    ]
+    return [Batch(tuple((100 + CELLS * number + lane, CONTENT) for lane in range(CELLS))) for number in range(count)]
 
 
 def lead(batches: int, seconds: float, database: str | None, executor: Executor | None, stop: StopRequest) -> int:

@@ -132,9 +132,9 @@ def batch_profile() -> list[str]:
 
     configuration = change_configuration(PAPER, {"run.gpu": True, "run.lanes": LANES})
     compute = CellComputation(configuration, provide_packing(configuration, None))
-    compute(Batch(0, tuple((seed, 0.66) for seed in range(LANES))), lambda: None)
+    compute(Batch(tuple((seed, 0.66) for seed in range(LANES))), lambda: None)
     profile, text = cProfile.Profile(), io.StringIO()
-    profile.runcall(compute, Batch(0, tuple((seed, 0.66) for seed in range(LANES, 2 * LANES))), lambda: None)
+    profile.runcall(compute, Batch(tuple((seed, 0.66) for seed in range(LANES, 2 * LANES))), lambda: None)
     pstats.Stats(profile, stream=text).sort_stats("tottime").print_stats(25)
     return [line for line in text.getvalue().splitlines() if line.strip()]
 

@@ -145,7 +145,7 @@ def sample_costs(configuration: Path, content: float, lanes: int = 16) -> dict[s
     loaded = reader.change_configuration(reader.load_configuration(configuration, {}), values)
     compute = task.CellComputation(loaded, packing.kept_packing(loaded.packing_hash))
     seeds = loaded.campaign.seed_numbers
-    batch = importlib.import_module("calcidem.sweep.schedule").Batch(0, tuple((seed, content) for seed in seeds))
+    batch = importlib.import_module("calcidem.sweep.schedule").Batch(tuple((seed, content) for seed in seeds))
     compute(batch, lambda: None)
     leapfrog, steps = importlib.import_module("calcidem.dem.engine.leapfrog"), []
     kernel = leapfrog.advance_steps

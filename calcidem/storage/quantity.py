@@ -176,13 +176,9 @@ class Record:  # noqa: PLW1641 - records that are keys have the hash that `datac
         if type(self) is not type(other):
             return NotImplemented
         owner: Any = type(self)
-        return all(_same(getattr(self, name), getattr(other, name)) for name in _checked(owner)[0])
-
-
-def _same(first: object, second: object) -> bool:
-    if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
-        return first.dtype == second.dtype and np.array_equal(first, second)
-    return bool(first == second)
+        pairs = ((getattr(self, name), getattr(other, name)) for name in _checked(owner)[0])
+        # The arrays of a field have one type, see `_freeze`.
+        return all(np.array_equal(one, two) if isinstance(one, np.ndarray) else one == two for one, two in pairs)
 
 
 def _freeze(field: str, values: object, element: type[Any], along: Along, lengths: dict[str, int]) -> Any:  # noqa: ANN401 - an array

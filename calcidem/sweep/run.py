@@ -150,8 +150,8 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
 ) -> SweepEnd:
     """Compute all batches and store their outcomes.
 
-    `ValueError` if two batches have the same identifier or a limit is not positive; `SweepError` if the workers of an
-    executor cannot load the computation. Exceptions of the sink are raised after the waiting batches were cancelled.
+    `SweepError` if the workers of an executor cannot load the computation. Exceptions of the sink are raised after the
+    waiting batches were cancelled.
 
     Parameters
     ----------
@@ -165,23 +165,19 @@ def run_sweep(  # noqa: PLR0913 - each is another side of a sweep
     sink
         Stores the outcomes.
     time_limit, silence_floor
-        Limits of a batch in s, see `Workers`.
+        Limits of a batch in s, above 0, see `Workers`.
     progress
         Display; silent by default.
     stop_request
         Signals received since the start of the program; by default signals count only during the sweep.
     more
-        Returns further batches for new final outcomes; their identifiers are replaced. Used on the main thread, before
-        these outcomes are stored.
+        Returns further batches for new final outcomes. Used on the main thread, before these outcomes are stored.
 
     Returns
     -------
     SweepEnd
         How the sweep ended, with the `exit_code` of the program.
     """
-    for name, value in (("time_limit", time_limit), ("silence_floor", silence_floor)):
-        if value is not None and not value > 0.0:
-            raise ValueError(f"{name} is {value} s: give more than 0 s")
     schedule = Schedule(tuple(batches))
     progress = progress or Progress()
     with nullcontext(stop_request) if stop_request is not None else StopRequest() as stop:

@@ -43,47 +43,19 @@ Cell: TypeAlias = tuple[int, float]
 
 @dataclass(frozen=True, slots=True)
 class Batch(Generic[CellT]):
-    """Cells that one worker computes together.
+    """Cells that one worker computes together."""
 
-    Raises
-    ------
-    ValueError
-        If there is no cell, the cost is not positive, or `losses` is negative.
-    """
-
-    identifier: int
-    """Number of the batch, unique within a sweep."""
     cells: tuple[CellT, ...]
     """At least one cell, each hashable and picklable."""
     cost: float = 1.0
-    """Expected effort in any unit, larger than zero; only ratios matter. It serves to estimate the remaining time."""
-    group: Hashable = None
-    """Common property of the cells (in a campaign the content); the time per cost is measured for each group."""
+    """Expected effort in any unit, larger than zero; only ratios matter. A worker gets as much time to answer."""
     losses: int = 0
     """Number of earlier runs that died while these cells were computed."""
-
-    def __post_init__(self) -> None:
-        if not self.cells:
-            raise ValueError("cells is empty: a batch needs at least one cell")
-        if not self.cost > 0.0:
-            raise ValueError(f"cost is {self.cost}: give an estimate larger than zero")
-        if self.losses < 0:
-            raise ValueError(f"losses is {self.losses}: give the number of runs that died, zero or more")
 
     @property
     def is_alone(self) -> bool:
         """Whether no other batch may be computed meanwhile, so that another death has only one possible cause."""
         return self.losses > 1
-
-    def split(self, first_identifier: int) -> tuple[Self, ...]:
-        """Return one batch for each cell, numbered from `first_identifier`; cost and losses are kept.
-
-        The cost is not divided: the cells fill SIMD lanes, so one cell takes about as long as the whole batch.
-        """
-        return tuple(
-            replace(self, identifier=first_identifier + position, cells=(cell,))
-            for position, cell in enumerate(self.cells)
-        )
 
 
 def plan_batches(
@@ -97,7 +69,7 @@ def plan_batches(
     All cells of a batch have the same content. The batches form rounds, one for every `lanes` seeds: whole seeds are
     complete early, so a stopped campaign is usable. Within a round the expensive contents come first, so that no long
     batch remains at the end. Cells that were computed when a run died come last, and after a second death each for
-    itself, so that they affect few others. `ValueError` if `lanes` is smaller than one.
+    itself, so that they affect few others.
 
     Parameters
     ----------
@@ -113,10 +85,8 @@ def plan_batches(
     Returns
     -------
     tuple of Batch
-        In the order in which they should be handed out, numbered from 0, `group` is the content.
+        In the order in which they should be handed out.
     """
-    if lanes < 1:
-        raise ValueError(f"lanes is {lanes}: give the number of cells computed side by side, at least 1")
     losses = losses or {}
     cells = sorted(set(pending))
     groups: dict[tuple[float, int], list[Cell]] = defaultdict(list)
@@ -126,12 +96,10 @@ def plan_batches(
     batches = []
     for (content, lost), group in groups.items():
         cost, width = cost_of_content(content), 1 if lost > 1 else lanes
-        batches += [
-            Batch(0, tuple(group[start : start + width]), cost, content, lost) for start in range(0, len(group), width)
-        ]
+        batches += [Batch(tuple(group[start : start + width]), cost, lost) for start in range(0, len(group), width)]
     # The first seed of a batch determines its round, since this seed has waited longest.
     batches.sort(key=lambda batch: (batch.losses, round_of_seed[batch.cells[0][0]], -batch.cost, batch.cells[0]))
-    return tuple(replace(batch, identifier=number) for number, batch in enumerate(batches))
+    return tuple(batches)
 
 
 ResultT = TypeVar("ResultT")
@@ -165,29 +133,25 @@ class BatchOutcome(Generic[CellT, ResultT]):
     Raises
     ------
     ValueError
-        Unless exactly one of `results` and `failure` is given, with one result for each cell.
+        Unless there is one result for each cell.
     """
 
     batch: Batch[CellT]
     seconds: float
     """Wall time of the computation in s."""
     results: tuple[ResultT, ...] | None = None
-    """One result for each cell in the order of `batch.cells`, or None."""
+    """One result for each cell in the order of `batch.cells`; None with a failure."""
     failure: Failure | None = None
-    """Reason for missing results, or None."""
+    """Reason for missing results; None with results."""
     rank: int = 0
     host: str = ""
     """Number of the rank that computed it, and name of its machine."""
 
     def __post_init__(self) -> None:
-        """Check that exactly one of both is given."""
-        if (self.results is None) == (self.failure is None):
-            raise ValueError(f"batch {self.batch.identifier}: give either results or failure")
+        """Count the results, which the caller of a sweep computes."""
         if self.results is not None and len(self.results) != len(self.batch.cells):
-            raise ValueError(
-                f"batch {self.batch.identifier}: {len(self.results)} results for {len(self.batch.cells)}"
-                " cells; return exactly one result for each cell"
-            )
+            given = f"{len(self.results)} results for {len(self.batch.cells)} cells"
+            raise ValueError(f"{given}; return exactly one result for each cell")
 
 
 @dataclass
@@ -200,38 +164,24 @@ class Schedule(Generic[CellT]):
     - A batch of several cells that raised an exception or took down its workers is split, and its cells are computed
       next, one by one, so that only the bad cell fails. A batch that timed out is not split: its cells advance side by
       side, so each alone would take about as long.
-
-    Raises
-    ------
-    ValueError
-        If two batches have the same identifier.
     """
 
     batches: Sequence[Batch[CellT]]
-    """Batches in the order of computation; the identifiers must differ."""
+    """Batches in the order of computation."""
     tally: Counter[CellStatus] = field(default_factory=Counter)
     """Cells with a final outcome by what they ended with; all that have a result count as done."""
 
     def __post_init__(self) -> None:
         """Queue the batches."""
         self._queue: deque[Batch[CellT]] = deque(self.batches)
-        identifiers = {batch.identifier for batch in self._queue}
-        if len(identifiers) != len(self._queue):
-            raise ValueError("batches: two of them have the same identifier; number them from 0")
-        self._next_identifier = max(identifiers, default=-1) + 1
 
     def __len__(self) -> int:
         """Return the number of waiting batches."""
         return len(self._queue)
 
-    def extend(self, batches: Iterable[Batch[CellT]]) -> tuple[Batch[CellT], ...]:
-        """Queue batches after the others, new ones or ones not begun; return them with their new numbers."""
-        further = tuple(
-            replace(batch, identifier=number) for number, batch in enumerate(batches, self._next_identifier)
-        )
-        self._queue.extend(further)
-        self._next_identifier += len(further)
-        return further
+    def extend(self, batches: Iterable[Batch[CellT]]) -> None:
+        """Queue batches after the others, new ones or ones not begun."""
+        self._queue.extend(batches)
 
     def take(self) -> Batch[CellT] | None:
         """Remove and return the next batch, or None if there is none."""
@@ -242,9 +192,8 @@ class Schedule(Generic[CellT]):
         cells = len(outcome.batch.cells)
         kind = CellStatus.DONE if outcome.failure is None else outcome.failure.kind
         if kind in {CellStatus.FAILED, CellStatus.QUARANTINED} and cells > 1:
-            parts = outcome.batch.split(self._next_identifier)
-            self._next_identifier += len(parts)
-            self._queue.extendleft(reversed(parts))
+            # With the cost of all: the cells fill SIMD lanes, so one takes about as long as the whole batch.
+            self._queue.extendleft(replace(outcome.batch, cells=(cell,)) for cell in reversed(outcome.batch.cells))
             return None
         self.tally[kind] += cells
         return outcome
@@ -391,13 +340,11 @@ class StopRequest:
     ----------
     finishes
         Whether SIGUSR1 is a request; the ranks that compute ignore it and finish their batches.
-    has_lost
-        Asked at a SIGTERM: whether it came since another rank has died.
 
     Attributes
     ----------
     has_lost
-        As the parameter.
+        Asked at a SIGTERM: whether it came since another rank has died; by default it did not.
     end_at_once
         Ends all; by default this process.
     level
@@ -406,7 +353,7 @@ class StopRequest:
         Name of the signal that requested it, empty if none.
     """
 
-    def __init__(self, *, finishes: bool = True, has_lost: Callable[[], bool] = lambda: False) -> None:
+    def __init__(self, *, finishes: bool = True) -> None:
         # mpirun forwards SIGUSR2 to its ranks and waits for them, while on SIGTERM it kills them a quarter of a second
         # later. So a launcher that passes its own SIGTERM on as SIGUSR2 gets an orderly end.
         wanted = {"SIGUSR1": self._drain if finishes else lambda *_: None} | dict.fromkeys(
@@ -415,7 +362,7 @@ class StopRequest:
         self._handlers: dict[signal.Signals, Any] = {
             getattr(signal, name): handler for name, handler in wanted.items() if hasattr(signal, name)
         }
-        self.has_lost = has_lost
+        self.has_lost: Callable[[], bool] = lambda: False
         self.end_at_once: Callable[[], object] = partial(os._exit, EXIT_RESUMABLE)
         self._hurry_since: float | None = None
         self.level = StopLevel.NONE

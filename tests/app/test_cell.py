@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 def computed(configuration: Configuration, packing: Packing, seed: int, content: float) -> dict[str, Any]:
     """Compute one cell as a worker does; return the numbers that it sends."""
-    batch: Batch[Cell] = Batch(0, ((seed, content),))
+    batch: Batch[Cell] = Batch(((seed, content),))
     (result,) = CellComputation(configuration, packing)(batch, lambda: None)
     return result.values()
 

@@ -74,7 +74,7 @@ def test_eight_parts_merged_equal_one_run(workshop: "Workshop", expected: "Cells
     merged = merge_databases([str(workshop.folder / part) for part in parts[1:]], out)
     assert {(key.seed, key.content) for key in merged.missing} == set(batch.cells)
     (line,) = merged.missing_lines()
-    assert line == f"  {batch.group:g} %: 2 cells, seeds {batch.cells[0][0]}-{batch.cells[1][0]}"
+    assert line == f"  {batch.cells[0][1]:g} %: 2 cells, seeds {batch.cells[0][0]}-{batch.cells[1][0]}"
     done = workshop.run("run", "c.toml", "--db", str(out))
     assert done.code == 0, done.errors
     assert "2 cells in 1 batch" in done.output + done.errors

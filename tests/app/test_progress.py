@@ -27,7 +27,7 @@ from calcidem.sweep.schedule import Batch, BatchOutcome, Failure, SweepEnd, Swee
 if TYPE_CHECKING:
     from conftest import Workshop
 
-BATCHES = [Batch(number, ((1, content), (2, content))) for number, content in enumerate((0.0, 2.55, 9.0))]
+BATCHES = [Batch(((1, content), (2, content))) for content in (0.0, 2.55, 9.0)]
 
 
 def tell_a_story(display: ProgressDisplay, database: Path) -> None:

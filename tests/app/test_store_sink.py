@@ -45,7 +45,7 @@ def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.Monke
         sink = StoreSink(store, [CellKey(1, 5.0)])
         store.locked = 3
         with listening(lambda text: told.append((text, sink.busy.locked()))):
-            sink.mark([Batch(0, ((1, 5.0),), 1.0)])
+            sink.mark([Batch(((1, 5.0),), 1.0)])
         assert store.attempt_counts([CellKey(1, 5.0)])[CellKey(1, 5.0)] == AttemptCount(1, 0)
         assert len(told) == 3
         assert "Waiting for another process that has locked the database" in told[0][0]
@@ -53,20 +53,20 @@ def test_a_lock_is_waited_for_and_told(tmp_path: Path, monkeypatch: pytest.Monke
         sink.patience = 0.0
         store.locked = 100
         with pytest.raises(StoreLockedError) as refused:
-            sink.mark([Batch(1, ((2, 5.0),), 1.0)])
+            sink.mark([Batch(((2, 5.0),), 1.0)])
     assert _exit_code_of(refused.value) == EXIT_RESUMABLE
 
 
 PLAN = CampaignRecord(canonical_hash({}), "one", "{}", (5.0,), (1, 2), datetime.now(UTC))
 KEYS = [CellKey(1, 5.0), CellKey(2, 5.0)]
-BATCH = Batch(0, ((1, 5.0), (2, 5.0)))
+BATCH = Batch(((1, 5.0), (2, 5.0)))
 NUMBERS = {"frequency": 15e3, "time_step": 8e-8, "stability_limit": 1e-7, "steps": 9}
 
 
 def outcome_of(*keys: CellKey) -> BatchOutcome[tuple[int, float], CellResult]:
     """Outcome of cells that are done."""
     results = tuple(CellResult(key, CellStatus.DONE, vs=900.0, **NUMBERS).pack() for key in keys)
-    return BatchOutcome(Batch(0, tuple((key.seed, key.content) for key in keys)), 1.0, results, rank=1, host="here")
+    return BatchOutcome(Batch(tuple((key.seed, key.content) for key in keys)), 1.0, results, rank=1, host="here")
 
 
 def test_a_cell_that_was_computed_when_a_run_died_has_lost_an_attempt(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_a_cell_that_was_computed_when_a_run_died_has_lost_an_attempt(tmp_path: 
         store.begin_run(describe_run(3))
         sink = StoreSink(store, KEYS)
         sink.mark([BATCH])
-        sink.mark([Batch(1, BATCH.cells[:1])])  # computed again alone, after an exception of the batch
+        sink.mark([Batch(BATCH.cells[:1])])  # computed again alone, after an exception of the batch
         sink.store([outcome_of(KEYS[0])])
         assert set(store.attempt_counts(KEYS).values()) == {AttemptCount(1, 0)}
     with Store(tmp_path / "one.db") as store:

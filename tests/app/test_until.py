@@ -71,7 +71,7 @@ def computed(known: dict[Cell, float], order: random.Random) -> dict[Cell, float
     while waiting:
         cell = waiting.pop(order.randrange(len(waiting)))
         known[cell] = velocity(cell)
-        batch = Batch(0, (cell,))
+        batch = Batch((cell,))
         waiting += demand.take_in([BatchOutcome(batch, 0.0, tuple(measured(batch, lambda: None)))])
     assert set(known) == set(demand.cells)
     return known
@@ -167,7 +167,7 @@ def test_a_cell_that_is_given_up_at_a_start_counts_at_that_start(tmp_path: Path)
             work.store.begin_run(describe_run(2))
             work.store.record_running([CellKey(8, 0.66)])
         work.store.begin_run(describe_run(2))
-        known = [measured(Batch(0, ((seed, 0.66),)), lambda: None)[0] for seed in range(1, 8)]
+        known = [measured(Batch(((seed, 0.66),)), lambda: None)[0] for seed in range(1, 8)]
         work.store.record_results(known)
         batches = work._plan_batches()
         deaths = work.store.attempt_counts([CellKey(8, 0.66)])[CellKey(8, 0.66)]

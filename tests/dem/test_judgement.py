@@ -36,7 +36,7 @@ def largest(packing: Packing) -> float:
 def test_a_crushed_packing_is_refused_with_a_stress_that_would_do() -> None:
     """Up to 7 % of a radius nothing is said, up to 10 % a warning; the stress that is named gives about 5 %."""
     packing, sand = squash(5e4)
-    assert not [fault for fault in judge_disks(packing, sand) if fault.key == "stress"]
+    assert not [fault for fault in judge_disks(packing, sand) if fault.text.startswith("stress")]
     crushed, _ = squash(3e6)
     assert largest(crushed) > 0.1
     fault = judge_disks(crushed, sand)[0]
@@ -45,7 +45,7 @@ def test_a_crushed_packing_is_refused_with_a_stress_that_would_do() -> None:
     cure = float(fault.text.split("packing.stress = ")[1].split(" Pa")[0])
     assert 0.03 < largest(squash(cure)[0]) < 0.07
     deep = replace(crushed, radius=crushed.radius - (largest(crushed) - 0.08) / 2.0 * crushed.radius.min())
-    warning = next(fault for fault in judge_disks(deep, sand) if fault.key == "stress")
+    warning = next(fault for fault in judge_disks(deep, sand) if fault.text.startswith("stress"))
     assert not warning.refused
 
 
@@ -68,11 +68,10 @@ def test_a_stress_that_crushes_is_known_beforehand() -> None:
     low, high = expected_overlap(1e4, SMALL, sand), expected_overlap(8e4, SMALL, sand)
     assert high == pytest.approx(4.0 * low)
     fault = judge_stress(1e8, SMALL, sand)
-    assert fault is not None
-    stress = float(fault.text.split("packing.stress = ")[1].split(" Pa")[0])
-    modulus = float(fault.text.split("sand.shear_modulus = ")[2].split(" Pa")[0])
-    assert judge_stress(stress, SMALL, sand) is None
-    assert judge_stress(1e8, SMALL, replace(sand, shear_modulus=modulus)) is None
+    stress = float(fault.split("packing.stress = ")[1].split(" Pa")[0])
+    modulus = float(fault.split("sand.shear_modulus = ")[2].split(" Pa")[0])
+    assert judge_stress(stress, SMALL, sand) == ""
+    assert judge_stress(1e8, SMALL, replace(sand, shear_modulus=modulus)) == ""
 
 
 def test_disks_cover_at_most_what_florian_proved() -> None:

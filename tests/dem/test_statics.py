@@ -31,7 +31,7 @@ def part_of(state: State, rim: Flags, disks: Flags) -> tuple[float, float]:
     """Modulus and density of the part of a sheared sample whose triangles have all corners among some disks."""
     corners = Delaunay(np.column_stack([state.scene.x, state.scene.y])).simplices
     triangles = sheared_triangles(state, sheared_motion(state, rim), corners)
-    return triangles.weighted(disks[triangles.corners].all(axis=1).astype(float))
+    return triangles.weighted(disks[corners].all(axis=1).astype(float))
 
 
 def lattice_errors(x: Floats, y: Floats, modulus: float, cell: float) -> Floats:

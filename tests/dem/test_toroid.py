@@ -71,10 +71,3 @@ def test_cement_wider_than_a_disk_is_refused() -> None:
     """Cement wider than one of its disks is refused, with both sizes in the message."""
     with pytest.raises(ValueError, match=r"0\.0025 m is larger than a disk of 0\.0024 m"):
         toroid_area([3e-3, 2.4e-3], 3e-3, 2.5e-3)
-
-
-@pytest.mark.parametrize("wrong", [(0.0, 1.0, 0.1), (1.0, -1.0, 0.1), (1.0, 1.0, 0.0), (1.0, float("nan"), 0.1)])
-def test_diameters_have_to_be_positive(wrong: tuple[float, float, float]) -> None:
-    """A diameter of zero, below zero or not a number is refused."""
-    with pytest.raises(ValueError, match="positive"):
-        toroid_area(*wrong)

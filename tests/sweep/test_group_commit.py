@@ -26,14 +26,14 @@ class SlowSink:
         assert self.may_store.wait(10.0)
         if self.error is not None:
             raise self.error
-        self.stored.append([outcome.batch.identifier for outcome in outcomes])
+        self.stored.append([outcome.batch.cells[0] for outcome in outcomes])
 
     def keep_alive(self) -> None:
         """Do nothing."""
 
     def mark(self, batches: Sequence[Batch[Any]], /) -> None:
         """Keep the marks of batches as their negative numbers."""
-        self.stored.append([-batch.identifier for batch in batches])
+        self.stored.append([-batch.cells[0] for batch in batches])
 
 
 class Shown(Progress):
@@ -44,12 +44,12 @@ class Shown(Progress):
 
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:
         """Note it."""
-        self.shown.append(outcome.batch.identifier)
+        self.shown.append(outcome.batch.cells[0])
 
 
 def outcome(number: int) -> BatchOutcome[int, int]:
-    """Outcome of a batch of this number."""
-    return BatchOutcome(Batch(number, (number,)), 1.0, results=(number,))
+    """Outcome of a batch of the cell with this number."""
+    return BatchOutcome(Batch((number,)), 1.0, results=(number,))
 
 
 @pytest.fixture

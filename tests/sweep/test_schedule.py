@@ -1,5 +1,3 @@
-import pytest
-
 from calcidem.ends import CellStatus
 from calcidem.sweep.schedule import Batch, BatchOutcome, Failure, Schedule
 
@@ -19,40 +17,41 @@ def drain(schedule: Schedule[str]) -> list[tuple[str, ...]]:
 
 def test_batches_come_in_the_order_given() -> None:
     """The schedule does not reorder."""
-    schedule = Schedule((Batch(1, ("b",)), Batch(0, ("a",)), Batch(2, ("c",))))
+    schedule = Schedule((Batch(("b",)), Batch(("a",)), Batch(("c",))))
     assert drain(schedule) == [("b",), ("a",), ("c",)]
 
 
-def test_equal_identifiers_are_refused() -> None:
-    """Two batches with the same number cannot be told apart."""
-    with pytest.raises(ValueError, match="same identifier"):
-        Schedule((Batch(1, ("b",)), Batch(1, ("a",))))
-
-
-def test_batches_that_are_added_have_numbers_of_their_own() -> None:
-    """Neither those given later nor the parts of a split one have the number of another."""
-    schedule = Schedule((Batch(0, ("a", "b")), Batch(4, ("c",))))
-    further = schedule.extend([Batch(0, ("d",))])
+def test_batches_that_are_added_come_last() -> None:
+    """After those given before, and after the parts of a split one."""
+    schedule = Schedule((Batch(("a", "b")), Batch(("c",))))
+    schedule.extend([Batch(("d",))])
     first = schedule.take()
     assert first is not None
     schedule.settle(failed(first))
-    numbers = [batch.identifier for batch in iter(schedule.take, None)]
-    assert len({first.identifier, *numbers}) == 5
-    assert further[0].identifier in numbers
+    assert drain(schedule) == [("a",), ("b",), ("c",), ("d",)]
 
 
 def test_a_batch_that_raised_is_computed_again_cell_by_cell_next() -> None:
     """After an exception the single cells go ahead of everything that still waits."""
-    schedule = Schedule((Batch(0, ("a", "b")), Batch(1, ("c", "d"))))
+    schedule = Schedule((Batch(("a", "b")), Batch(("c", "d"))))
     first = schedule.take()
     assert first is not None
     assert schedule.settle(failed(first)) is None
     assert drain(schedule) == [("a",), ("b",), ("c", "d")]
 
 
+def test_splitting_keeps_cost_and_losses() -> None:
+    """The parts of a batch are each as expensive and as suspect as the whole."""
+    schedule = Schedule((Batch(("a", "b"), cost=7.0, losses=2),))
+    whole = schedule.take()
+    assert whole is not None
+    schedule.settle(failed(whole))
+    assert [*iter(schedule.take, None)] == [Batch((cell,), cost=7.0, losses=2) for cell in ("a", "b")]
+
+
 def test_a_single_cell_that_raised_is_settled() -> None:
     """One cell alone is not tried again."""
-    schedule = Schedule((Batch(0, ("a",)),))
+    schedule = Schedule((Batch(("a",)),))
     batch = schedule.take()
     assert batch is not None
     outcome = failed(batch)
@@ -62,7 +61,7 @@ def test_a_single_cell_that_raised_is_settled() -> None:
 
 def test_a_batch_that_timed_out_is_settled_as_a_whole() -> None:
     """Cells that advance side by side would time out alone as well."""
-    schedule = Schedule((Batch(0, ("a", "b")),))
+    schedule = Schedule((Batch(("a", "b")),))
     batch = schedule.take()
     assert batch is not None
     assert schedule.settle(failed(batch, CellStatus.TIMED_OUT)) is not None
@@ -71,7 +70,7 @@ def test_a_batch_that_timed_out_is_settled_as_a_whole() -> None:
 
 def test_the_cell_that_takes_down_workers_is_quarantined_alone() -> None:
     """The executor's verdict on a batch is only that one of its cells is deadly; its company is computed."""
-    schedule = Schedule((Batch(0, ("good", "deadly", "fine")),))
+    schedule = Schedule((Batch(("good", "deadly", "fine")),))
     done, settled = [], []
     while (batch := schedule.take()) is not None:
         if "deadly" in batch.cells:

@@ -48,7 +48,8 @@ def test_the_same_signal_twice_in_a_row_is_one_request() -> None:
 def test_a_sigterm_after_the_death_of_a_rank_is_no_request_of_a_user() -> None:
     """The launcher then ends all ranks; other signals come from users."""
     for number, level in ((signal.SIGTERM, StopLevel.LOST), (signal.SIGUSR2, StopLevel.HURRY)):
-        with StopRequest(has_lost=lambda: True) as request:
+        with StopRequest() as request:
+            request.has_lost = lambda: True
             send(number)
             assert request.level is level
             assert request.hurry()

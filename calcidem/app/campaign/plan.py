@@ -26,13 +26,13 @@ def planned_batches(configuration: Configuration) -> tuple[Batch[Cell], ...]:
         return batches
     number, parts = configuration.run.part_numbers
     effort = [0.0] * parts
-    own = set()
-    for batch in sorted(batches, key=lambda batch: (-batch.cost, batch.identifier)):
+    own = []
+    for place, batch in sorted(enumerate(batches), key=lambda item: -item[1].cost):
         least = effort.index(min(effort))
         effort[least] += batch.cost
         if least == number - 1:
-            own.add(batch.identifier)
-    return tuple(batch for batch in batches if batch.identifier in own)
+            own.append(place)
+    return tuple(batches[place] for place in sorted(own))
 
 
 def planned_cells(configuration: Configuration) -> set[Cell]:

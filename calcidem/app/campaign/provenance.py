@@ -23,8 +23,16 @@ if TYPE_CHECKING:
 def describe_run(ranks: int) -> RunRecord:
     """Provenance of a run that begins now, on rank 0 of this number of ranks."""
     commit, dirty = source_commit()
+    versions = {"python": platform.python_version(), "calcidem": __version__}
+    for name in ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy"):  # for numbers and files
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = ""
+    if any(platform.libc_ver()):
+        versions["libc"] = " ".join(platform.libc_ver())
     return RunRecord(
-        versions=library_versions(),
+        versions=versions,
         host=platform.node(),
         cpu=_cpu_model(),
         ranks=ranks,
@@ -35,17 +43,6 @@ def describe_run(ranks: int) -> RunRecord:
         git_dirty=dirty,
         slurm_job_id=os.environ.get("SLURM_JOB_ID"),
     )
-
-
-def library_versions() -> dict[str, str]:
-    """Versions of Python, of the packages on which numbers and files depend, and of the C library if known."""
-    versions = {"python": platform.python_version(), "calcidem": __version__}
-    for name in ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy"):
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            versions[name] = ""
-    return versions | ({"libc": " ".join(platform.libc_ver())} if any(platform.libc_ver()) else {})
 
 
 def _cpu_model() -> str:

@@ -417,10 +417,10 @@ class ProgressDisplay:
             self._pause = 5.0  # s, so that a short run writes some lines; a run of days does not fill its log
         progress = replace(progress, seconds=now - self._began)
         self._next = now + 0.2
+        left = "" if progress.seconds_left is None else f", {duration(progress.seconds_left)} left"
         if self._callback is not None:
             self._callback(progress)
         elif self._bars is not None:
-            left = "" if progress.seconds_left is None else f", {duration(progress.seconds_left)} left"
             self._bars.update(
                 self._task,
                 description=progress.stage.capitalize(),
@@ -432,7 +432,6 @@ class ProgressDisplay:
         else:
             self._next = now + self._pause
             self._pause = min(1.5 * self._pause, 600.0)
-            left = "" if progress.seconds_left is None else f", {duration(progress.seconds_left)} left"
             self._note(f"{time.strftime('%H:%M:%S')} {progress.stage}: {progress.detail}{left}")
 
     def _note(self, text: str) -> None:

@@ -4,7 +4,7 @@ from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -19,10 +19,6 @@ from calcidem.app.cli.options import (
 )
 from calcidem.storage.records import ARRAY_RECORDS
 from calcidem.wording import first_of
-
-if TYPE_CHECKING:
-    from calcidem.app.campaign.merge import Merged
-
 
 _Array = StrEnum("_Array", list(ARRAY_RECORDS))  # type: ignore[misc]  # not literal
 
@@ -163,16 +159,9 @@ def merge_command(
     if prefer is not None and prefer not in sources:
         raise typer.BadParameter(f"{prefer} is none of {', '.join(sources)}.", param_hint="--prefer")
     merged = merge_databases(sources, out, prefer, campaign)
-    say("\n".join(_merge_lines(merged, out)))
-
-
-def _merge_lines(merged: "Merged", out: Path) -> list[str]:
-    """Describe the merge."""
-    taken = [f"  {number} cells from {source}" for source, number in zip(merged.sources, merged.taken, strict=True)]
-    lines = [
-        f"Wrote {out}: {merged.settled} of {merged.settled + len(merged.missing)} planned cells are finished",
-        *taken,
-    ]
+    planned = merged.settled + len(merged.missing)
+    lines = [f"Wrote {out}: {merged.settled} of {planned} planned cells are finished"]
+    lines += [f"  {number} cells from {source}" for source, number in zip(merged.sources, merged.taken, strict=True)]
     if merged.shared:
         lines.append(f"  {merged.shared} cells were in several databases with the same values")
     if merged.overruled:
@@ -183,4 +172,4 @@ def _merge_lines(merged: "Merged", out: Path) -> list[str]:
     if merged.missing:
         lines += ["Missing:", *merged.missing_lines()]
         lines.append(f"'calcidem run CONFIG --db {out}' computes them.")
-    return lines
+    say("\n".join(lines))

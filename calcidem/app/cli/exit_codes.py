@@ -82,8 +82,13 @@ def tell_error(error: Exception) -> int:
             f"memory, or the number of processes, has reached its limit ({str(error) or type(error).__name__}): use "
             "fewer ranks, or raise the limit (ulimit -v, ulimit -u); what was stored before is safe."
         )
+    elif isinstance(error, OSError) and error.errno is not None and error.strerror is not None:
+        name = error.filename if error.filename2 is None else error.filename2  # of two names, the second is the target
+        named = "" if name is None else f"{name}: "
+        cure = _CURE_OF_ERRNO.get(error.errno, "check the name and the disk")
+        text = f"{named}{error.strerror[:1].lower()}{error.strerror[1:]}; {cure}"
     elif isinstance(error, (*_BAD_INPUT, PackingError, SweepError)):
-        text = _sentence(error) if isinstance(error, OSError) else str(error)
+        text = str(error)
     else:
         text = f"calcidem stopped at an unexpected error: {type(error).__name__}: {error}"
         try:
@@ -99,17 +104,6 @@ def tell_error(error: Exception) -> int:
         text += f"\n{''.join(traceback.format_exception(error))}"
     say(hide_passwords(f"Error: {text}"), err=True)
     return _exit_code_of(error)
-
-
-def _sentence(error: OSError) -> str:
-    """Name of the file, cause and remedy; other texts of Python are kept."""
-    if error.errno is None or error.strerror is None:
-        return str(error)
-    name = error.filename if error.filename2 is None else error.filename2  # of two names, the second is the target
-    named = "" if name is None else f"{name}: "
-    return f"{named}{error.strerror[:1].lower()}{error.strerror[1:]}; " + _CURE_OF_ERRNO.get(
-        error.errno, "check the name and the disk"
-    )
 
 
 def _log_error(error: BaseException) -> Path | None:

@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable
 from importlib import import_module
 from io import TextIOWrapper
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -70,10 +70,14 @@ class _LazyGroup(TyperGroup):
     """
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:  # noqa: ANN401 - Click's own, which typer brings along or does not
-        """Replace the entry of the list by the command itself."""
+        """Replace the entry of the list by the command itself, a function with its docstring as help."""
         name, command, rest = super().resolve_command(ctx, args)
         if name is not None:
-            command = self.commands[name] = _load_command(name)
+            function = command_function(name)
+            paragraphs = (" ".join(paragraph.split()) for paragraph in (function.__doc__ or "").split("\n\n"))
+            alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+            alone.command(name, help="\n\n".join(paragraphs))(_with_common_options(name, function))
+            command = self.commands[name] = typer.main.get_command(alone)
         return name, command, rest
 
 
@@ -107,13 +111,9 @@ def main() -> None:
 
 def _remove_files_on_signals() -> None:
     """Have SIGTERM and SIGHUP end the command as Ctrl-C does, which removes its temporary files."""
-
-    def end(number: int, _frame: object) -> NoReturn:
-        raise SystemExit(128 + number)
-
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:  # not under nohup
-            signal.signal(number, end)
+            signal.signal(number, lambda received, _frame: sys.exit(128 + received))
 
 
 def _show_version(wanted: bool) -> None:
@@ -157,15 +157,6 @@ def command_function(name: str) -> Callable[..., None]:
     panel = next(panel for panel, commands in PANELS.items() if name in commands)
     function: Callable[..., None] = getattr(import_module(f"calcidem.app.cli.{_MODULES[panel]}"), f"{name}_command")
     return function
-
-
-def _load_command(name: str) -> Any:  # noqa: ANN401 - as above
-    """Command from a function, with its docstring as help."""
-    function = command_function(name)
-    paragraphs = (" ".join(paragraph.split()) for paragraph in (function.__doc__ or "").split("\n\n"))
-    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    alone.command(name, help="\n\n".join(paragraphs))(_with_common_options(name, function))
-    return typer.main.get_command(alone)
 
 
 def _with_common_options(name: str, function: Callable[..., None]) -> Callable[..., None]:

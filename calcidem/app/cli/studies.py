@@ -36,7 +36,6 @@ from calcidem.sweep.schedule import EXIT_ERROR
 from calcidem.wording import pluralize, tell
 
 if TYPE_CHECKING:
-    from calcidem.app.campaign.opened import Campaign
     from calcidem.app.studies.calibrate import FittedContent, FittedParameters
     from calcidem.app.studies.verify import Verification
 
@@ -340,11 +339,16 @@ def verify_command(
     from calcidem.app.campaign.opened import open_campaign
     from calcidem.app.cli.exit_codes import EXIT_ROUNDING
     from calcidem.app.studies.verify import Agreement, random_cells, verify
+    from calcidem.storage.errors import DAMAGE_REMEDY
 
     with open_campaign(database, campaign) as opened:
         if integrity:
-            _verify_integrity(opened, layout)
-            return
+            damage = opened.store.damage()
+            if layout is not Format.TABLE:
+                tell_rows([{"damage": text} for text in damage], layout, names=("damage",))
+            else:
+                say("\n".join((*damage, DAMAGE_REMEDY)) if damage else "No damage was found.")
+            raise typer.Exit(EXIT_ERROR if damage else 0)
         keys = random_cells(opened.store, cells, choice)
         found = []
         for verification in verify(opened.store, keys, opened.experiment):
@@ -371,21 +375,6 @@ def verify_command(
     codes = {Agreement.SAME_BITS: 0, Agreement.ROUNDING: EXIT_ROUNDING, Agreement.DIFFERENT: EXIT_ERROR}
     if code := codes[max(counts, key=list(Agreement).index)]:  # the worst of them
         raise typer.Exit(code)
-
-
-def _verify_integrity(opened: "Campaign", layout: Format) -> None:
-    """Name all damage of the file; exit code 1 if there is any."""
-    from calcidem.storage.errors import DAMAGE_REMEDY
-
-    damage = opened.store.damage()
-    if layout is not Format.TABLE:
-        tell_rows([{"damage": text} for text in damage], layout, names=("damage",))
-    elif damage:
-        say("\n".join((*damage, DAMAGE_REMEDY)))
-    else:
-        say("No damage was found.")
-    if damage:
-        raise typer.Exit(EXIT_ERROR)
 
 
 def _verification_line(verification: "Verification") -> str:

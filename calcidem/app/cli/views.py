@@ -22,7 +22,6 @@ from calcidem.app.campaign.status import (
     CampaignStatus,
     ContentStatus,
     ProgressDisplay,
-    Trouble,
 )
 from calcidem.app.cli.options import IS_QUIET
 from calcidem.app.cli.output import WholeTable, make_console, make_table
@@ -196,7 +195,13 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
     columns = max(10, width - 78)  # the table needs so many besides the matrix
     parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
     per_character = max(1, math.ceil(len(status.seeds) / columns))  # seeds, so that the matrix fits into the columns
-    parts += [_matrix_table(status, columns, per_character), _legend(status, per_character)]
+    legend = Text("  ")
+    for kind, (symbol, style) in _STATUS_CHARACTERS.items():
+        if status.counts.get(kind):
+            legend.append(symbol, style).append(f" {kind.words}   ")
+    if per_character > 1:
+        legend.append(f"{_PARTLY_DONE} partly done   one character for {per_character} seeds")
+    parts += [_matrix_table(status, columns, per_character), legend]
     marks = [_marks_of(content.counts, content.budget.loud) for content in status.contents]
     parts += [Text(f"  {remark}") for remark in _remarks_on(marks, status.budget.loud)]
     if status.counts.get(CellStatus.DONE):
@@ -274,41 +279,28 @@ def _matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: i
     return row
 
 
-def _legend(status: CampaignStatus, per_character: int) -> Text:
-    """Legend of the characters in a matrix with so many seeds for each."""
-    text = Text("  ")
-    for kind, (symbol, style) in _STATUS_CHARACTERS.items():
-        if status.counts.get(kind):
-            text.append(symbol, style).append(f" {kind.words}   ")
-    if per_character > 1:
-        text.append(f"{_PARTLY_DONE} partly done   one character for {per_character} seeds")
-    return text
-
-
 def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
     """Cells that failed or were tried again, the most severe first."""
     if not status.troubles:
         return
     yield ""
     yield "Failed or repeated cells:"
-    yield from (f"  {line}" for line in first_of([_trouble_line(trouble) for trouble in status.troubles]))
+    lines = []
+    for trouble in status.troubles:
+        history = pluralize(trouble.attempts, "attempt")
+        if trouble.losses:
+            history += f", {pluralize(trouble.losses, 'run')} died meanwhile"
+        if trouble.retry:
+            history += f", computed again with half the time step ({trouble.retry})"
+        reason = f": {trouble.reason}" if trouble.reason else ""
+        lines.append(f"{trouble.key}: {trouble.status.words} after {history}{reason}")
+    yield from (f"  {line}" for line in first_of(lines))
     went_wrong = {trouble.status for trouble in status.troubles if trouble.reason}
     if went_wrong & {*UNREAD}:
         kinds = " and ".join(kind.words for kind in UNREAD if kind in went_wrong)
         yield f"Cells with {kinds} give the same again; 'calcidem show DB --seed S --content C --out DIR' draws them."
     for kind in sorted(went_wrong - {*UNREAD}):
         yield f"'calcidem run CONFIG --retry {kind}' computes cells that are {kind.words} again."
-
-
-def _trouble_line(trouble: Trouble) -> str:
-    """One line about a cell."""
-    history = pluralize(trouble.attempts, "attempt")
-    if trouble.losses:
-        history += f", {pluralize(trouble.losses, 'run')} died meanwhile"
-    if trouble.retry:
-        history += f", computed again with half the time step ({trouble.retry})"
-    reason = f": {trouble.reason}" if trouble.reason else ""
-    return f"{trouble.key}: {trouble.status.words} after {history}{reason}"
 
 
 def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":

@@ -81,7 +81,7 @@ def _rest_problems(configuration: Configuration) -> Iterator[Problem]:
             yield Problem(f"pattern.{error}", ("pattern.drawn_by",))
     fault = judge_stress(packing.stress, sum(packing.diameter) / 2.0, sand)
     if fault and configuration.packing_draw.file is None:  # the packing of disks in a file is checked later
-        yield Problem(f"packing.{fault.text}", ("packing.stress", "packing.diameter", "sand.shear_modulus"))
+        yield Problem(f"packing.{fault}", ("packing.stress", "packing.diameter", "sand.shear_modulus"))
     if sand.friction < packing.friction_preparation and wave.law != "linear":
         yield Problem(
             f"sand.friction = {sand.friction:g}: less than packing.friction_preparation = "

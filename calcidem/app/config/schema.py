@@ -58,11 +58,6 @@ PHYSICS_VERSION = 5
 """Part of the campaign's hash; increase it with each change of results or defaults."""
 
 
-def _is_file_name(name: str) -> bool:
-    """Whether this is a possible file name; of the 255 bytes of file systems, endings need some."""
-    return name.strip() == name != "" and not set(name) & set("/\\\0\n") and len(name.encode()) <= 200
-
-
 @checked
 @dataclass(frozen=True, slots=True)
 class WantedIntervals:
@@ -105,9 +100,12 @@ class CampaignPlan:
         Most seeds of a content with `until`.
     """
 
-    name: Annotated[str, Predicate(_is_file_name), "a name that can be part of a file name, of at most 200 bytes"] = (
-        "campaign"
-    )
+    name: Annotated[
+        str,
+        Predicate(lambda name: name.strip() == name != "" and not set(name) & set("/\\\0\n")),
+        Predicate(lambda name: len(name.encode()) <= 200),  # of the 255 bytes of file systems, endings need some
+        "a name that can be part of a file name, of at most 200 bytes",
+    ] = "campaign"
     seeds: Annotated[
         Annotated[int, Interval(ge=1, le=1_000_000)]
         | Annotated[

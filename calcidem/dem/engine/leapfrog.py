@@ -291,9 +291,13 @@ def _make_front(state: State) -> Front:
 def run_in_place(state: State, steps: int, recording: Recording, kernel: Kernel | None = None) -> State:
     """Advance a state in place by ``steps`` steps, relisting pairs when needed, by the kernel or another one."""
     done = 0
-    if state.features.search and steps > 0 and _left_reach(state):
-        # The reach was left in the last step of an earlier call, which did not relist.
-        state = _renew_neighbours(state)
+    if state.features.search and steps > 0:
+        moved = state.motion.displacement[:, XY] - state.origin
+        walls = state.assembly.walls.motion[:, NORMAL_PATH] - state.wall_origin
+        reach = _reach(state)
+        if (moved[:, 0] ** 2 + moved[:, 1] ** 2 > reach * reach).any() or (np.abs(walls) > reach).any():
+            # It was left in the last step of an earlier call, which did not relist.
+            state = _renew_neighbours(state)
     while done < steps:
         count = run_kernel(state, steps - done, recording._replace(offset=recording.offset + done), kernel)
         done += count
@@ -306,14 +310,6 @@ def run_in_place(state: State, steps: int, recording: Recording, kernel: Kernel 
 def _reach(state: State) -> float:
     """Distance that a disk may move before pairs are relisted, m; steps in flight may take it to half of the skin."""
     return (0.45 if _steps_together(state.features) == 1 else 0.35) * state.skin
-
-
-def _left_reach(state: State) -> bool:
-    """Whether a disk or a wall has moved further than `_reach`."""
-    moved = state.motion.displacement[:, XY] - state.origin
-    walls = state.assembly.walls.motion[:, NORMAL_PATH] - state.wall_origin
-    reach = _reach(state)
-    return bool((moved[:, 0] ** 2 + moved[:, 1] ** 2 > reach * reach).any() or (np.abs(walls) > reach).any())
 
 
 def run_kernel(state: State, steps: int, recording: Recording, kernel: Kernel | None = None) -> int:

@@ -72,7 +72,7 @@ def toroid_area(
 ) -> Floats:
     """Cement at a contact of two disks, m^2 (m^3 per metre of thickness).
 
-    `ValueError` if a diameter is not positive, or the cement is wider than a disk.
+    `ValueError` if the cement is wider than a disk.
 
     Parameters
     ----------
@@ -98,9 +98,6 @@ def toroid_area(
     first, second, cement = np.broadcast_arrays(
         *(np.asarray(values, dtype=float) for values in (first_diameter, second_diameter, cement_diameter))
     )
-    for name, values in (("disk diameter", first), ("disk diameter", second), ("cement diameter", cement)):
-        if not np.all(values > 0.0):
-            raise ValueError(f"{name} = {np.min(values):g} m: give positive diameters in m")
     too_wide = cement > np.minimum(first, second)
     if np.any(too_wide):
         worst = int(np.argmax(np.where(too_wide, cement / np.minimum(first, second), 0.0)))

@@ -23,7 +23,7 @@ from calcidem.dem.kernels.layout import Flags, Integers
 from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import WaveRule, excitation_frequency
+from calcidem.dem.wave.rule import EXCITATION, WaveRule
 from calcidem.dem.wave.section import clamp_of_strip
 
 WAVELENGTHS = 2.5
@@ -219,8 +219,11 @@ class Experiment:
     """See `engine.scene.Bonds`."""
     is_checked: bool = True
     """Measure the numerical error of each content, and choose law and time step by it (`check.check_content`)."""
-    frequencies: tuple[tuple[float, ...], tuple[float, ...]] | Callable[["Experiment", float], float] | None = None
-    """(contents in percent, frequencies in Hz), interpolated linearly; None takes Table 2 of the paper. Or a function
+    frequencies: tuple[tuple[float, ...], tuple[float, ...]] | Callable[["Experiment", float], float] = (
+        tuple(content for content, _ in EXCITATION),
+        tuple(frequency for _, frequency in EXCITATION),
+    )
+    """(contents in percent, frequencies in Hz), interpolated linearly; by default Table 2 of the paper. Or a function
     of an experiment and a content, percent, that returns the frequency in Hz and is called once for each content.
     """
     gpu: bool = False
@@ -239,8 +242,6 @@ class Experiment:
 
     def frequency(self, content: float) -> float:
         """Excitation frequency at a content (percent), Hz."""
-        if self.frequencies is None:
-            return excitation_frequency(content)
         if callable(self.frequencies):
             return self.once(self.frequencies, content)
         return interpolate(content, *self.frequencies)

@@ -404,14 +404,13 @@ def film_wave(
     *,
     frames: int,
     steps: int | None = None,
-    lanes: int = 8,
     watch: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> _WaveFilm:
     """Transmit a pulse through one sample, and record its disks at equal intervals.
 
     Parameters
     ----------
-    experiment, bonded, frequency, lanes
+    experiment, bonded, frequency
         As for `send_waves`; one sample's contacts.
     frames
         Largest number of frames.
@@ -420,7 +419,7 @@ def film_wave(
     watch
         Called with the number of finished and of all frames; may raise to end the run.
     """
-    recorder = prepare_recorder(experiment, [bonded], frequency, lanes, lambda: None)
+    recorder = prepare_recorder(experiment, [bonded], frequency, 8, lambda: None)  # lanes, as a campaign has compiled
     interval = recorder.stride * float(recorder.state.time_step[0])
     samples = (steps or 0) // recorder.stride or int(np.ceil(recorder.longest / interval))
     stride = -(-samples // frames)

@@ -8,7 +8,7 @@ import numpy.typing as npt
 from annotated_types import Interval, Unit
 
 from calcidem.dem.engine.fields import NotNegative, Part, Positive, PositivePart, checked
-from calcidem.dem.engine.portable import interpolate, sine_of_turns
+from calcidem.dem.engine.portable import sine_of_turns
 from calcidem.dem.engine.scene import Law, Precision
 from calcidem.dem.kernels.layout import Floats
 
@@ -147,25 +147,6 @@ class Pulse:
         return np.asarray(self.amplitude * (2.0 * sine_of_turns(0.5 * cycle) ** 2))
 
 
-def excitation_frequency(content: float) -> float:
-    """Return the excitation frequency for a calcite content (percent), Hz.
-
-    The paper's values (`EXCITATION`), interpolated linearly between its contents.
-
-    Raises
-    ------
-    ValueError
-        Outside the contents of Table 2, where a guess could exceed the cut-off frequency.
-    """
-    contents, frequencies = zip(*EXCITATION, strict=True)
-    if not contents[0] <= content <= contents[-1]:
-        raise ValueError(
-            f"content = {content} %: Table 2 has frequencies from {contents[0]:g} to {contents[-1]:g} %; "
-            "give the frequency for this content"
-        )
-    return interpolate(content, contents, frequencies)
-
-
 def cutoff_frequency(stiffness: float, mass: float) -> float:
     """Cut-off frequency of a chain of grains, Hz.
 
@@ -182,6 +163,4 @@ def cutoff_frequency(stiffness: float, mass: float) -> float:
     Structures, 1946), so ``f = sqrt(k / m) / pi``. Its long waves have the speed ``V = d sqrt(k / m)`` for a spacing d,
     so ``f = V / (pi d)``.
     """
-    if not (stiffness > 0.0 and mass > 0.0):
-        raise ValueError(f"stiffness = {stiffness} N/m, mass = {mass} kg: give positive numbers")
     return float(np.sqrt(stiffness / mass) / np.pi)

@@ -21,7 +21,7 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.dem.engine.portable import cosine_and_sine, exponential
+from calcidem.dem.engine.portable import cosine_and_sine, exponential, parabola_vertex
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.rule import Pulse
 
@@ -312,8 +312,6 @@ def _least(velocities: Floats, misfit: Floats) -> float:
     place = int(misfit.argmin())
     if not 0 < place < len(misfit) - 1:
         return float(velocities[place])
-    left, middle, right = (float(value) for value in misfit[place - 1 : place + 2])
-    bend = left - 2.0 * middle + right
-    shift = 0.5 * (left - right) / bend if bend > 0.0 else 0.0
+    shift = parabola_vertex(-misfit, place)
     faster, here, slower = (float(velocity) for velocity in velocities[place - 1 : place + 2])
     return here + shift * (slower - here if shift > 0.0 else here - faster)

@@ -65,8 +65,6 @@ def sheared_motion(state: State, held: Flags) -> Floats:
 class ShearedTriangles(NamedTuple):
     """Delaunay triangles between centres of a sheared sample; weighted sums give the values of a part."""
 
-    corners: Integers
-    """(K, 3) disks."""
     middle: Floats
     """(K, 2) centroids, m."""
     area: Floats
@@ -104,15 +102,21 @@ def sheared_triangles(state: State, motion: Floats, corners: Integers) -> Sheare
     order = state.assembly.order
     centres = np.column_stack([state.scene.x, state.scene.y])
     radius = np.asarray(state.scene.radius)
+    strain_matrix, stiffness = _contact_springs(state)
+    scaled = np.column_stack([motion[:, :2], motion[:, 2] * radius])[order]
+    change = (stiffness * (strain_matrix @ scaled.ravel())).reshape(3, -1)
+    normal = state.assembly.pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
+    tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
+    # (M, 2) change of the force of each pair's first disk on its second; tension positive.
+    force = change[0][:, None] * normal + change[1][:, None] * tangent
     ends = order[listed_pairs(state.assembly)]
-    force, branch = _force_changes(state, motion), centres[ends[:, 1]] - centres[ends[:, 0]]
+    branch = centres[ends[:, 1]] - centres[ends[:, 0]]
     moments = 0.5 * (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])
     sides = centres[np.roll(corners, 1, axis=1)] - centres[np.roll(corners, -1, axis=1)]  # opposite to each corner
     double = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]  # area, negative if clockwise
     # A linear function has the gradient sum(value times normal of the opposite side) over twice the area.
     shear = motion[corners, 0] * sides[:, :, 0] - motion[corners, 1] * sides[:, :, 1]
     return ShearedTriangles(
-        corners,
         centres[corners].mean(axis=1),
         0.5 * np.abs(double),
         0.5 * (radius[corners] ** 2 * _angles(sides)).sum(axis=1),
@@ -134,16 +138,6 @@ def _carried(corners: Integers, pairs: Integers, moments: Floats, count: int) ->
     rising, wanted = np.argsort(keys), pair_keys(sides, count)
     place = np.minimum(np.searchsorted(keys[rising], wanted), len(keys) - 1)
     return np.where(np.isin(wanted, keys), moments[rising][place], 0.0).reshape(corners.shape)
-
-
-def _force_changes(state: State, motion: Floats) -> Floats:
-    """(M, 2) change by a motion of the force of each pair's first disk on its second; tension positive."""
-    strain_matrix, stiffness = _contact_springs(state)
-    scaled = np.column_stack([motion[:, :2], motion[:, 2] * np.asarray(state.scene.radius)])
-    change = (stiffness * (strain_matrix @ scaled[state.assembly.order].ravel())).reshape(3, -1)
-    normal = state.assembly.pairs.geometry[:, [NORMAL_X, NORMAL_Y]].astype(float)
-    tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
-    return np.asarray(change[0][:, None] * normal + change[1][:, None] * tangent)
 
 
 def _contact_springs(state: State) -> tuple[sparse.csr_array, Floats]:

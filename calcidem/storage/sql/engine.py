@@ -223,12 +223,6 @@ def _needs_a_log(path: Path) -> bool:
         return file.read(20)[18:] == b"\2\2"  # versions of the format to write and to read: 2 with a log
 
 
-def was_left_open(path: Path) -> bool:
-    """Whether a database file was not closed properly, or is open: its lock, or SQLite's log or journal, is there."""
-    found = [Path(f"{path}{end}") for end in ("-wal", "-journal")]
-    return Path(f"{path}.lock").exists() or any(file.is_file() and file.stat().st_size for file in found)
-
-
 def find_damage(path: Path, pragma: str = "quick_check") -> list[str]:
     """Let SQLite check a file and return what it finds, at most 20 lines; an intact file gives none.
 

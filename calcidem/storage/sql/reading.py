@@ -35,7 +35,7 @@ from calcidem.storage.records import (
     RunRecord,
     unpack_arrays,
 )
-from calcidem.storage.sql.engine import Address, Connections, find_damage, refuse_damaged, was_left_open
+from calcidem.storage.sql.engine import Address, Connections, find_damage, refuse_damaged
 from calcidem.storage.sql.lease import Lease, replace_database
 from calcidem.storage.sql.tables import (
     ARRAYS,
@@ -435,8 +435,9 @@ def _prepare_file(address: Address, path: Path) -> None:
             finally:
                 new.close()
         return
-    if was_left_open(path):
-        refuse_damaged(path)
+    logs = [Path(f"{path}{end}") for end in ("-wal", "-journal")]
+    if Path(f"{path}.lock").exists() or any(log.is_file() and log.stat().st_size for log in logs):
+        refuse_damaged(path)  # it was not closed properly, or is open
     # A file of another program is refused before a writing connection changes its journal mode.
     looking = Connections(address, read_only=True)
     try:
