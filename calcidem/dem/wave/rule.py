@@ -81,7 +81,7 @@ class WaveRule:
     law: Literal["auto", "linear", "finite"] = "auto"
     both_sides: bool = False
     precision: Precision = "float64"
-    step_fraction: Annotated[PositivePart, "above 0, at most 1: beyond 1 the scheme is unstable"] = 0.8
+    step_fraction: Annotated[PositivePart, "0.05 to 0.95: above 1 the scheme is unstable"] = 0.8
     samples_per_period: Annotated[
         int, Interval(ge=FEWEST_SAMPLES), f"{FEWEST_SAMPLES} or more: a peak cannot be read from fewer"
     ] = 40
