@@ -59,9 +59,9 @@ def refuse_to_replace(path: str | os.PathLike[str], *, replaces_netcdf: bool = F
     what = "is a folder or a device" if target.exists() and not target.is_file() else ""
     for end in (*BESIDE_A_DATABASE, ".lock", ""):
         database = target.with_name(target.name.removesuffix(end)) if target.name.endswith(end) else target
-        if _beginning(database) == b"SQLite format 3\0":
+        if beginning(database).startswith(b"SQLite format 3\0"):
             what = "is a database" if database == target else f"belongs to the database {database}"
-    begins = _beginning(target)
+    begins = beginning(target)
     if not replaces_netcdf and begins.startswith(b"\x89HDF\r\n\x1a\n"):
         what = "is a NetCDF file"
     if replaces_netcdf and not what and begins and not begins.startswith((b"\x89HDF\r\n\x1a\n", b"CDF")):
@@ -70,12 +70,12 @@ def refuse_to_replace(path: str | os.PathLike[str], *, replaces_netcdf: bool = F
         raise OutputRefusedError(f"{target} {what}.", "Give another file name for the result; nothing was written.")
 
 
-def _beginning(path: Path) -> bytes:
-    """First 16 bytes of a file; empty if it does not exist or is not a file."""
+def beginning(path: Path) -> bytes:
+    """First 20 bytes of a file; empty if it does not exist or is not a file."""
     if not path.is_file():
         return b""
     with open_input(path) as file:
-        return file.read(16)
+        return file.read(20)
 
 
 def _flush_to_disk(path: Path) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calcidem.ends import CellStatus
-from calcidem.input_file import MOST_BYTES, open_input
+from calcidem.input_file import MOST_BYTES
 from calcidem.storage.dataset import INDEX_NAMES, LAYOUT, as_matrices, campaign_attributes
 from calcidem.storage.errors import (
     DamagedStoreError,
@@ -32,7 +32,7 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
     UnknownCampaignError,
 )
-from calcidem.storage.files import write_atomically
+from calcidem.storage.files import beginning, write_atomically
 from calcidem.storage.netcdf_trial import refuse_unreadable
 from calcidem.storage.records import (
     ARRAY_RECORDS,
@@ -115,8 +115,7 @@ def belongs_to_another(path: str | os.PathLike[str], campaign_hash: str | None) 
         with netCDF4.Dataset(path, "r") as file:
             return getattr(file, "calcidem_campaign_hash", None) != campaign_hash
     except (OSError, RuntimeError, DamagedStoreError):
-        with open_input(Path(path)) as broken:
-            return broken.read(4) == b"\x89HDF"
+        return beginning(Path(path)).startswith(b"\x89HDF")
 
 
 @contextmanager

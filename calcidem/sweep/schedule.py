@@ -48,7 +48,7 @@ class Batch(Generic[CellT]):
     cells: tuple[CellT, ...]
     """At least one cell, each hashable and picklable."""
     cost: float = 1.0
-    """Expected effort in any unit, larger than zero; only ratios matter. A worker gets as much time to answer."""
+    """Expected effort in any unit, larger than zero; only ratios matter. A worker may be silent in proportion to it."""
     losses: int = 0
     """Number of earlier runs that died while these cells were computed."""
 

@@ -13,14 +13,13 @@ from calcidem.dem.engine.state import UnstableRunError
 from calcidem.dem.sample import compaction
 from calcidem.dem.sample.compaction import (
     FARTHEST,
-    _numbered_disks,
     _read_disks,
     make_packing,
     packing_from_csv,
     write_disks_csv,
 )
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingFileError, PackingRule
-from calcidem.input_file import InputFileError, Table
+from calcidem.input_file import InputFileError
 
 RULE = PackingRule(width=0.02, height=0.03)
 SAND = Sand()
@@ -151,14 +150,15 @@ def test_files_that_are_no_packings_are_refused(
 @pytest.mark.parametrize("factor", [1.0, 1.0 + 1e-15])
 def test_numbers_up_to_a_limit_are_read(factor: float, tmp_path: Path) -> None:
     """The limit itself is accepted, as x, as y, and as radius or its inverse."""
-    far, small = FARTHEST * factor, 1.0 / FARTHEST / factor
+    far, small, file = FARTHEST * factor, 1.0 / FARTHEST / factor, tmp_path / "disks.csv"
     for x, y, radius in ((far, 0.0, 1.0), (0.0, -far, 1.0), (0.0, 0.0, far), (0.0, 0.0, small)):
-        table = Table(("x", "y", "radius"), 1, [(2, [str(x), str(y), str(radius)])])
+        file.write_text("\n".join(["x,y,radius", f"{x},{y},{radius}", *["0,0,1"] * 9]))
         if factor == 1.0:
-            assert list(_numbered_disks(tmp_path, table)) == [(2, (x, y, radius))]
+            *places, lines, _ = _read_disks(file)
+            assert (lines[0], *(values[0] for values in places)) == (2, x, y, radius)
         else:
             with pytest.raises(PackingFileError, match=r"line 2: .* up to 1e\+30"):
-                list(_numbered_disks(tmp_path, table))
+                _read_disks(file)
 
 
 def test_unreadable_files_are_refused(tmp_path: Path) -> None:

@@ -58,8 +58,13 @@ def _cpu_model() -> str:
 def source_commit() -> tuple[str | None, bool | None]:
     """Commit of the running source, and whether it was changed; None if unknown, as for most wheels."""
     root = Path(__file__).parents[3]
-    if not (root / ".git").exists():
-        return _installed_commit()
+    if not (root / ".git").exists():  # pip records what it installed from a repository (PEP 610)
+        try:
+            noted = json.loads(distribution("calcidem").read_text("direct_url.json") or "{}")
+        except PackageNotFoundError:
+            return None, None
+        installed = noted.get("vcs_info", {}).get("commit_id")
+        return installed, False if installed else None
     command = ["git", "-C", str(root), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty"]
     try:
         done = subprocess.run(command, check=True, capture_output=True, text=True, timeout=10)  # noqa: S603 - fixed
@@ -67,16 +72,6 @@ def source_commit() -> tuple[str | None, bool | None]:
         return None, None
     commit, _, changed = done.stdout.strip().partition("-")
     return commit, bool(changed)
-
-
-def _installed_commit() -> tuple[str | None, bool | None]:
-    """Commit that pip installed from a repository, as recorded by pip (PEP 610); None for other installations."""
-    try:
-        noted = distribution("calcidem").read_text("direct_url.json")
-    except PackageNotFoundError:
-        return None, None
-    commit = json.loads(noted or "{}").get("vcs_info", {}).get("commit_id")
-    return commit, False if commit else None
 
 
 def physics_version(record: CampaignRecord) -> object:

@@ -239,7 +239,10 @@ def _head_lines(status: CampaignStatus) -> Iterator[str]:
 
 
 def _matrix_table(status: CampaignStatus, columns: int, per_character: int) -> WholeTable:
-    """Seeds x contents as characters, with Vs so far and the time left of each content."""
+    """Seeds x contents as characters, with Vs so far and the time left of each content.
+
+    A character stands for one seed, or for several with their most severe status.
+    """
     seeds = f"seeds {status.seeds[0]} to {status.seeds[-1]}" if status.seeds else "seeds"
     table = WholeTable(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("content %", justify="right", no_wrap=True)
@@ -247,9 +250,18 @@ def _matrix_table(status: CampaignStatus, columns: int, per_character: int) -> W
     for name in ("done", "mean Vs m/s", "95 % of mean", "sd m/s", "s/cell", *(["left"] if status.pending else [])):
         table.add_column(name, justify="right", no_wrap=True)
     for content in status.contents:
+        symbols = Text()
+        for start in range(0, len(status.seeds), per_character):
+            several = status.seeds[start : start + per_character]
+            planned = [content.statuses[seed] for seed in several if seed in content.statuses]
+            worst = min(planned, key=URGENCY.__getitem__, default=None)
+            symbol, style = _STATUS_CHARACTERS[worst] if worst is not None else (" ", "")
+            if worst is CellStatus.PENDING and CellStatus.DONE in planned:
+                symbol = _PARTLY_DONE
+            symbols.append(symbol, style)
         row: list[str | Text] = [
             f"{content.content:g}",
-            _matrix_row(content, status.seeds, per_character),
+            symbols,
             (
                 f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}"
                 f"{_marks_of(content.counts, content.budget.loud)}"
@@ -264,19 +276,6 @@ def _matrix_table(status: CampaignStatus, columns: int, per_character: int) -> W
             row.append(duration(seconds))
         table.add_row(*row)
     return table
-
-
-def _matrix_row(content: ContentStatus, seeds: tuple[int, ...], per_character: int) -> Text:
-    """One character for each seed of a content, or for several seeds with their most severe status."""
-    row = Text()
-    for start in range(0, len(seeds), per_character):
-        planned = [content.statuses[s] for s in seeds[start : start + per_character] if s in content.statuses]
-        worst = min(planned, key=URGENCY.__getitem__, default=None)
-        symbol, style = _STATUS_CHARACTERS[worst] if worst is not None else (" ", "")
-        if worst is CellStatus.PENDING and CellStatus.DONE in planned:
-            symbol = _PARTLY_DONE
-        row.append(symbol, style)
-    return row
 
 
 def _trouble_lines(status: CampaignStatus) -> Iterator[str]:

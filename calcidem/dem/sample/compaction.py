@@ -10,7 +10,7 @@ Own disks of a CSV file are pressed alike; packings are exported as such files.
 
 import csv
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
@@ -529,26 +529,18 @@ def _read_disks(file: Path) -> tuple[Floats, Floats, Floats, list[int], str]:
     """Return x, y, radius (N,) and line of each disk in the file, and the file's SHA-256; as `checked_disks`."""
     content = read_input(file, MOST_BYTES)
     table = Table.read(content, file, _KNOWN, _CSV_COLUMNS)
-    rows = list(_numbered_disks(file, table))
-    if len(rows) < FEWEST_DISKS:
-        raise PackingFileError(f"{file} has {len(rows)} disks; give at least {FEWEST_DISKS}")
-    numbers, values = zip(*rows, strict=True)
-    x, y, radius = np.array(values).T
-    return x.copy(), y.copy(), radius.copy(), list(numbers), sha256(content).hexdigest()
-
-
-def _numbered_disks(file: Path, table: Table) -> Iterator[tuple[int, tuple[float, float, float]]]:
-    """Yield the line number and x, y, radius of each disk."""
     columns = table.places(_KNOWN)
     if missing := [name for name in _CSV_COLUMNS if name not in columns]:
         raise PackingFileError(f"{file} has no column {', '.join(missing)}; its first line must name x, y and radius")
     places = [(columns[name], unit_in_name(table.names[columns[name]], "length")[1] or "m") for name in _CSV_COLUMNS]
-    for number, row in table.rows:
+    disks = np.empty((len(table.rows), 3))
+    for disk, (number, row) in zip(disks, table.rows, strict=True):
         try:
-            x, y, radius = (value_of(row[place], "length", unit) for place, unit in places)
+            disk[:] = [value_of(row[place], "length", unit) for place, unit in places]
         except IndexError:
-            x = y = radius = np.nan
-        if np.isnan([x, y, radius]).any():
+            disk[:] = np.nan
+        x, y, radius = disk.tolist()
+        if np.isnan(disk).any():
             shown = ",".join(row)
             shown = f"{shown[:80]}{'...' if len(shown) > 80 else ''}"
             raise PackingFileError(f"{file}, line {number}: '{shown}' is not a disk; give three numbers in m")
@@ -557,7 +549,10 @@ def _numbered_disks(file: Path, table: Table) -> Iterator[tuple[int, tuple[float
                 f"{file}, line {number}: x = {x:g}, y = {y:g}, radius = {radius:g}; give finite numbers and a positive "
                 f"radius, in m, up to {FARTHEST:g}"
             )
-        yield number, (x, y, radius)
+    if len(disks) < FEWEST_DISKS:
+        raise PackingFileError(f"{file} has {len(disks)} disks; give at least {FEWEST_DISKS}")
+    x, y, radius = (disks[:, place].copy() for place in range(3))
+    return x, y, radius, [number for number, _ in table.rows], sha256(content).hexdigest()
 
 
 def refuse_deep_overlaps(file: Path, lines: Sequence[int], x: Floats, y: Floats, radius: Floats) -> None:

@@ -12,7 +12,6 @@ from typing import Any, Self
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError, SQLAlchemyError
 
-from calcidem.input_file import open_input
 from calcidem.storage.errors import (
     DAMAGE_REMEDY,
     DamagedStoreError,
@@ -28,7 +27,7 @@ from calcidem.storage.errors import (
     hide_passwords,
     with_passwords,
 )
-from calcidem.storage.files import can_lock, is_network_filesystem
+from calcidem.storage.files import beginning, can_lock, is_network_filesystem
 
 _BUSY_TIMEOUT_SECONDS = 30.0
 _WRITES = "calcidem_writes"
@@ -217,10 +216,9 @@ def _written_last(path: Path) -> tuple[int, ...]:
 
 def _needs_a_log(path: Path) -> bool:
     """Whether a database is written through a log, and has none at present."""
-    if any(Path(f"{path}{end}").exists() for end in ("-wal", "-journal")) or not path.is_file():
+    if any(Path(f"{path}{end}").exists() for end in ("-wal", "-journal")):
         return False
-    with open_input(path) as file:
-        return file.read(20)[18:] == b"\2\2"  # versions of the format to write and to read: 2 with a log
+    return beginning(path)[18:] == b"\2\2"  # versions of the format to write and to read: 2 with a log
 
 
 def find_damage(path: Path, pragma: str = "quick_check") -> list[str]:
