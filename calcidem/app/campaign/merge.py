@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from calcidem.app.campaign.provenance import physics_version
+from calcidem.app.campaign.identity import physics_version
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError, StoreError
 from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, PackingRecord

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calcidem.app.campaign.provenance import physics_version
+from calcidem.app.campaign.identity import physics_version
 from calcidem.app.config.presets import preset_packings
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.engine.scene import Preload

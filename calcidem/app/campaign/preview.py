@@ -13,10 +13,10 @@ from time import thread_time
 import numpy as np
 
 from calcidem.analysis.velocity import FEWEST_GRAINS
+from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
 from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder, kept_packing, stored_packing
 from calcidem.app.campaign.plan import batches_of, planned_cells, time_of_wave
-from calcidem.app.campaign.provenance import choose_campaign
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
 from calcidem.app.config.checks import (
     can_make_files,

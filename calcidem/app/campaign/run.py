@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 import numpy as np
 
 from calcidem.app.campaign.cells import CellComputation, kernel_compilations
+from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.packing import packing_record, provide_packing, stored_packing
 from calcidem.app.campaign.plan import SeedDemand, batches_of, planned_cells
-from calcidem.app.campaign.provenance import choose_campaign, describe_run
+from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.status import (
     STATUS_QUANTITIES,
     CampaignStatus,

@@ -28,8 +28,8 @@ from pydantic import TypeAdapter
 from scipy.interpolate import CubicSpline
 
 from calcidem.analysis.figures.style import save
+from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.packing import provide_packing, stored_packing
-from calcidem.app.campaign.provenance import refuse_other_physics
 from calcidem.app.campaign.run import run
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.examples import KeyReference, key_references

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from places import SMALL_PACKING
 
-from calcidem.app.campaign import provenance
+from calcidem.app.campaign import identity
 from calcidem.app.campaign.cells import cell_result
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import _cached_name
@@ -151,7 +151,7 @@ def test_another_version_of_the_physics_is_refused(
     small: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What another version of the physics computed is not compared: the message names both versions."""
-    monkeypatch.setattr(provenance, "PHYSICS_VERSION", 99)
+    monkeypatch.setattr(identity, "PHYSICS_VERSION", 99)
     with pytest.raises(
         CampaignMismatchError, match=f"physics version {PHYSICS_VERSION}, this .* version 99"
     ) as refused:
