@@ -133,7 +133,7 @@ import time
 from pathlib import Path
 
 def wait_for(name):
-    end = time.monotonic() + 20.0
+    end = time.monotonic() + 120.0
     while time.monotonic() < end and not (Path({folder!r}) / name).exists():
         time.sleep(0.05)
 
@@ -169,7 +169,7 @@ def run_in_terminal(workshop: "Workshop", *arguments: str) -> Iterator[str]:
         | {"OMPI_MCA_btl": "^ofi", "COLUMNS": "110", "LINES": "40", "TERM": "xterm", "LANG": "C.UTF-8"},
     )
     os.close(slave)
-    end = time.monotonic() + 120.0
+    end = time.monotonic() + 400.0
     try:
         while time.monotonic() < end and select.select([master], [], [], 60.0)[0]:
             try:
