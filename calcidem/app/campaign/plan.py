@@ -41,7 +41,9 @@ def planned_cells(configuration: Configuration) -> set[Cell]:
     if configuration.run.part is None:
         return set(product(seeds, configuration.campaign.contents))
     found = {cell for batch in planned_batches(configuration) for cell in batch.cells}
-    return found | ({(seed, 0.0) for seed in seeds} if any(content == 0.0 for _, content in found) else set())
+    if any(content == 0.0 for _, content in found):
+        found |= {(seed, 0.0) for seed in seeds}
+    return found
 
 
 def batches_of(

@@ -8,14 +8,10 @@ import sys
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from calcidem.storage.records import RunRecord
 from calcidem.sweep.ranks import mpi_library_version
 from calcidem.version import __version__
-
-if TYPE_CHECKING:
-    pass  # which the ranks do not need
 
 
 def describe_run(ranks: int) -> RunRecord:

@@ -13,7 +13,7 @@ from calcidem.app.cli.options import (
     CampaignName,
     Database,
     number_parser,
-    parse_percentage,
+    percent_option,
     refuse_options,
     say,
 )
@@ -27,9 +27,7 @@ def export_command(
     database: Database,
     out: Annotated[Path, typer.Argument(metavar="OUT.nc|.vtu|.csv", help="File to write or replace.")],
     seed: Annotated[int | None, typer.Option(min=0, max=HIGHEST_SEED, help="Seed of the sample.")] = None,
-    content: Annotated[
-        float | None, typer.Option(parser=parse_percentage, metavar="PERCENT", help="Its calcite content.")
-    ] = None,
+    content: Annotated[float | None, percent_option("Its calcite content.")] = None,
     campaign: CampaignName = None,
     without: Annotated[
         list[_Array] | None,

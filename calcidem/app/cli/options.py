@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -91,6 +91,12 @@ def refuse_options(reason: str, given: Mapping[str, object]) -> None:
 
 parse_percentage = number_parser(0.0, 100.0, "is not a content; give percent of the sand's mass, from 0 to 100")
 
+
+def percent_option(words: str, *names: str) -> Any:  # noqa: ANN401 - as typer's own
+    """Option for one calcite content, or several, with its help; the name is that of the parameter unless given."""
+    return typer.Option(*names, parser=parse_percentage, metavar="PERCENT", help=words)
+
+
 ConfigurationFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")]
 Database = Annotated[str, typer.Argument(metavar="DB", help="SQLite file or database URL.")]
 CampaignName = Annotated[
@@ -101,7 +107,7 @@ JudgedDatabase = Annotated[
 ]
 OnlyContents = Annotated[
     list[float] | None,
-    typer.Option("--content", parser=parse_percentage, metavar="PERCENT", help="Only this content (repeatable)."),
+    percent_option("Only this content (repeatable).", "--content"),
 ]
 OnlySeeds = Annotated[
     list[int] | None, typer.Option("--seed", min=0, max=HIGHEST_SEED, help="Only this seed (repeatable).")

@@ -24,7 +24,7 @@ from calcidem.app.cli.options import (
     OnlyContents,
     OnlySeeds,
     number_parser,
-    parse_percentage,
+    percent_option,
     progress_bar,
     say,
 )
@@ -351,9 +351,7 @@ def _format_value(value: object) -> str:
 def show_command(
     database: Database,
     seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED, help="Seed of the cell.")],
-    content: Annotated[
-        float, typer.Option(parser=parse_percentage, metavar="PERCENT", help="Calcite content of the cell.")
-    ],
+    content: Annotated[float, percent_option("Calcite content of the cell.")],
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the figures of the cell.")] = None,
     movie: Annotated[Path | None, typer.Option(metavar="FILE", help="Movie of the wave, .gif or .mp4.")] = None,
     frames: Annotated[int, typer.Option(min=2, help="Most frames of the movie, at 15 a second.")] = 90,

@@ -24,7 +24,7 @@ from calcidem.app.cli.options import (
     StudyCores,
     StudyFolder,
     number_parser,
-    parse_percentage,
+    percent_option,
     refuse_options,
     say,
 )
@@ -44,11 +44,7 @@ def predict_command(
     database: Database,
     content: Annotated[
         float | None,
-        typer.Option(
-            parser=parse_percentage,
-            metavar="PERCENT",
-            help="Content of the sample; without it all are checked.",
-        ),
+        percent_option("Content of the sample; without it all are checked."),
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, max=HIGHEST_SEED, help="Seed whose cement is drawn.")] = None,
     pattern: Annotated[
@@ -235,11 +231,7 @@ def calibrate_command(
     first_seed: Annotated[int, typer.Option(min=0, max=HIGHEST_SEED - SEEDS_AT_ONCE, help="First seed.")] = 1,
     predict: Annotated[
         list[float] | None,
-        typer.Option(
-            parser=parse_percentage,
-            metavar="PERCENT",
-            help="Content to predict and not to fit (repeatable).",
-        ),
+        percent_option("Content to predict and not to fit (repeatable)."),
     ] = None,
     tolerance: Annotated[
         float,
@@ -444,11 +436,7 @@ def stability_command(
     ] = None,
     content: Annotated[
         float | None,
-        typer.Option(
-            parser=parse_percentage,
-            metavar="PERCENT",
-            help="Content of the scenes; the campaign's middle one if not given.",
-        ),
+        percent_option("Content of the scenes; the campaign's middle one if not given."),
     ] = None,
     scenes: Annotated[
         int, typer.Option(min=0, help="Random scenes, without a figure, instead of one quantity at a time.")
