@@ -3,12 +3,10 @@
 import asyncio
 import errno
 import json
-import os
 import resource
 import signal
 import socket
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,11 +21,10 @@ from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
 from calcidem.app.campaign.status import CampaignStatus
 from calcidem.app.serve.address import PageAddress, page_beside_run
 from calcidem.app.serve.feed import CampaignFeed, CellColumns
-from calcidem.app.serve.server import Hub, LivePage, MovieMaker
+from calcidem.app.serve.server import Hub, LivePage
 from calcidem.ends import CellStatus
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, canonical_hash
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.sweep.ranks import available_cores
 
 pytestmark = pytest.mark.slow
 
@@ -82,8 +79,13 @@ def test_nobody_gets_in_without_the_token(live: Live) -> None:
         assert live.ask(path, Host="rebound.example")[0] == 403
     assert live.ask("/?token=", cookie=False)[0] == 403
     assert live.ask(f"/?token={live.token[:-1]}%C3%A9", cookie=False)[0] == 403
-    foreign = {"Origin": "http://elsewhere.example", "Sec-Fetch-Site": "cross-site"}
-    assert live.ask("/campaigns/0/movie?seed=1&content=0", "POST", **foreign)[0] == 403
+
+
+def test_no_address_changes_anything(live: Live) -> None:
+    """Whoever has the cookie can read only, so that pages of other origins cannot make a browser do more."""
+    for path in ("/", "/events", "/campaigns/0/records", "/campaigns/0/cell?seed=1&content=0"):
+        for method in ("POST", "PUT", "DELETE"):
+            assert live.ask(path, method)[0] == 405
 
 
 def test_the_token_opens_the_page_once_and_then_hides(live: Live) -> None:
@@ -140,7 +142,7 @@ def unpacked(packed: bytes) -> dict[str, dict[str, list[object]]]:
 
 
 @pytest.mark.parametrize(
-    "path", ["cell?seed=x&content=5", "cell?seed=1", "cell?seed=-1&content=5", "movie?content=nan&seed=1"]
+    "path", ["cell?seed=x&content=5", "cell?seed=1", "cell?seed=-1&content=5", "cell?content=nan&seed=1"]
 )
 def test_nonsense_is_refused(live: Live, path: str) -> None:
     """What names no cell is answered with 400, another campaign or packing with 404."""
@@ -224,34 +226,13 @@ def command_lines() -> set[bytes]:
 
 
 def test_a_password_of_a_configuration_is_in_no_command_line() -> None:
-    """Neither the page beside a run nor the process of a movie shows the password of the database's URL."""
-    database, said = "postgresql://nobody:MARKED-SECRET@127.0.0.1:1/none", []
-    with page_beside_run(database, "small", said.append):
-        address = ADDRESS.fullmatch(f"{said[0]}\n")
-        assert address
-        live = Live(None, int(address[2]), address[3], ())  # its process is nobody's here
-        lines: set[bytes] = set()
-        with ThreadPoolExecutor(1) as asking:  # the process ends soon, since nothing listens at that port
-            answer = asking.submit(live.ask, "/campaigns/0/movie?seed=1&content=0.0", "POST")
-            until = monotonic() + PATIENCE
-            while not any(b"show" in line and b"nobody" in line for line in lines) and monotonic() < until:
-                lines |= command_lines()
-                sleep(0.2)
-            assert answer.result()[0] == 200
-    assert any(b"calcidem" in line and b"show" in line and b"nobody" in line for line in lines)
+    """The page beside a run does not show the password of the database's URL."""
+    said: list[str] = []
+    with page_beside_run("postgresql://nobody:MARKED-SECRET@127.0.0.1:1/none", "small", said.append):
+        assert ADDRESS.fullmatch(f"{said[0]}\n")
+        lines = command_lines()
+    assert any(b"calcidem.app.serve.server" in line for line in lines)
     assert not any(b"MARKED-SECRET" in line for line in lines)
-
-
-def test_a_movie_waits_for_a_run_and_for_another_movie(tmp_path: Path) -> None:
-    """It is refused while a run has all cores of this machine, or another is made; at the end its process is gone."""
-    movies, feed = MovieMaker(), CampaignFeed(0, str(tmp_path / "none.db"), None)
-    run = {"running": True, "workers": available_cores(), "run": {"host": os.uname().nodename}}
-    told = movies.start((0, 1, 5.0), feed, run)
-    assert (told["state"], f"the run has all {available_cores()} cores" in told["reason"]) == ("refused", True)
-    assert movies.start((0, 1, 5.0), feed, run | {"run": {"host": "elsewhere"}})["state"] == "working"
-    assert "another movie is being computed" in movies.start((0, 2, 5.0), feed, {})["reason"]
-    movies.end()
-    assert not any(b"none.db" in line for line in command_lines())
 
 
 def test_a_feed_notices_whatever_happens_to_its_database(tmp_path: Path) -> None:

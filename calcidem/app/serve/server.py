@@ -1,6 +1,6 @@
-"""Server of the live page: changes and movies for all open pages, addresses and their answers, access and end.
+"""Server of the live page: changes for all open pages, addresses and their answers, access and end.
 
-Every client with the token of the printed address may see the page, except pages of other origins. Without an open page
+Every client with the token of the printed address may see the page. No address changes anything. Without an open page
 no database is read.
 """
 
@@ -10,19 +10,14 @@ import json
 import math
 import os
 import secrets
-import shutil
 import signal
 import socket
-import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from threading import Thread
-from typing import Any
 from urllib.parse import parse_qs
 
 import uvicorn
@@ -34,7 +29,6 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import (
-    FileResponse,
     JSONResponse,
     PlainTextResponse,
     RedirectResponse,
@@ -48,9 +42,9 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from calcidem.app.report.cell_data import page_templates
 from calcidem.app.serve.address import PageAddress
 from calcidem.app.serve.feed import CampaignFeed, Event
-from calcidem.storage.errors import StoreError, UnknownCellError, hide_passwords, keep_passwords_back
+from calcidem.storage.errors import StoreError, UnknownCellError, hide_passwords
 from calcidem.storage.records import LARGEST_SEED, canonical_content, checked_seed
-from calcidem.sweep.ranks import available_cores, die_with_parent
+from calcidem.sweep.ranks import die_with_parent
 
 
 @dataclass(eq=False)
@@ -133,136 +127,12 @@ def _as_event(event: Event) -> str:
     return f"event: {name}\ndata: {json.dumps(content, allow_nan=False)}\n\n"
 
 
-_TIME_LIMIT = 600.0
-"""Seconds after which a movie is given up."""
-
-_PROGRAM = """
-import os, runpy, sys
-from calcidem.sweep.ranks import die_with_parent
-parent = int(sys.argv.pop(1))
-if sys.platform == "linux":
-    die_with_parent(parent)
-os.nice(19)
-runpy.run_module("calcidem", run_name="__main__", alter_sys=True)
-"""
-
-Wanted = tuple[int, int, float]
-"""Number of the campaign, and seed and content of a cell."""
-
-
-@dataclass(slots=True)
-class _Work:
-    """Movie in computation."""
-
-    wanted: Wanted
-    process: "subprocess.Popen[bytes]"
-    file: Path
-    errors: Path
-    began: float
-
-
-class MovieMaker:
-    """Computes movies with `calcidem show`; used only by the server's thread, the parent of the process."""
-
-    def __init__(self) -> None:
-        self._folder: Path | None = None
-        self._work: _Work | None = None
-        self._made: dict[Wanted, Path] = {}
-        self._failed: dict[Wanted, str] = {}
-
-    def start(self, wanted: Wanted, feed: CampaignFeed, status: dict[str, Any]) -> dict[str, Any]:
-        """Begin the movie of a cell unless it exists, and return its progress."""
-        self._look()
-        self._failed.pop(wanted, None)
-        if wanted in self._made or (self._work is not None and self._work.wanted == wanted):
-            return self.state(wanted)
-        if refusal := self._refusal(status):
-            return {"state": "refused", "reason": refusal}
-        if self._folder is None:
-            self._folder = Path(tempfile.mkdtemp(prefix="calcidem-movies-"))
-        _, seed, content = wanted
-        file = self._folder / f"{len(self._made)}-{time.monotonic_ns()}.gif"
-        errors = file.with_suffix(".txt")
-        command = [sys.executable, "-c", _PROGRAM, str(os.getpid()), "show", feed.database]
-        command += [
-            f"--seed={seed}",
-            f"--content={content!r}",
-            f"--movie={file}",
-            *([] if feed.name is None else [f"--campaign={feed.name}"]),
-        ]
-        with errors.open("wb") as stream:
-            process = subprocess.Popen(  # noqa: S603 - our own program
-                keep_passwords_back(command),
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=stream,
-                process_group=0,
-            )
-        self._work = _Work(wanted, process, file, errors, time.monotonic())
-        return self.state(wanted)
-
-    def state(self, wanted: Wanted) -> dict[str, Any]:
-        """Return the progress of the movie of a cell."""
-        self._look()
-        if wanted in self._made:
-            return {"state": "done", "file": self._made[wanted].name}
-        if self._work is not None and self._work.wanted == wanted:
-            return {"state": "working", "seconds": round(time.monotonic() - self._work.began)}
-        if wanted in self._failed:
-            return {"state": "failed", "reason": self._failed[wanted]}
-        return {"state": "none"}
-
-    def file(self, name: str) -> Path | None:
-        """Return the file of a movie by its name."""
-        return next((file for file in self._made.values() if file.name == name), None)
-
-    def end(self) -> None:
-        """End the process and remove all movies."""
-        if self._work is not None:
-            self._work.process.kill()
-            self._work.process.wait()
-        if self._folder is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
-
-    def _refusal(self, status: dict[str, Any]) -> str:
-        """Reason why no movie can be computed now; else empty."""
-        if self._work is not None:
-            return "another movie is being computed; wait for it, one at a time is"
-        run, cores = status.get("run") or {"host": ""}, available_cores()
-        here = run["host"] == os.uname().nodename
-        if status.get("running") and here and status["workers"] >= cores:
-            return f"the run has all {cores} cores; a movie would slow it down. Try again when the run has ended"
-        return ""
-
-    def _look(self) -> None:
-        """Record the end of the process, and end it after too long a time."""
-        work = self._work
-        if work is None:
-            return
-        late = time.monotonic() - work.began > _TIME_LIMIT
-        if work.process.poll() is None and not late:
-            return
-        if late:
-            work.process.kill()
-        code = work.process.wait()
-        self._work = None
-        if code == 0 and work.file.exists():
-            self._made[work.wanted] = work.file
-            while len(self._made) > 8:
-                self._made.pop(next(iter(self._made))).unlink(missing_ok=True)
-            return
-        said = work.errors.read_text(encoding="utf-8", errors="replace").strip().removeprefix("Error: ")
-        limit = f"it took more than {_TIME_LIMIT:g} s"
-        self._failed[work.wanted] = limit if late else hide_passwords(said) or f"the process ended with {code}"
-
-
 @dataclass(frozen=True, slots=True)
 class _LiveApplication:
     """Answers of the page's addresses, without a check of access."""
 
     hub: Hub
-    movies: MovieMaker
-    """Sources of the answers."""
+    """Source of the answers."""
 
     def routes(self) -> Starlette:
         """Return the application of a server; page, style and script are made from those of the report."""
@@ -284,8 +154,6 @@ class _LiveApplication:
                 Route(f"{of_campaign}/records", self._records),
                 Route(f"{of_campaign}/cell", self._cell),
                 Route(f"{of_campaign}/packings/{{index:number}}", self._packing),
-                Route(f"{of_campaign}/movie", self._movie, methods=["GET", "POST"]),
-                Route("/movies/{name}", self._movie_file),
             ]
         )
 
@@ -297,7 +165,7 @@ class _LiveApplication:
         return Response(packed, media_type="application/octet-stream")
 
     async def _cell(self, request: Request) -> Response:
-        feed, (_, seed, content) = self._feed(request), _wanted(request)
+        feed, (seed, content) = self._feed(request), _wanted(request)
         try:
             return JSONResponse(await run_in_threadpool(feed.cell, seed, content))
         except UnknownCellError:
@@ -314,18 +182,6 @@ class _LiveApplication:
             raise HTTPException(404)
         return JSONResponse(found)
 
-    async def _movie(self, request: Request) -> Response:
-        feed, wanted = self._feed(request), _wanted(request)
-        if request.method == "POST":
-            return JSONResponse(self.movies.start(wanted, feed, await run_in_threadpool(feed.status)))
-        return JSONResponse(self.movies.state(wanted))
-
-    async def _movie_file(self, request: Request) -> Response:
-        file = self.movies.file(request.path_params["name"])
-        if file is None:
-            raise HTTPException(404)
-        return FileResponse(file, media_type="image/gif")
-
     def _feed(self, request: Request) -> CampaignFeed:
         number: int = request.path_params["campaign"]
         if number >= len(self.hub.feeds):
@@ -333,8 +189,8 @@ class _LiveApplication:
         return self.hub.feeds[number]
 
 
-def _wanted(request: Request) -> Wanted:
-    """Return the cell of a request."""
+def _wanted(request: Request) -> tuple[int, float]:
+    """Return seed and content of the cell of a request."""
     try:
         seed = checked_seed(int(request.query_params["seed"]))
         content = canonical_content(float(request.query_params["content"]))
@@ -342,13 +198,13 @@ def _wanted(request: Request) -> Wanted:
         raise HTTPException(400) from error
     if not math.isfinite(content) or seed > LARGEST_SEED:
         raise HTTPException(400)
-    return request.path_params["campaign"], seed, content
+    return seed, content
 
 
 _HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; style-src-attr 'unsafe-inline'; "
-        "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+        "img-src data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     ),
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
@@ -396,7 +252,7 @@ class _Guard:
         # Cookies of other pages of the host may have any text, and this name.
         cookies = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
         admitted = any(self._is_token(value) for name, _, value in cookies if name == self._cookie)
-        if not admitted or _is_foreign(scope, headers):
+        if not admitted:
             told = "Open this page with the whole address that calcidem has printed; it ends with ?token=... .\n"
             return PlainTextResponse(told, 403)
         return None
@@ -413,16 +269,6 @@ class _Guard:
         except ValueError:
             return name in self._names
         return True
-
-
-def _is_foreign(scope: Scope, headers: Mapping[str, str]) -> bool:
-    """Whether a changing request comes from a page of another origin."""
-    if scope["method"] in {"GET", "HEAD"}:
-        return False
-    origin = headers.get("origin", "")
-    return headers.get("sec-fetch-site", "same-origin") != "same-origin" or (
-        bool(origin) and origin.partition("://")[2] != headers.get("host")
-    )
 
 
 class _Connection(H11Protocol):
@@ -489,8 +335,7 @@ class LivePage:
         asyncio.run(self._serve(Hub(feeds), ready))
 
     async def _serve(self, hub: Hub, ready: Callable[[], None]) -> None:
-        movies = MovieMaker()
-        application = _Guard(_LiveApplication(hub, movies).routes(), self.address)
+        application = _Guard(_LiveApplication(hub).routes(), self.address)
         server = uvicorn.Server(
             uvicorn.Config(
                 application,
@@ -526,7 +371,6 @@ class LivePage:
         except* Exception as errors:  # noqa: BLE001
             raise errors.exceptions[0] from None
         finally:
-            movies.end()
             # A regularly closed database leaves no other files; the server does not wait for a locked one.
             closing = Thread(target=hub.close, daemon=True)
             closing.start()

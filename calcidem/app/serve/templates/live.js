@@ -43,7 +43,12 @@ const source = {
     return packings.get(address);
   },
   extend(place, host) {
-    if (columns.status[place]) offerMovie(place, host);
+    if (!columns.status[place]) return;
+    const quoted = (text) => `'${text.replaceAll("'", "'\\''")}'`; // for a shell
+    const { database, name } = campaigns.get(current).status;
+    const cell = `--campaign ${quoted(name)} --seed ${seedOf(place)} --content ${contentOf(place)}`;
+    const command = `calcidem show ${quoted(database)} ${cell} --movie wave.gif`;
+    host.append(element("h4", { textContent: "Movie of the wave" }), element("code", { textContent: command }));
   },
 };
 
@@ -119,35 +124,6 @@ function markChosen() {
   const shown = campaigns.get(current);
   put(byId("which"), shown && campaigns.size > 1 ? `These are the cells of ${shown.status.name}, in ${shown.status.database}.` : "");
   for (const { button, number } of campaigns.values()) button?.setAttribute("aria-pressed", String(number === current));
-}
-
-// Movies -------------------------------------------------------------------------------------------------------
-
-function offerMovie(place, host) {
-  const button = element("button", { type: "button", textContent: "Compute the movie" });
-  const said = element("p", { className: "quiet" });
-  said.setAttribute("role", "status");
-  const pictures = element("div");
-  host.append(element("h4", { textContent: "Movie of the wave" }), button, said, pictures);
-  const address = `campaigns/${current}/${addressOf(place).replace("cell", "movie")}`;
-  const show = async (method) => {
-    let told;
-    try {
-      told = await (await ask(address, { method })).json();
-    } catch {
-      told = { state: "failed", reason: "the server does not answer" };
-    }
-    if (!host.isConnected) return;
-    button.disabled = told.state === "working";
-    button.hidden = told.state === "done";
-    said.textContent = { none: "", working: `Computing for ${told.seconds} s, one core at the lowest priority.`, done: "" }[told.state] ?? `Not computed: ${told.reason}.`;
-    if (told.state === "working") setTimeout(() => show("GET"), 1000);
-    if (told.state !== "done") return;
-    const alt = `Wave in ${labelOf(place)}: colour is the velocity of the grains`;
-    pictures.replaceChildren(element("img", { src: `movies/${told.file}`, alt }));
-  };
-  button.addEventListener("click", () => show("POST"));
-  show("GET");
 }
 
 // Campaigns ----------------------------------------------------------------------------------------------------
