@@ -6,7 +6,6 @@ Each content is measured for itself and written at once, so that the same comman
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
@@ -21,17 +20,14 @@ from calcidem.app.studies.study import (
     Cells,
     CellsFound,
     StudyResult,
-    at_common_times,
     markdown_table,
     read_former,
     relative_deviation,
     signal_distance,
 )
-from calcidem.dem.engine.scene import Law
 from calcidem.dem.wave.check import cheapest_law
 from calcidem.dem.wave.experiment import Experiment, domain_of
 from calcidem.dem.wave.measurement import Measurement
-from calcidem.dem.wave.reading import smooth
 from calcidem.dem.wave.rule import Pulse
 from calcidem.storage.records import NORMAL_95
 from calcidem.wording import pluralize
@@ -40,8 +36,6 @@ DEFAULT = "default"
 REFERENCE_SAMPLES = 1600  # samples per period of the pulse
 HALVING = 1.0e-4  # largest relative change of Vs by halving the step
 FINEST = 0.05  # smallest step of a reference over the limit
-CONVERGENCE_STEPS = (0.8, 0.4, 0.2, 0.1)
-"""Steps over the limit; each is half of the previous one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,8 +173,6 @@ class ContentErrors:
     reference_seconds: float
     seconds: dict[str, float]
     """Processor time of a cell, s: of the reference, and by setting."""
-    convergence: tuple[dict[str, float | str], ...] = ()
-    """Rows of the order of convergence, see `_convergence_rows`; empty in a study of few settings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,9 +335,9 @@ def run_study(
     """Measure the errors of settings.
 
     The experiment's own setting comes first in ``compared``, see `choose_settings`. The search for the reference starts
-    at a step of ``coarsest`` times the limit. Settings are timed alternately in ``rounds``; with more than one the
-    order of convergence is measured, too. ``known`` contents are not measured again. ``tell`` receives the results
-    after each content. A refused content has none; `ValueError` if all are refused.
+    at a step of ``coarsest`` times the limit. Settings are timed alternately in ``rounds``. ``known`` contents are not
+    measured again. ``tell`` receives the results after each content. A refused content has none; `ValueError` if all
+    are refused.
     """
     parts: list[ContentErrors] = []
 
@@ -370,8 +362,7 @@ def run_study(
                 raise
             continue
         errors = tuple(CellError.compare(name, own[key], exact[key]) for name, own in found.items() for key in exact)
-        convergence = tuple(_convergence_rows(cells, content)) if rounds > 1 else ()
-        parts.append(ContentErrors(content, references, errors, taken, seconds, convergence))
+        parts.append(ContentErrors(content, references, errors, taken, seconds))
         tell(study())
     return study()
 
@@ -418,58 +409,6 @@ def find_reference(
     return found, tuple(done[seed][1] for seed in cells.seeds), float(np.mean([one[2] for one in done.values()]))
 
 
-def _convergence_rows(cells: Cells, content: float) -> Iterator[dict[str, float | str]]:
-    """Order of convergence at a content, with and without local damping."""
-    known: tuple[tuple[bool, Law], ...] = (
-        (True, unchecked(cells.experiment).wave.contact_law),
-        (False, "linear"),
-        (False, "finite"),
-    )
-    for damped, law in known:
-        words = "as configured" if damped else "none"
-        cells.progress(f"{content:g} %: order of convergence, damping {words}, {law}")
-        changes, orders = signal_convergence(cells, content, damped=damped, law=law)
-        yield {
-            "content %": f"{content:g}",
-            "law": law,
-            "local damping": words,
-            **{f"signal, {2 * step:g} to {step:g}": c for step, c in zip(CONVERGENCE_STEPS[1:], changes, strict=True)},
-            **{f"order {place}": f"{order:.2f}" for place, order in enumerate(orders, 1)},
-        }
-
-
-def signal_convergence(
-    cells: Cells, content: float, *, damped: bool, law: Law = "linear"
-) -> tuple[list[float], list[float]]:
-    """Change of the signal by each halving of the step, and the orders of convergence, medians over the cells.
-
-    A change is the normalised L2 distance at the sampling times of the largest step. An order is the logarithm to base
-    2 of a change over the next, without an exact solution. Without ``damped`` there is no damping.
-
-    Local damping opposes the velocity half a step before, whose sign changes within a step: an error of first order.
-    The shear-force increment of a sticking contact with changing stiffness, as in the finite law, has the same order.
-    All other errors are of second order, as the linear law without damping shows.
-    """
-    even = replace(cells.experiment, is_checked=False, installation="preserve").with_wave(
-        law=law,
-        precision="float64",
-        samples_per_period=REFERENCE_SAMPLES,
-        **({} if damped else {"damping": 0.0, "boundary_damping": 0.0}),
-    )
-    runs = [cells.measure(even.with_wave(step_fraction=step), [content]) for step in CONVERGENCE_STEPS]
-    changes = []
-    for seed in cells.seeds:
-        sections = [run[seed, content].section for run in runs]
-        # Smoothing removes the quantisation of recorded velocities, which is as large as the smallest change.
-        signals = [smooth(section.received, even.pick.smoothing * section.period) for section in sections]
-        times = [section.times[: len(signal)] for section, signal in zip(sections, signals, strict=True)]
-        signals = at_common_times(times, signals, times[0])
-        size = np.linalg.norm(signals[-1])
-        changes.append([np.linalg.norm(fine - coarse) / size for coarse, fine in pairwise(signals)])
-    middle = np.median(changes, axis=0)
-    return middle.tolist(), np.log2(middle[:-1] / middle[1:]).tolist()
-
-
 def accuracy_tables(study: Study) -> dict[str, str]:
     """Return all measured tables as Markdown, by name."""
     cheapest = [(target, study.cheapest(target / 100.0)) for target in (0.5, 0.2, 0.1)]  # percent of Vs
@@ -477,16 +416,12 @@ def accuracy_tables(study: Study) -> dict[str, str]:
         f"- {target:g} %: {'none of those measured' if one is None else f'{one.setting}, {one.seconds:.2f} s a cell'}"
         for target, one in cheapest
     ]
-    convergence = [row for part in study.parts for row in part.convergence]
     parts = {
         "opening": _opening(study),
         "settings": _settings_table(study),
         "left_out": _left_out_table(study),
         "targets": "\n".join(["Cheapest setting whose worst error stays below a target:\n", *wanted]),
         "contents": _content_table(study),
-        "convergence": markdown_table(tuple(convergence[0]), [tuple(row.values()) for row in convergence])
-        if convergence
-        else "",
     }
     return {name: table for name, table in parts.items() if table}
 
