@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import find_peaks
 from waves import (
     DISTANCE,
     FREQUENCY,
@@ -250,6 +251,49 @@ def test_a_late_receiver_is_late_and_says_so() -> None:
     places = np.array(far_stations(PARTS))
     apart = places * (2.0 - expected) + late[-len(places) :]
     assert found.error * 2.1 == pytest.approx(np.sqrt(np.sum(apart**2) / (len(places) - 1)), rel=0.01)
+
+
+def between_two_peaks(early: float) -> Section:
+    """Wave of 3 periods whose receiver has a short peak before and another after it, 0.84 periods apart."""
+
+    def stations(part: float, time: Floats) -> Floats:
+        return wave(3.0)(part, time) * (part < 1.0)
+
+    return section(total(stations, *(at_receiver(wave(3.0 - early + late, faster=2.0)) for late in (0.0, 0.84))))
+
+
+def test_of_two_peaks_as_near_either_may_be_the_wave() -> None:
+    """A small shift exchanges them: the velocities differ by their distance, which is within 1.96 stated errors."""
+    first, second = (read(between_two_peaks(early), 0.0) for early in (0.425, 0.45))
+    early, late = periods(first.peak), periods(second.peak)
+    assert late - early == pytest.approx(0.84, abs=0.03)
+    assert abs(late - early) < 1.96 * min(first.error * early, second.error * late)
+    assert read(between_two_peaks(0.6), 0.0).error < 0.25 * min(first.error, second.error)  # there one is much nearer
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.1, 0.2])
+def test_other_peaks_count_by_their_likelihood(jitter: float) -> None:
+    """The errors of a wave train are those of a twin that knows nothing of the reading but its wave."""
+    late = jitter * np.random.default_rng(0).normal(size=len(PARTS))
+
+    def train(part: float, time: Floats) -> Floats:
+        since = time - float(late[PARTS.index(part)])
+        return total(wave(3.0), at_receiver(wave(2.4, 0.5, 2.0)), at_receiver(wave(3.7, 0.7, 2.0)))(part, since)
+
+    given = section(train)
+    found = read(given, 0.0)
+    expected = periods(found.wave.velocity * (1.0 + found.bias))
+    times = given.times * FREQUENCY - 0.5  # after the pulse's peak
+    places = np.array(far_stations(PARTS))
+    motion = smooth(given.across[:, -len(places) :] / 2**20, 0.3 * given.period)
+    peaks = [times[find_peaks(one, height=0.001)[0]] for one in motion.T]
+    near = [one[np.abs(one - place * expected).argmin()] for one, place in zip(peaks, places, strict=True)]
+    scatter = np.sum((np.array(near) - places * expected) ** 2) / (len(places) - 1)
+    spread = scatter + (found.wave.error * near[-1]) ** 2
+    likelihood = np.exp(-((peaks[-1] - expected) ** 2) / (2 * spread + 1e-9))
+    error = np.sqrt(scatter + np.average((peaks[-1] - near[-1]) ** 2, weights=likelihood))
+    assert found.error * near[-1] == pytest.approx(error, abs=0.02)
+    assert (error > 0.2) == (jitter == 0.2)
 
 
 @pytest.mark.parametrize(("level", "hidden"), [(0.085, False), (0.115, True)])

@@ -4,7 +4,7 @@
 2. **The S wave of a receiver is the peak next to that of the fitted wave.** The time between the transmitted and this
    peak gives Vs, as in the paper (section 3.1.1). First arrival and cross-correlation are read beside it.
 3. **Its error is measured**: the peaks of the other stations scatter about those of the fitted wave as the receiver's
-   does.
+   does, and another peak may be the S wave as far as that scatter and the error of the fitted wave allow.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from typing import Literal, final
 import numpy as np
 
 from calcidem.dem.engine.fields import PositivePart, checked
-from calcidem.dem.engine.portable import find_maxima, parabola_vertex, sliding_products
+from calcidem.dem.engine.portable import exponential, find_maxima, parabola_vertex, sliding_products
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.section import (
     P_OVER_S,
@@ -74,8 +74,9 @@ class Reading:
     strip is early. It is no error of the reading, and is known.
     """
     error: float
-    """Relative standard error of the velocities to the receiver: root mean square distance of the peaks beyond half of
-    the path from those of the fitted wave, over the travel time; 1 is unknown.
+    """Relative standard error of the velocities to the receiver, 1 if unknown: root of the sum of two mean squares over
+    the travel time. One is the distance of the peaks beyond half of the path from those of the fitted wave, the other
+    that of all peaks of the receiver from the one taken, see `_variance_of_choice`.
     """
     verdict: Verdict | None = None
     """Reason why there is no velocity to the receiver; None if there is one."""
@@ -163,8 +164,13 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     apart = np.array([one for one in late if np.isfinite(one)]) * section.sampling_interval
     if not travel > 0.0:  # also NaN
         return Reading(wave, np.nan, 0, signal, bias, 1.0, Verdict.NO_PEAK)
-    error = float(np.sqrt((apart * apart).sum() / (len(apart) - 1.0))) / travel if len(apart) > 2 else 1.0
-    index = round(expected[-1] + late[-1])
+    peak, error = expected[-1] + late[-1], 1.0
+    if len(apart) > 2:
+        scatter = float((apart * apart).sum()) / (len(apart) - 1.0)
+        unknown = scatter + (wave.error * travel) * (wave.error * travel)
+        choice = _variance_of_choice(_peaks(signal), peak, expected[-1], unknown / section.sampling_interval**2)
+        error = float(np.sqrt(scatter + choice * section.sampling_interval**2)) / travel
+    index = round(peak)
     found = Reading(wave, travel, index, signal, bias, min(1.0, error))
     if error > rule.largest_error:
         return replace(found, verdict=Verdict.UNCERTAIN)
@@ -194,9 +200,23 @@ def _peaks_of_wave(section: Section, wave: StripWave, places: tuple[float, ...])
 
 def _peak_near(signal: Floats, when: float, period: float, first: int = 0) -> float:
     """Peak next to a sample, of a signal (T,) from the sample ``first`` on; NaN if none is within half a period."""
-    peaks = [first + i + parabola_vertex(signal, i) for i in find_maxima(signal).tolist() if signal[i] > SILENCE]
-    near = [peak for peak in peaks if abs(peak - when) < 0.5 * period]
+    near = [first + peak for peak in _peaks(signal).tolist() if abs(first + peak - when) < 0.5 * period]
     return min(near, key=lambda peak: abs(peak - when), default=np.nan)
+
+
+def _peaks(signal: Floats) -> Floats:
+    """Samples of the peaks of a signal (T,), in order."""
+    return np.array([i + parabola_vertex(signal, i) for i in find_maxima(signal).tolist() if signal[i] > SILENCE])
+
+
+def _variance_of_choice(peaks: Floats, chosen: float, expected: float, variance: float) -> float:
+    """Mean square distance of all peaks (P,) from the chosen one, weighted by their likelihood to be the S wave.
+
+    Peaks are distributed normally about the expected one. All in samples, or their squares.
+    """
+    away = (peaks - expected) * (peaks - expected) / (2.0 * max(variance, 1e-12))  # no peak is known to 1e-6 samples
+    likelihood = exponential(-np.minimum(away - away.min(), 700.0))
+    return float((likelihood * (peaks - chosen) * (peaks - chosen)).sum() / likelihood.sum())
 
 
 def describe_refusal(found: Reading | Verdict, section: Section, rule: PickRule) -> str:
