@@ -34,20 +34,13 @@ _SAND = 0.01
 the preset `paper`. Ratios of 0.003 to 0.1 give the same correlations with Vs (docs/reproduction/conductance.md).
 """
 
-NETWORK_FEATURES = {
-    "network_conductance": (
-        "G",
-        f"current between the side walls over that if all is cemented; a sand contact conducts {_SAND:g} of a bond",
-    ),
-    "network_cemented_share": ("S", "share of cemented contacts, weighted by the energy of the wave"),
-    "network_strong_share": ("S_f", "the same among contacts that carry more than the mean force"),
-    "network_coordination_number": ("Z_b", "cemented contacts of a cemented grain"),
-    "network_anisotropy": ("A_b", "mean cos(2 angle to the path) of cemented contacts, weighted by energy"),
-    "network_components": ("K", "groups of grains joined by cement"),
-    "network_largest_component": ("K_max", "grains in the largest of them"),
-    "network_gap_contacts": ("N_gap", "fewest sand contacts on a path from transmitter to receiver"),
-}
-"""Symbol and definition of each of the `NetworkFeatures`."""
+FEATURES, NETWORK_FEATURES = (
+    {quantity.name: (quantity.symbol, quantity.meaning) for quantity in kind.quantities()}
+    for kind in (PathFeatures, NetworkFeatures)
+)
+"""Symbol and definition of each of the `PathFeatures` and `NetworkFeatures`, dimensionless; symbols of the former are
+those of the paper.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,28 +152,6 @@ def _mean(values: ArrayLike, weight: ArrayLike) -> float | None:
     """Weighted mean; None if nothing has a weight."""
     factors = np.asarray(weight, dtype=np.float64)
     return float(np.average(np.asarray(values, dtype=np.float64), weights=factors)) if factors.any() else None
-
-
-FEATURES = {
-    "path_contacts": ("N", "number of contacts on the path"),
-    "path_hertz_contacts": ("N_h", "number of sand contacts on the path"),
-    "path_bonded_contacts": ("N_LPB", "number of cemented contacts on the path"),
-    "path_bonded_fraction": ("LP", "share of the path's contacts that are cemented, N_LPB / N"),
-    "path_longest_bonded_run": (
-        "QLLC",
-        "largest number of cemented contacts that follow one another on the path; mean over all shortest paths",
-    ),
-    "path_longest_bonded_run_fraction": (
-        "PLLC",
-        "share of the path's contacts in its longest run of cemented ones, QLLC / N",
-    ),
-    "path_connectivity": ("C_d", "weighted length of the path, omega_h N_h + omega_LPB N_LPB"),
-    "path_normalized_connectivity": (
-        "C_d,n",
-        "weighted length of the path, 0 for a straight row of cemented median grains, 1 for that row without cement",
-    ),
-}
-"""Symbol in the paper and definition of each feature, by its name in `PathFeatures`; all are dimensionless."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

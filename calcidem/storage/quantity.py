@@ -57,6 +57,8 @@ class Quantity:
     """Whole numbers for its texts in files (CF flags)."""
     ancillary: str = ""
     """Quantities that qualify it (CF), separated by spaces."""
+    symbol: str = ""
+    """Symbol in tables and figures; empty if it has none."""
 
     def attributes(self) -> dict[str, Any]:
         """CF attributes of a variable."""

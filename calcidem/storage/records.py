@@ -133,19 +133,32 @@ class GrainPath(Record):
 class PathFeatures(Record):
     """Features of a cell's preferential path from the transmitter to the receiver."""
 
-    path_contacts: Annotated[int, _path("contacts on the preferential path")]
-    path_hertz_contacts: Annotated[int, _path("uncemented contacts on it")]
-    path_bonded_contacts: Annotated[int, _path("cemented contacts on it")]
-    """N, N_h and N_LPB of the paper, with LP = N_LPB / N and PLLC = QLLC / N."""
-    path_bonded_fraction: Annotated[float, _path("share of cemented contacts on it (LP)")]
+    path_contacts: Annotated[int, _path("number of contacts on the path", symbol="N")]
+    path_hertz_contacts: Annotated[int, _path("number of sand contacts on the path", symbol="N_h")]
+    path_bonded_contacts: Annotated[int, _path("number of cemented contacts on the path", symbol="N_LPB")]
+    path_bonded_fraction: Annotated[
+        float, _path("share of the path's contacts that are cemented, N_LPB / N", symbol="LP")
+    ]
     path_longest_bonded_run_fraction: Annotated[
-        float, _path("longest run of cemented contacts over all contacts on it (PLLC)")
+        float, _path("share of the path's contacts in its longest run of cemented ones, QLLC / N", symbol="PLLC")
     ]
     path_longest_bonded_run: Annotated[
-        float, _path("longest run of cemented contacts, mean over all shortest paths (QLLC)")
+        float,
+        _path(
+            "cemented contacts that follow one another on the path, at most; mean over all shortest paths",
+            symbol="QLLC",
+        ),
     ]
-    path_connectivity: Annotated[float, _path("weighted shortest distance (C_d)")]
-    path_normalized_connectivity: Annotated[float | None, _path("normalized connectivity per unit distance (C_d,n)")]
+    path_connectivity: Annotated[
+        float, _path("weighted length of the preferential path, omega_h N_h + omega_LPB N_LPB", symbol="C_d")
+    ]
+    path_normalized_connectivity: Annotated[
+        float | None,
+        _path(
+            "weighted length of the path, 0 for a straight row of cemented median grains, 1 for it without cement",
+            symbol="C_d,n",
+        ),
+    ]
     """C_d,n (Eq. 9); None where it is singular (equal weights)."""
 
     def __post_init__(self) -> None:
@@ -164,18 +177,33 @@ class NetworkFeatures(Record):
     None where there is nothing to count: no contact where the wave is, no cement, no path.
     """
 
-    network_conductance: Annotated[float | None, _network("conductance between the walls over that if all is cemented")]
-    network_cemented_share: Annotated[float | None, _network("share of cemented contacts where the wave is")]
-    network_strong_share: Annotated[float | None, _network("the same among contacts above the mean force")]
-    network_coordination_number: Annotated[float | None, _network("cemented contacts of a cemented grain")]
-    network_anisotropy: Annotated[
-        float | None, Quantity("1", "anisotropy of the cemented contacts along the path", origin="network")
+    network_conductance: Annotated[
+        float | None,
+        _network(
+            "current between the side walls over that if all is cemented; a sand contact conducts 0.01 of a bond",
+            symbol="G",
+        ),
     ]
-    network_components: Annotated[int, _network("groups of grains joined by cement")]
-    network_largest_component: Annotated[int, _network("grains in the largest of them")]
+    network_cemented_share: Annotated[
+        float | None, _network("share of cemented contacts, weighted by the energy of the wave", symbol="S")
+    ]
+    network_strong_share: Annotated[
+        float | None, _network("the same among contacts that carry more than the mean force", symbol="S_f")
+    ]
+    network_coordination_number: Annotated[
+        float | None, _network("cemented contacts of a cemented grain", symbol="Z_b")
+    ]
+    network_anisotropy: Annotated[
+        float | None,
+        _network(
+            "mean cos(2 angle to the path) of cemented contacts, weighted by energy", symbol="A_b", bound=Bound.NONE
+        ),
+    ]
+    network_components: Annotated[int, _network("groups of grains joined by cement", symbol="K")]
+    network_largest_component: Annotated[int, _network("grains in the largest of them", symbol="K_max")]
     """A group has two or more grains; 0 where there is no cement."""
     network_gap_contacts: Annotated[
-        int | None, _network("fewest uncemented contacts on a path from transmitter to receiver")
+        int | None, _network("fewest sand contacts on a path from transmitter to receiver", symbol="N_gap")
     ]
     """0 if cement alone connects transmitter and receiver, None if they are not connected."""
 
