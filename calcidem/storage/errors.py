@@ -33,11 +33,7 @@ class StoreLockedError(StoreError):
 
 
 class DiskError(StoreError):
-    """Reading or writing the file failed: the disk, a quota, or the network behind the file system."""
-
-
-class DiskFullError(DiskError):
-    """The disk has no space for the transaction; nothing of it was stored."""
+    """Reading or writing the file failed: the disk is full, a quota, a network, or the file was removed or replaced."""
 
 
 class ReadOnlyStoreError(StoreError):
@@ -73,10 +69,6 @@ DAMAGE_REMEDY = (
 
 class OutputRefusedError(StoreError):
     """An output file has the name of a database or of another file, or an unknown format."""
-
-
-class ReplacedStoreError(StoreError):
-    """The database file was removed or replaced while it was being written."""
 
 
 class CampaignMismatchError(StoreError):

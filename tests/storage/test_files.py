@@ -21,11 +21,10 @@ from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import (
     DamagedStoreError,
-    DiskFullError,
+    DiskError,
     ForeignDatabaseError,
     LeaseHeldError,
     OtherSchemaError,
-    ReplacedStoreError,
     StoreError,
     StoreInterruptedError,
     StoreLockedError,
@@ -135,7 +134,7 @@ def test_full_disk_keeps_what_was_there(database: Path, records: "Records") -> N
             pages = connection.exec_driver_sql("PRAGMA page_count").scalar_one()
             connection.exec_driver_sql(f"PRAGMA max_page_count={pages}")
         big = [records.with_arrays(seed, content) for seed in (2, 3) for content in (0.0, 0.3, 5.0)]
-        with pytest.raises(DiskFullError, match="Free some space"):
+        with pytest.raises(DiskError, match="Free some space"):
             store.record_results(big)
         assert store.attempt_counts([big[0].key])[big[0].key].attempts == 0
         with store._connections._engine.connect() as connection:
@@ -175,7 +174,7 @@ def test_a_database_that_is_gone_is_not_written_any_more(tmp_path: Path, records
             path.touch()
         word = "replaced" if what == "replaced" else "removed"
         for write in (store.renew_lease, lambda: store.record_results([records.done(0)])):
-            with pytest.raises(ReplacedStoreError, match=rf"one\.db was {word}"):
+            with pytest.raises(DiskError, match=rf"one\.db was {word}"):
                 write()
 
 
@@ -260,7 +259,7 @@ def test_a_disk_that_fills_up_replaces_no_database(database: Path) -> None:
             shutil.copy(database, temporary)
             Path(f"{temporary}-wal").write_bytes(b"the last transactions")
 
-    with pytest.raises(DiskFullError, match="Free some space"):
+    with pytest.raises(DiskError, match="Free some space"):
         fill()
     assert database.read_bytes() == before
     assert [path.name for path in database.parent.iterdir()] == [database.name]

@@ -16,7 +16,6 @@ from calcidem.storage.errors import (
     DAMAGE_REMEDY,
     DamagedStoreError,
     DiskError,
-    DiskFullError,
     ForeignDatabaseError,
     InvalidRecordError,
     ReadOnlyStoreError,
@@ -43,7 +42,7 @@ _ERRORS: tuple[tuple[tuple[int, ...], tuple[str, ...], type[StoreError], str], .
     # SQLITE_CORRUPT; internal errors
     ((11,), ("XX",), DamagedStoreError, DAMAGE_REMEDY),
     # SQLITE_FULL; disk full
-    ((13,), ("53100",), DiskFullError, "Free some space and continue; nothing of this was stored, all before is safe."),
+    ((13,), ("53100",), DiskError, "Free some space and continue; nothing of this was stored, all before is safe."),
     # SQLITE_CANTOPEN; connection, authorization, no such database, shutdown
     (
         (14,),

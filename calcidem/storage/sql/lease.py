@@ -20,7 +20,7 @@ from pathlib import Path
 from sqlalchemy import Connection, delete, insert, select, update
 
 from calcidem.storage.errors import (
-    DiskFullError,
+    DiskError,
     LeaseHeldError,
     LeaseLostError,
     OutputRefusedError,
@@ -236,7 +236,7 @@ def replace_database(path: Path) -> Iterator[Path]:
     Whatever makes a database, or replaces one, does it here: while nobody else may write it, and without the files that
     SQLite keeps beside a database. These belonged to a database that was removed; SQLite would copy them into the new
     one. `LeaseHeldError` if another process writes it or makes it; `OutputRefusedError` if a file appeared meanwhile;
-    `DiskFullError` if the data did not all reach the temporary file.
+    `DiskError` if the data did not all reach the temporary file.
     """
     if not path.exists():
         refuse_to_replace(path)  # names that belong to another database
@@ -257,7 +257,7 @@ def replace_database(path: Path) -> Iterator[Path]:
             yield temporary
             log = Path(f"{temporary}-wal")
             if log.is_file() and log.stat().st_size:  # SQLite does not tell that it could not empty it
-                raise DiskFullError(
+                raise DiskError(
                     f"{path} could not be written: the last of its data did not reach the file.",
                     "Free some space, and run the same command again; nothing was replaced.",
                 )

@@ -71,7 +71,7 @@ class Store(StoreReader):
     10. Reading never blocks a writer for longer than one short query, and sees only whole transactions.
     11. A file that was not closed properly is checked by SQLite before anything is written to it.
     12. Before a campaign is chosen, whatever is about one raises `UnknownCampaignError`. Writing may raise
-        `ReadOnlyStoreError`, `LeaseLostError` or `DiskFullError`, and any method another `StoreError` of its database.
+        `ReadOnlyStoreError`, `LeaseLostError` or `DiskError`, and any method another `StoreError` of its database.
         A `Selection` whose filter can't be understood raises `QueryError`, one with a content that is not planned
         `UnknownCellError`.
 
