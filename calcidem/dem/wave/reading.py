@@ -166,7 +166,7 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
         return Reading(wave, np.nan, 0, signal, bias, 1.0, Verdict.NO_PEAK)
     peak, error = expected[-1] + late[-1], 1.0
     if len(apart) > 2:
-        scatter = float((apart * apart).sum()) / (len(apart) - 1.0)
+        scatter = float((apart * apart).sum()) / (len(apart) - 1.0)  # s^2, as the next
         unknown = scatter + (wave.error * travel) * (wave.error * travel)
         choice = _variance_of_choice(_peaks(signal), peak, expected[-1], unknown / section.sampling_interval**2)
         error = float(np.sqrt(scatter + choice * section.sampling_interval**2)) / travel
