@@ -59,8 +59,6 @@ ALLOWED = {
     ("app/report/page.py", "open"): "writes",
     ("app/cli/run.py", "open"): "writes",
     ("dem/sample/compaction.py", "open"): "writes",
-    ("app/serve/server.py", "open"): "writes what a program of its own says",
-    ("app/serve/server.py", "read_text"): "what that said",
     ("analysis/figures/style.py", "open"): "a picture in memory that was just drawn",
 }
 """Module and call, and why it need not go through the door."""

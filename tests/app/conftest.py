@@ -25,7 +25,7 @@ from calcidem.app.cli.main import _build_application
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration
 
-PATIENCE = 120.0
+PATIENCE = 300.0
 """Seconds after which a program counts as hung; the longest needs 30 s, of which it compiles for 25."""
 
 SMALL = """

@@ -5,11 +5,13 @@ import uuid
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
+from time import sleep
 from typing import Any
 
 import numpy as np
 import pytest
 from sqlalchemy import NullPool, create_engine, text
+from sqlalchemy.exc import OperationalError
 
 from calcidem.ends import CellStatus
 from calcidem.storage.records import (
@@ -188,7 +190,14 @@ def postgresql_database(postgresql_socket: Path, postgresql_template: str) -> It
     name = f"test_{uuid.uuid4().hex}"
     server = f"postgresql+psycopg://postgres@/postgres?host={postgresql_socket}"
     with create_engine(server, isolation_level="AUTOCOMMIT", poolclass=NullPool).connect() as connection:
-        connection.execute(text(f'CREATE DATABASE "{name}" TEMPLATE {postgresql_template}'))
+        for attempt in range(30):
+            try:
+                connection.execute(text(f'CREATE DATABASE "{name}" TEMPLATE {postgresql_template}'))
+                break
+            except OperationalError:  # a background process of the server may still be connected to the template
+                if attempt == 29:
+                    raise
+                sleep(1.0)
         yield f"postgresql://postgres@/{name}?host={postgresql_socket}"
         connection.execute(text(f'DROP DATABASE "{name}" WITH (FORCE)'))
 

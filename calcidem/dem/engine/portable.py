@@ -2,9 +2,9 @@
 
 NumPy and the C library select their sine, arcsine or power by processor (SIMD width, FMA). The results differ in the
 last bit, and in a chaotic packing such a difference leads to another sample. IEEE 754 fixes ``+ - * /`` and the square
-root to the last bit. Functions that use only these, in a fixed order, therefore agree on every processor. All stored
-numbers depend only on such lengths, powers, angles and sums of products: no BLAS, no LAPACK, no FFT. NumPy sums a
-contiguous array in a fixed (pairwise) order, which a test checks.
+root to the last bit. Functions that use only these, in a fixed order, therefore agree on every processor. Stored
+numbers that are exact depend only on such lengths, powers, angles and sums of products: no BLAS, no LAPACK, no FFT.
+NumPy sums a contiguous array in a fixed (pairwise) order, which a test checks.
 """
 
 import math

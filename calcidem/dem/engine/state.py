@@ -1,5 +1,7 @@
 """Starting and advancing a scene, with control of the time step. States are values: advancing returns a new one.
 
+A wave is advanced elsewhere (`wave/propagation.py`), from the state that `start` gives.
+
 Present contacts, speeds and unbalanced forces set the limit; the step is a part of it. Regular checks reduce the step
 with its limit and never increase it. A step fixed by the caller ends the run instead.
 

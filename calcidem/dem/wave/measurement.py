@@ -36,7 +36,8 @@ class Measurement:
     vs: float | None = None
     """Shear-wave velocity by the method of `PickRule`, m/s; None if it is unreliable."""
     reading: Reading | None = None
-    """Complete reading with its standard error; None if the run was unstable or no wave was found."""
+    """Complete reading with its standard error; None if the run was unstable, no wave was found, or the
+    content has an unknown error."""
     other_wave: StripWave | None = None
     """Wave from the other side, if it was transmitted (`WaveRule.both_sides`) and found with an error."""
     seconds: float = 0.0

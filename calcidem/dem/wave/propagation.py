@@ -241,7 +241,7 @@ def prepare_recorder(
     raise_if_stopped: Callable[[], None],
     signs: Sequence[float] = (),
 ) -> Recorder:
-    """Prepare a batch for transmission with a common step; the arguments are those of `send_waves`."""
+    """Prepare a batch for transmission with common sampling; the arguments are those of `send_waves`."""
     require(0 < len(bonded) <= lanes, "bonded", len(bonded), f"give 1 to {lanes} samples")
     rule, installation, pulse = experiment.wave, experiment.installation, Pulse(experiment.wave.amplitude, frequency)
     domain, bare = experiment.domain, experiment.bare_scene

@@ -3,8 +3,8 @@
 1. **A damped wave is fitted to the section** (`StripWave`). Its velocity is the effective velocity of the sample.
 2. **The S wave of a receiver is the peak next to that of the fitted wave.** The time between the transmitted and this
    peak gives Vs, as in the paper (section 3.1.1). First arrival and cross-correlation are read beside it.
-3. **Its error is measured**: the peaks of the other stations scatter about those of the fitted wave as the receiver's
-   does, and another peak may be the S wave as far as that scatter and the error of the fitted wave allow.
+3. **Its error is measured.** The peaks at the far stations and the receiver scatter about those of the fitted wave.
+   Another peak of the receiver may be the S wave: the more so, the larger that scatter and the fitted wave's error.
 """
 
 from dataclasses import dataclass, replace
@@ -74,9 +74,10 @@ class Reading:
     strip is early. It is no error of the reading, and is known.
     """
     error: float
-    """Relative standard error of the velocities to the receiver, 1 if unknown: root of the sum of two mean squares over
-    the travel time. One is the distance of the peaks beyond half of the path from those of the fitted wave, the other
-    that of all peaks of the receiver from the one taken, see `_variance_of_choice`.
+    """Relative standard error of the velocities to the receiver, over the travel time; 1 if it is unknown.
+
+    Its square is the sum of two variances of the arrival: of the peaks beyond half of the path about those of the
+    fitted wave, and of the choice among the peaks of the receiver (`_variance_of_choice`).
     """
     verdict: Verdict | None = None
     """Reason why there is no velocity to the receiver; None if there is one."""
@@ -210,9 +211,10 @@ def _peaks(signal: Floats) -> Floats:
 
 
 def _variance_of_choice(peaks: Floats, chosen: float, expected: float, variance: float) -> float:
-    """Mean square distance of all peaks (P,) from the chosen one, weighted by their likelihood to be the S wave.
+    """Variance of an arrival, samples^2, since another of the peaks (P,) of a signal may be the S wave.
 
-    Peaks are distributed normally about the expected one. All in samples, or their squares.
+    It is the mean square distance of all peaks from the chosen one. Each counts by its likelihood, whatever its height:
+    the S wave has a normal distribution about the expected sample, with a variance in samples^2.
     """
     away = (peaks - expected) * (peaks - expected) / (2.0 * max(variance, 1e-12))  # no peak is known to 1e-6 samples
     likelihood = exponential(-np.minimum(away - away.min(), 700.0))
