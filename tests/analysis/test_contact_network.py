@@ -135,3 +135,23 @@ def test_the_wave_of_a_strip_and_the_forces_of_hertz(analysis: CampaignAnalysis)
     np.testing.assert_allclose(made.cosine, np.where(y[pairs[:, 0]] == y[pairs[:, 1]], 1.0, -1.0))
     np.testing.assert_array_equal(made.strong, y[pairs].min(axis=1) > 5.0)
     np.testing.assert_array_equal(made.side, np.where(x < 1.0, -1, np.where(x > 5.0, 1, 0)))
+
+
+def test_strong_contacts_carry_more_than_the_mean_force(analysis: CampaignAnalysis) -> None:
+    """Hertz forces of disks at random distances, one by one; small disks may be pressed harder than large ones."""
+    random = np.random.default_rng(4)
+    x, y = (values.ravel() for values in np.meshgrid(0.5 + np.arange(6.0), 0.5 + np.arange(10.0)))
+    x, y, radius = (
+        x + random.uniform(-0.01, 0.01, 60),
+        y + random.uniform(-0.01, 0.01, 60),
+        random.uniform(0.5, 0.6, 60),
+    )
+    pairs = np.array([(i, j) for i in range(60) for j in range(i + 1, 60) if np.hypot(x[i] - x[j], y[i] - y[j]) < 1.05])
+    graph = ContactGraph(60, pairs, np.flatnonzero(x < 1.0), np.flatnonzero(x > 5.0))
+    packing = replace(analysis.store.packing(), x=x, y=y, radius=radius, width=6.0, height=10.0)
+    force = [
+        np.sqrt(1.0 / (1.0 / radius[i] + 1.0 / radius[j]))
+        * max(0.0, radius[i] + radius[j] - np.hypot(x[i] - x[j], y[i] - y[j])) ** 1.5
+        for i, j in pairs
+    ]
+    np.testing.assert_array_equal(contact_network(packing, graph, 2.0).strong, force > np.mean(force))

@@ -35,6 +35,7 @@ def test_corner_of_a_detour() -> None:
     assert envelope.lines == (_PathLine(0, 6), _PathLine(3, 0))
     assert corners_of(envelope) == [0.5]
     np.testing.assert_allclose(envelope.connectivity([0.25, 0.5, 0.75]), [1.5, 3.0, 3.0])
+    assert path_envelope(*detour(3, 6), high=1.0).lines == envelope.lines  # up to weights that are equal
 
 
 @pytest.mark.parametrize("seed", range(6))

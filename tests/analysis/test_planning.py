@@ -142,3 +142,12 @@ def test_what_ends_when_it_is_narrow_still_holds_the_truth(scatter: float, begin
         values = 1.0 + scatter * normal if is_normal else np.exp(spread * normal - spread**2 / 2)
         hits += Interval.of_mean(values[: seeds_until(values, begin, mean=0.02)]).contains(1.0)
     assert 0.92 < hits / 1500 < 0.97
+
+
+def test_the_next_number_of_seeds_follows_from_the_square_of_the_excess() -> None:
+    """An interval 1.3 times too wide needs 1.69 times as many seeds, in batches of 8, and at most twice as many."""
+    values = np.random.default_rng(2).normal(100.0, 10.0, size=64)
+    relative = Interval.of_mean(values).half_width / values.mean()
+    assert next_seed_count(values, 1000, mean=relative / 1.3) == 112
+    assert next_seed_count(values, 1000, mean=relative / 3.0) == 128
+    assert next_seed_count(values, 1000, mean=relative * 1.01) == 64
