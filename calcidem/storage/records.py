@@ -145,7 +145,7 @@ class PathFeatures(Record):
     path_longest_bonded_run: Annotated[
         float,
         _path(
-            "cemented contacts that follow one another on the path, at most; mean over all shortest paths",
+            "longest run of cemented contacts on the path, mean over all shortest paths",
             symbol="QLLC",
         ),
     ]
@@ -155,7 +155,7 @@ class PathFeatures(Record):
     path_normalized_connectivity: Annotated[
         float | None,
         _path(
-            "weighted length of the path, 0 for a straight row of cemented median grains, 1 for it without cement",
+            "weighted length of the path, 0 for a straight row of cemented median grains, 1 for one without cement",
             symbol="C_d,n",
         ),
     ]

@@ -158,7 +158,8 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     signal, expected = smoothed[:, -1], _peaks_of_wave(section, wave, far)
     if not np.isfinite(expected[-1]):
         return Verdict.NO_PEAK  # so slow a wave does not pass this strip
-    late = [_peak_near(smoothed[:, one], when, section.period) - when for one, when in enumerate(expected)]
+    peaks = [_peaks(motion) for motion in smoothed.T]
+    late = [_nearest(own, when, section.period) - when for own, when in zip(peaks, expected, strict=True)]
     travel = (expected[-1] - section.transmitted_peak) * section.sampling_interval
     bias = section.distance / (travel * wave.velocity) - 1.0
     travel += late[-1] * section.sampling_interval
@@ -169,7 +170,7 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
     if len(apart) > 2:
         scatter = float((apart * apart).sum()) / (len(apart) - 1.0)  # s^2, as the next
         unknown = scatter + (wave.error * travel) * (wave.error * travel)
-        choice = _variance_of_choice(_peaks(signal), peak, expected[-1], unknown / section.sampling_interval**2)
+        choice = _variance_of_choice(peaks[-1], peak, expected[-1], unknown / section.sampling_interval**2)
         error = float(np.sqrt(scatter + choice * section.sampling_interval**2)) / travel
     index = round(peak)
     found = Reading(wave, travel, index, signal, bias, min(1.0, error))
@@ -194,14 +195,14 @@ def _peaks_of_wave(section: Section, wave: StripWave, places: tuple[float, ...])
     sample = begin[:, None] + np.arange(int(section.period) + 4)
     motion = waveform(wave, section.frequency, places, section.start_time + section.sampling_interval * sample)
     return [
-        _peak_near(signal, one + 0.5 * section.period, section.period, first)
+        _nearest(first + _peaks(signal), one + 0.5 * section.period, section.period)
         for signal, one, first in zip(motion, arrival, begin.tolist(), strict=True)
     ]
 
 
-def _peak_near(signal: Floats, when: float, period: float, first: int = 0) -> float:
-    """Peak next to a sample, of a signal (T,) from the sample ``first`` on; NaN if none is within half a period."""
-    near = [first + peak for peak in _peaks(signal).tolist() if abs(first + peak - when) < 0.5 * period]
+def _nearest(peaks: Floats, when: float, period: float) -> float:
+    """Peak of some (P,) next to a sample; NaN if none is within half a period."""
+    near = [peak for peak in peaks.tolist() if abs(peak - when) < 0.5 * period]
     return min(near, key=lambda peak: abs(peak - when), default=np.nan)
 
 
