@@ -53,7 +53,7 @@ class PickRule:
 
     method: Method = "peak"
     smoothing: PositivePart = 0.3  # little of shorter duration propagates through grains
-    largest_error: PositivePart = 0.25  # a smaller value refuses more fast samples than slow ones
+    largest_error: PositivePart = 0.5  # refusing at less would bias means: fast samples have the larger errors
 
 
 @final
