@@ -32,7 +32,7 @@ NUMBERS = {
         ("SILENCE = 0.001\n", "SILENCE = 0.0013\n"),
         ("_ONSET = 0.1\n", "_ONSET = 0.13\n"),
         ("smoothing: PositivePart = 0.3 ", "smoothing: PositivePart = 0.39 "),
-        ("largest_error: PositivePart = 0.25", "largest_error: PositivePart = 0.33"),
+        ("largest_error: PositivePart = 0.5", "largest_error: PositivePart = 0.65"),
         ("+ 1.35 / frequency", "+ 1.75 / frequency"),
         ("< 0.5 * period", "< 0.65 * period"),
     ),

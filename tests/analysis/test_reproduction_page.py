@@ -196,8 +196,8 @@ def test_sentences_on_means_and_scatter(cells: xr.Dataset, published: dict[float
     p = 2 * stats.norm.sf(np.abs(z))
     assert [content for content, one in zip(published, p, strict=True) if 16 * one < 0.05] == [8.0, 9.0]
     assert [content for content, one in zip(published, off, strict=True) if abs(one) > 0.05] == []
-    assert [content for content, one in zip(published, scatter, strict=True) if one > 1.33] == [8.0, 9.0]
-    refused, unread = cells["reading_error"].to_numpy()[~read] > 0.25, (~read).mean(axis=0)
+    assert [content for content, one in zip(published, scatter, strict=True) if one > 1.33] == [0.55, 8.0, 9.0]
+    refused, unread = cells["reading_error"].to_numpy()[~read] > 0.5, (~read).mean(axis=0)
     bound = float(cells["pulse_effect"].max())
     check_said(
         f"{read.sum():,} of {vs.size:,}; no bond broke",
@@ -304,12 +304,12 @@ def test_the_conclusions_of_the_paper(cells: xr.Dataset) -> None:
         (values_at(loud, high).mean() - values_at(loud, low).mean()) / (high - low) for low, high in STAGES.values()
     ]
     assert f"holds: {', '.join(f'{rate:.0f}' for rate in rates)} m/s per %" in text
-    for one, words in ((cells, "0.52, 0.36, 0.23"), (loud, "0.32, 0.28 and 0.35")):
+    for one, words in ((cells, "0.52, 0.41, 0.23"), (loud, "0.32, 0.28 and 0.35")):
         three = one.sel(content=5.0).dropna("seed", subset=["vs"]).sortby("vs")["path_normalized_connectivity"]
         assert words in text
         numbers = [float(number) for number in re.findall(r"[\d.]+", words)]
         assert three[[0, three.size // 2, -1]].to_numpy() == pytest.approx(numbers, abs=0.00501)
-    for one, words in ((cells, "-0.68 to -0.10"), (loud, "-0.39 to -0.04")):
+    for one, words in ((cells, "-0.68 to -0.08"), (loud, "-0.39 to -0.04")):
         by_content = [spearman_at(one, "path_normalized_connectivity", content) for content in one["content"][1:]]
         assert f"{min(by_content):.2f} to {max(by_content):.2f}" == words
         assert words in text

@@ -573,7 +573,7 @@ def load_paper_campaign(preset: Literal["paper", "paper-as-printed"] = "paper") 
     >>> import calcidem
     >>> campaign = calcidem.load_paper_campaign()
     >>> dict(campaign.sizes), int(campaign.vs.notnull().sum())
-    ({'seed': 116, 'content': 17}, 1929)
+    ({'seed': 116, 'content': 17}, 1965)
     >>> round(float(campaign.vs.sel(content=0.66).mean()), -1)
     370.0
     """
