@@ -19,7 +19,7 @@ from live_page import ADDRESS, PATIENCE, Live, serve, start
 
 from calcidem.analysis.velocity import NOTE_QUANTITIES, notes_on
 from calcidem.app.campaign.status import CampaignStatus
-from calcidem.app.serve.address import PageAddress, page_beside_run
+from calcidem.app.serve import PageAddress, page_beside_run
 from calcidem.app.serve.feed import CampaignFeed, CellColumns
 from calcidem.app.serve.server import Hub, LivePage
 from calcidem.ends import CellStatus

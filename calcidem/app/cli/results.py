@@ -181,7 +181,7 @@ def serve_command(
 
     The printed address has a secret token. Ctrl-C ends the server. Databases are only read.
     """
-    from calcidem.app.serve.address import PageAddress
+    from calcidem.app.serve import PageAddress
 
     address = PageAddress.take(host, port)
     from calcidem.app.serve.server import LivePage

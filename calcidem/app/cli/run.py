@@ -263,7 +263,7 @@ def _make_packing_alone(configuration: "Configuration") -> None:
 
 def _live_page(configuration: Path, overrides: Mapping[str, str | bool | None]) -> AbstractContextManager[None]:
     """Live page of the campaign while the command runs."""
-    from calcidem.app.serve.address import page_beside_run
+    from calcidem.app.serve import page_beside_run
     from calcidem.sweep.ranks import launcher
 
     if launcher() is not None:

@@ -40,7 +40,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from calcidem.app.report.cell_data import page_templates
-from calcidem.app.serve.address import PageAddress
+from calcidem.app.serve import PageAddress
 from calcidem.app.serve.feed import CampaignFeed, Event
 from calcidem.storage.errors import StoreError, UnknownCellError, hide_passwords
 from calcidem.storage.records import LARGEST_SEED, canonical_content, checked_seed
