@@ -2,7 +2,8 @@ import os
 
 import pytest
 
-from calcidem.sweep.ranks import (
+from calcidem.sweep.schedule import LaunchError
+from calcidem.sweep.workers import (
     available_cores,
     launcher,
     own_rank,
@@ -10,7 +11,6 @@ from calcidem.sweep.ranks import (
     refuse_singletons,
     whole_number,
 )
-from calcidem.sweep.schedule import LaunchError
 
 
 @pytest.mark.parametrize("variables", [{"SLURM_NTASKS": "8"}, {"SLURM_NTASKS": "8", "SLURM_STEP_NUM_TASKS": "8"}])

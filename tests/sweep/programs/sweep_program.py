@@ -18,7 +18,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import (
     LOSSES_BEFORE_QUARANTINE,
@@ -29,6 +28,7 @@ from calcidem.sweep.schedule import (
     SweepState,
     plan_batches,
 )
+from calcidem.sweep.workers import run_on_ranks
 
 CONTENTS = (0.0, 2.55, 9.0)
 
