@@ -14,7 +14,7 @@ from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.scene import Bonds, Cement, Precision, Sand, Scene
 from calcidem.dem.engine.state import choose_features, start
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Features
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import PackingRule
 

@@ -8,7 +8,7 @@ from reference import Floats, Grain, Integers, Springs
 
 from calcidem.app.campaign.packing import packing_from_bytes
 from calcidem.dem import Sand, Scene, State, advance, choose_features, start
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Features
 from calcidem.dem.sample.packing import Packing
 
 ROOT = Path(__file__).resolve().parents[2]

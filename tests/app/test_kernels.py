@@ -14,7 +14,7 @@ import pytest
 from calcidem.app.campaign.cells import CellComputation, kernel_compilations
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Installation
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Features
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.rule import Law

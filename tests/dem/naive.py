@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calcidem.dem.engine.scene import Preload, Scene
-from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.kernels.layout import Features, Floats
 
 Pair = tuple[int, int]
 

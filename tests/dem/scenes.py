@@ -3,8 +3,7 @@
 import numpy as np
 
 from calcidem.dem.engine.scene import Bonds, Cement, Preload, Sand, Scene, Wall
-from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.kernels.layout import Features, Floats, Integers
 from calcidem.dem.sample.packing import Packing, PackingReport
 
 RADIUS = 1.0e-3

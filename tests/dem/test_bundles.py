@@ -11,7 +11,7 @@ from calcidem.dem.engine import leapfrog
 from calcidem.dem.engine.leapfrog import State, plan_bundles
 from calcidem.dem.engine.scene import Bonds, Law, Precision, Scene
 from calcidem.dem.engine.state import advance, choose_features, start
-from calcidem.dem.kernels.features import ABREAST, Features
+from calcidem.dem.kernels.layout import ABREAST, Features
 
 STEPS = 150
 DISKS = 45  # no multiple of eight

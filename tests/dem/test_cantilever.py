@@ -5,7 +5,7 @@ from scenes import BONDED, LINEAR, RADIUS
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds, Cement, Scene
 from calcidem.dem.engine.state import advance, start
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Features
 
 pytestmark = pytest.mark.slow
 

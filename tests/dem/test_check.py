@@ -9,8 +9,7 @@ from waves import DISTANCE, FREQUENCY, guided, section, silence
 
 from calcidem.app.campaign.cells import cell_result
 from calcidem.dem.engine import leapfrog
-from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Flags
+from calcidem.dem.kernels.layout import Features, Flags
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave import check, measurement

@@ -12,8 +12,7 @@ from calcidem.dem.engine.readout import energies, overlaps, wall_overlaps
 from calcidem.dem.engine.scene import Law, Precision, Scene, Wall
 from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.state import advance, choose_features, start
-from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Floats, Recording
+from calcidem.dem.kernels.layout import Features, Floats, Recording
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import driven_disks
 from calcidem.dem.wave.propagation import broken_bonds, cheap_limit, problems_of

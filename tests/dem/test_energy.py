@@ -8,7 +8,7 @@ from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.readout import contact_forces, energies
 from calcidem.dem.engine.scene import Bonds, Cement, Preload, Sand, Scene, Wall
 from calcidem.dem.engine.state import advance, choose_features, start
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Features
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import wave_scene
 from calcidem.dem.wave.rule import WaveRule

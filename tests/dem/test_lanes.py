@@ -8,8 +8,7 @@ from calcidem.dem.engine import leapfrog
 from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Bonds, Precision, Scene
 from calcidem.dem.engine.state import UnstableRunError, advance, start
-from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Floats, Integers
+from calcidem.dem.kernels.layout import Features, Floats, Integers
 
 WIDTH = 8
 EIGHT = replace(GROUPED, lanes=WIDTH)

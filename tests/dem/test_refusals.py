@@ -11,7 +11,7 @@ from test_distance import lattice_experiment
 from calcidem.dem.engine.readout import contact_forces, energies
 from calcidem.dem.engine.scene import Bonds, Cement, Installation, Preload, Sand, Scene, Wall
 from calcidem.dem.engine.state import advance, start
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Features
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave import propagation
 from calcidem.dem.wave.propagation import _refuse_short_pulse

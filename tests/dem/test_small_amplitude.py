@@ -9,8 +9,7 @@ from scipy.sparse.linalg import eigsh
 from calcidem.dem.engine.leapfrog import State, no_recording, run_kernel
 from calcidem.dem.engine.scene import Bonds, Scene, Wall
 from calcidem.dem.engine.state import advance, start
-from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.kernels.layout import Features, Floats
 
 pytestmark = pytest.mark.slow
 

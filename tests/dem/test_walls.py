@@ -8,8 +8,7 @@ from calcidem.dem.engine.leapfrog import State, no_recording, run_in_place, run_
 from calcidem.dem.engine.readout import net_forces, wall_reactions
 from calcidem.dem.engine.scene import Scene, Wall
 from calcidem.dem.engine.state import advance, start
-from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import NORMAL_PATH, Recording
+from calcidem.dem.kernels.layout import NORMAL_PATH, Features, Recording
 
 RECORDING = replace(HERTZ, recording=True)
 

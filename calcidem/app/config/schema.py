@@ -18,7 +18,7 @@ from annotated_types import Interval, Predicate, Unit
 from calcidem.dem.engine.fields import Positive, checked, field_hints, quote, require, table_of
 from calcidem.dem.engine.fields import Problem as Problem  # noqa: PLC0414 - for all who raise the error
 from calcidem.dem.engine.scene import Cement, Installation, Sand
-from calcidem.dem.kernels.features import LANE_COUNTS
+from calcidem.dem.kernels.layout import LANE_COUNTS
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import Experiment, suitable_frequency

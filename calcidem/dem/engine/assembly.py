@@ -11,7 +11,6 @@ from scipy.spatial import cKDTree
 from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.portable import length, three_halves
 from calcidem.dem.engine.scene import Preload, Scene
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.laws import SMALLEST_ROOT
 from calcidem.dem.kernels.layout import (
     NORMAL,
@@ -20,6 +19,7 @@ from calcidem.dem.kernels.layout import (
     REFERENCE_OVERLAP,
     SHEAR,
     SPEEDS,
+    Features,
     Flags,
     Floats,
     Grains,

@@ -14,14 +14,15 @@ import numpy.typing as npt
 
 from calcidem.dem.engine.assembly import Assembly, aligned_copy, aligned_zeros, renew_assembly
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.kernels.features import ABREAST, Features
 from calcidem.dem.kernels.layout import (
+    ABREAST,
     CONTACT_LOSS,
     NORMAL_PATH,
     PATHS,
     ROTATION,
     SPEEDS,
     XY,
+    Features,
     Floats,
     Front,
     Integers,

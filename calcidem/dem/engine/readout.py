@@ -12,7 +12,6 @@ from calcidem.dem.engine.assembly import Assembly, lanes_of_bits, listed_pairs
 from calcidem.dem.engine.leapfrog import State, look_ahead
 from calcidem.dem.engine.portable import length, three_halves
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import (
     CONTACT_LOSS,
     DAMPING_LOSS,
@@ -29,6 +28,7 @@ from calcidem.dem.kernels.layout import (
     STIFFNESS,
     WALL_WORK,
     XY,
+    Features,
     Flags,
     Floats,
     Integers,

@@ -8,7 +8,6 @@ from scipy.sparse import csr_array
 
 from calcidem.dem.engine.assembly import Assembly, aligned_copy, lanes_of_bits
 from calcidem.dem.engine.scene import Scene
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import (
     MOMENT,
     NORMAL,
@@ -17,6 +16,7 @@ from calcidem.dem.kernels.layout import (
     OVERLAP,
     ROTATION,
     SHEAR,
+    Features,
     Floats,
     Grains,
     Integers,

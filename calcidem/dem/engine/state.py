@@ -46,7 +46,6 @@ from calcidem.dem.engine.stability import (
     stiffest_disks,
     sums_at_disks,
 )
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.layout import (
     GAIN,
     NORMAL,
@@ -57,6 +56,7 @@ from calcidem.dem.kernels.layout import (
     TARGET,
     TOP_SPEED,
     XY,
+    Features,
     Floats,
     Integers,
     Motion,

@@ -21,7 +21,7 @@ from numba.core import event, ir, types
 from numba.core.rewrites.registry import Rewrite, register_rewrite
 from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
 
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Features
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -1,10 +1,21 @@
 """Motion of one disk: local damping and the leapfrog, on lane vectors."""
 
 from calcidem.dem.kernels.compiling import inline
-from calcidem.dem.kernels.features import ABREAST, Features
 from calcidem.dem.kernels.lanes import Vector, load, row, scalar, store, without_dust, zero_like
 from calcidem.dem.kernels.laws import damp_force
-from calcidem.dem.kernels.layout import DAMPING_LOSS, LOAD_WORK, ROTATION, WALL_WORK, Front, System, Watch, X, Y
+from calcidem.dem.kernels.layout import (
+    ABREAST,
+    DAMPING_LOSS,
+    LOAD_WORK,
+    ROTATION,
+    WALL_WORK,
+    Features,
+    Front,
+    System,
+    Watch,
+    X,
+    Y,
+)
 from calcidem.dem.kernels.records import RECORD, load_run, records_to_columns, store_run
 
 

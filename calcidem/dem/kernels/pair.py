@@ -8,7 +8,6 @@ scattered records. Forces are added pair by pair in the order of the list, so su
 from typing import NamedTuple
 
 from calcidem.dem.kernels.compiling import inline
-from calcidem.dem.kernels.features import ABREAST, Features
 from calcidem.dem.kernels.lanes import (
     Vector,
     bits_of_mask,
@@ -33,6 +32,7 @@ from calcidem.dem.kernels.laws import (
     rescale_shear,
 )
 from calcidem.dem.kernels.layout import (
+    ABREAST,
     APART_X,
     APART_Y,
     BENDING,
@@ -51,6 +51,7 @@ from calcidem.dem.kernels.layout import (
     SHEAR,
     SHEAR_LIMIT,
     TENSION_LIMIT,
+    Features,
     Front,
     Grains,
     Motion,

@@ -19,8 +19,8 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
-from calcidem.dem.kernels.features import ABREAST
 from calcidem.dem.kernels.lanes import Vector
+from calcidem.dem.kernels.layout import ABREAST
 from calcidem.dem.kernels.vectors import LaneType, compile_as
 
 RECORD = 4

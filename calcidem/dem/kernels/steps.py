@@ -21,7 +21,6 @@ by the displacement between the two last positions, ``dt v(n - 1/2)``, so they b
 
 import calcidem.dem.kernels.compiling  # noqa: F401 - makes Features a type of the compiler
 from calcidem.dem.kernels.compiling import compile_function, inline
-from calcidem.dem.kernels.features import ABREAST, Features
 from calcidem.dem.kernels.lanes import (
     Vector,
     bits_of_mask,
@@ -31,7 +30,7 @@ from calcidem.dem.kernels.lanes import (
     store,
     zero_like,
 )
-from calcidem.dem.kernels.layout import Floats, Front, Recording, System
+from calcidem.dem.kernels.layout import ABREAST, Features, Floats, Front, Recording, System
 from calcidem.dem.kernels.motion import add_force, drive_disks, integrate, integrate_records, of_disk
 from calcidem.dem.kernels.pair import pair_force, pair_geometry, push_apart
 from calcidem.dem.kernels.wall import add_reaction, finish_walls, start_walls, wall_force, wall_is_far

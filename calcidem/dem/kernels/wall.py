@@ -5,7 +5,6 @@ overlap changes by exactly the normal components of the two displacements.
 """
 
 from calcidem.dem.kernels.compiling import inline
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import (
     Vector,
     fill_lanes,
@@ -32,6 +31,7 @@ from calcidem.dem.kernels.layout import (
     TARGET,
     TOP_SPEED,
     WALL_WORK,
+    Features,
     Front,
     System,
     Walls,

@@ -24,8 +24,7 @@ from calcidem.dem.engine.readout import contact_forces, overlaps, unbalanced_rat
 from calcidem.dem.engine.scene import Preload, Sand, Scene, Wall
 from calcidem.dem.engine.stability import critical_time_step, critical_time_step_of_disks, scaled_densities
 from calcidem.dem.engine.state import SAFETY, SKIN, UnstableRunError, advance, choose_features, start, step_limit
-from calcidem.dem.kernels.features import Features
-from calcidem.dem.kernels.layout import NORMAL_PATH, Floats, Integers
+from calcidem.dem.kernels.layout import NORMAL_PATH, Features, Floats, Integers
 from calcidem.dem.sample.packing import (
     LARGEST_OVERLAP,
     LID,

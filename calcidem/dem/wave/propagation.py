@@ -22,9 +22,8 @@ from calcidem.dem.engine.readout import look_undamped, net_forces, overlaps, wal
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.stability import critical_time_step, stiffest_contacts
 from calcidem.dem.engine.state import choose_features, start
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.gpu import gpu_steps
-from calcidem.dem.kernels.layout import XY, Flags, Floats, Integers, Recording, X, Y
+from calcidem.dem.kernels.layout import XY, Features, Flags, Floats, Integers, Recording, X, Y
 from calcidem.dem.sample.cement import CementOrdering
 from calcidem.dem.sample.compaction import settle
 from calcidem.dem.wave.experiment import (

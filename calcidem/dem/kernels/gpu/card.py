@@ -9,10 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import config, cuda
 
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.gpu import GpuError
 from calcidem.dem.kernels.gpu.steps import Plan, gpu_kernel, motion_bytes
-from calcidem.dem.kernels.layout import Floats, Integers, System
+from calcidem.dem.kernels.layout import Features, Floats, Integers, System
 from calcidem.dem.kernels.steps import advance_steps
 
 _HISTORIES = {"pairs": ("shear", "root", "bond_force"), "wall_pairs": ("shear", "root")}

@@ -17,7 +17,7 @@ from numba.cuda.cudadrv import nvvm
 from numba.cuda.typing.typeof import typeof_impl
 
 from calcidem.dem.kernels import compiling
-from calcidem.dem.kernels.features import Features
+from calcidem.dem.kernels.layout import Features
 
 config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # a batch has a block for each of its samples, at most 32
 

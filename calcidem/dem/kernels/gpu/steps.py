@@ -16,9 +16,9 @@ import numpy as np
 from numba import config, cuda
 
 from calcidem.dem.kernels.compiling import SOURCES, inline
-from calcidem.dem.kernels.features import Features
 from calcidem.dem.kernels.lanes import Vector, bits_of_mask, load, row, scalar, store
 from calcidem.dem.kernels.layout import (
+    Features,
     Floats,
     Front,
     Integers,
