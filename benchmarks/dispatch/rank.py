@@ -20,9 +20,9 @@ from typing import Any
 from calcidem.app.campaign.run import StoreSink
 from calcidem.storage.records import CellKey, CellResult
 from calcidem.storage.sql.store import Store
+from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import Batch, BatchOutcome, Cell, StopRequest
-from calcidem.sweep.workers import run_on_ranks
 
 CELLS = 8
 """Cells in a batch, as in a campaign on processors with AVX-512."""

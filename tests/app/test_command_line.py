@@ -54,7 +54,7 @@ def test_ranks_do_not_wait_for_what_only_reads_and_reports() -> None:
     """Before its first cell a rank loads no library of statistics, tables or graphs."""
     program = """
 import sys
-import calcidem.app.campaign.run, calcidem.sweep.workers, calcidem.app.cli.views, calcidem.app.config.reader
+import calcidem.app.campaign.run, calcidem.sweep.ranks, calcidem.app.cli.views, calcidem.app.config.reader
 heavy = {"matplotlib", "netCDF4", "networkx", "pandas", "scipy.signal", "scipy.stats", "xarray"}
 assert not heavy & set(sys.modules), heavy & set(sys.modules)
 """

@@ -2,8 +2,7 @@ import os
 
 import pytest
 
-from calcidem.sweep.schedule import LaunchError
-from calcidem.sweep.workers import (
+from calcidem.sweep.ranks import (
     available_cores,
     launcher,
     own_rank,
@@ -11,6 +10,7 @@ from calcidem.sweep.workers import (
     refuse_singletons,
     whole_number,
 )
+from calcidem.sweep.schedule import LaunchError
 
 
 @pytest.mark.parametrize("variables", [{"SLURM_NTASKS": "8"}, {"SLURM_NTASKS": "8", "SLURM_STEP_NUM_TASKS": "8"}])

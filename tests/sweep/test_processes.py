@@ -24,7 +24,7 @@ def ends_soon(process: int) -> bool:
 
 def test_a_process_dies_with_its_parent() -> None:
     """After `die_with_parent` a process does not survive the kill of the one that started it."""
-    child = "from calcidem.sweep.workers import die_with_parent; import time; die_with_parent();"
+    child = "from calcidem.sweep.ranks import die_with_parent; import time; die_with_parent();"
     child += "print('ready', flush=True); time.sleep(60)"
     parent = "import subprocess, sys; p = subprocess.Popen([sys.executable, '-c', sys.argv[1]], "
     parent += "stdout=subprocess.PIPE, text=True); p.stdout.readline(); print(p.pid, flush=True); p.wait()"
@@ -40,7 +40,7 @@ def test_a_process_dies_with_its_parent() -> None:
 def test_a_process_ends_after_another_one() -> None:
     """A worker ends by itself some time after rank 0, also where no launcher ends it."""
     other = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
-    program = "import sys, time; from calcidem.sweep.workers import end_after; end_after(int(sys.argv[1]), 0.1, 75);"
+    program = "import sys, time; from calcidem.sweep.ranks import end_after; end_after(int(sys.argv[1]), 0.1, 75);"
     worker = subprocess.Popen(
         [sys.executable, "-c", f"{program} print('ready', flush=True); time.sleep(60)", str(other.pid)],
         stdout=subprocess.PIPE,

@@ -163,7 +163,7 @@ def test_a_serial_sweep_loads_no_mpi_library() -> None:
     program = """
 import sys
 from calcidem.sweep.schedule import Batch
-from calcidem.sweep.workers import run_on_ranks
+from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
 
 class Sink:

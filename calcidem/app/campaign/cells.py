@@ -35,8 +35,8 @@ from calcidem.storage.records import (
     NetworkFeatures,
     PathFeatures,
 )
+from calcidem.sweep.ranks import keep_freed_memory, own_rank
 from calcidem.sweep.schedule import Batch, Cell, LaunchError
-from calcidem.sweep.workers import keep_freed_memory, own_rank
 from calcidem.version import __version__
 
 if sys.platform != "win32":

@@ -27,6 +27,15 @@ from calcidem.storage.errors import PASSWORDS_VARIABLE, StoreError
 from calcidem.storage.records import RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import STALE_AFTER
+from calcidem.sweep.ranks import (
+    COMMAND_VARIABLE,
+    THREAD_VARIABLES,
+    available_cores,
+    die_with_parent,
+    launcher,
+    refuse_ranks_off_linux,
+    whole_number,
+)
 from calcidem.sweep.schedule import (
     EXIT_COMPLETE,
     EXIT_ERROR,
@@ -36,15 +45,6 @@ from calcidem.sweep.schedule import (
     StopRequest,
     SweepInterrupted,
     SweepState,
-)
-from calcidem.sweep.workers import (
-    COMMAND_VARIABLE,
-    THREAD_VARIABLES,
-    available_cores,
-    die_with_parent,
-    launcher,
-    refuse_ranks_off_linux,
-    whole_number,
 )
 from calcidem.wording import tell
 

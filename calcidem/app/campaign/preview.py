@@ -35,8 +35,8 @@ from calcidem.storage.records import CellKey
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
+from calcidem.sweep.ranks import LAUNCHER_VARIABLES, available_cores, mpi_library_version, refuse_ranks_off_linux
 from calcidem.sweep.schedule import Batch, Cell, LaunchError
-from calcidem.sweep.workers import LAUNCHER_VARIABLES, available_cores, mpi_library_version, refuse_ranks_off_linux
 from calcidem.wording import duration, listening
 
 SECONDS_WHERE_MEASURED = 2.7e-3  # of `_seconds_of_arithmetic`

@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 
 from calcidem.storage.records import RunRecord
-from calcidem.sweep.workers import mpi_library_version
+from calcidem.sweep.ranks import mpi_library_version
 from calcidem.version import __version__
 
 

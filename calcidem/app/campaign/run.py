@@ -46,6 +46,7 @@ from calcidem.storage.records import AttemptCount, CellKey, CellResult
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
+from calcidem.sweep.ranks import COMMAND_VARIABLE, keep_freed_memory, refuse_singletons
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import (
     EXIT_RESUMABLE,
@@ -60,7 +61,6 @@ from calcidem.sweep.schedule import (
     SweepState,
     WorkersLostError,
 )
-from calcidem.sweep.workers import COMMAND_VARIABLE, keep_freed_memory, refuse_singletons
 from calcidem.wording import advise, tell
 
 if TYPE_CHECKING:

@@ -26,8 +26,8 @@ from calcidem.storage.errors import StoreError, hide_passwords
 from calcidem.storage.records import CellKey, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
+from calcidem.sweep.ranks import launcher
 from calcidem.sweep.schedule import Batch, BatchOutcome, Progress, SweepEnd
-from calcidem.sweep.workers import launcher
 from calcidem.wording import duration, listening, pluralize, printable, tell
 
 if TYPE_CHECKING:

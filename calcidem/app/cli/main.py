@@ -19,7 +19,7 @@ from typer.core import TyperGroup
 
 from calcidem.app.cli.options import IS_QUIET, IS_VERBOSE, say
 from calcidem.storage.errors import keep_passwords_back
-from calcidem.sweep.workers import THREAD_VARIABLES, launcher, whole_number
+from calcidem.sweep.ranks import THREAD_VARIABLES, launcher, whole_number
 from calcidem.version import __version__
 from calcidem.wording import CampaignWarning, listening, printable
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from calcidem.sweep.workers import launcher
+from calcidem.sweep.ranks import launcher
 from calcidem.wording import printable
 
 IS_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)

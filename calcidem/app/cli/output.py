@@ -17,7 +17,7 @@ from rich.table import Column, Table
 from rich.text import Text
 
 from calcidem.app.cli.options import say
-from calcidem.sweep.workers import launcher
+from calcidem.sweep.ranks import launcher
 from calcidem.wording import printable
 
 if TYPE_CHECKING:

@@ -208,8 +208,8 @@ def run_command(
             "give --ranks too, with 2 or more: only MPI ranks can be restarted", param_hint="--restarts"
         )
     with _live_page(configuration, overrides) if serve else nullcontext():
+        from calcidem.sweep.ranks import run_on_ranks
         from calcidem.sweep.schedule import StopRequest
-        from calcidem.sweep.workers import run_on_ranks
 
         load = partial(_read_overridden, configuration, overrides, retry or ())
         if ranks is not None and ranks != 1:
@@ -264,7 +264,7 @@ def _make_packing_alone(configuration: "Configuration") -> None:
 def _live_page(configuration: Path, overrides: Mapping[str, str | bool | None]) -> AbstractContextManager[None]:
     """Live page of the campaign while the command runs."""
     from calcidem.app.serve import page_beside_run
-    from calcidem.sweep.workers import launcher
+    from calcidem.sweep.ranks import launcher
 
     if launcher() is not None:
         raise typer.BadParameter(

@@ -31,8 +31,8 @@ from calcidem.app.cli.options import (
 from calcidem.app.cli.output import Format, FormatOption, tell_rows, tell_study, tell_tables
 from calcidem.input_file import Table, read_input
 from calcidem.storage.records import P_CONTACT, CementPattern
+from calcidem.sweep.ranks import available_cores
 from calcidem.sweep.schedule import EXIT_ERROR
-from calcidem.sweep.workers import available_cores
 from calcidem.wording import pluralize, tell
 
 if TYPE_CHECKING:

@@ -30,7 +30,7 @@ from calcidem.storage.records import MOST_PULSE_EFFECT
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.storage.store import Selection
-from calcidem.sweep.workers import COMMAND_VARIABLE, available_cores, launcher
+from calcidem.sweep.ranks import COMMAND_VARIABLE, available_cores, launcher
 from calcidem.wording import duration, first_of, number, pluralize, printable, tell
 
 if TYPE_CHECKING:  # the status needs no configuration and no packing

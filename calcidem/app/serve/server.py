@@ -44,7 +44,7 @@ from calcidem.app.serve import PageAddress
 from calcidem.app.serve.feed import CampaignFeed, Event
 from calcidem.storage.errors import StoreError, UnknownCellError, hide_passwords
 from calcidem.storage.records import LARGEST_SEED, canonical_content, checked_seed
-from calcidem.sweep.workers import die_with_parent
+from calcidem.sweep.ranks import die_with_parent
 
 
 @dataclass(eq=False)

@@ -47,7 +47,7 @@ from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_text_atomically
 from calcidem.storage.netcdf import write_netcdf
 from calcidem.storage.sql.store import Store
-from calcidem.sweep.workers import die_with_parent
+from calcidem.sweep.ranks import die_with_parent
 from calcidem.wording import number
 
 _Kind = TypeVar("_Kind")

@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from calcidem.sweep.ranks import run_on_ranks
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import (
     LOSSES_BEFORE_QUARANTINE,
@@ -28,7 +29,6 @@ from calcidem.sweep.schedule import (
     SweepState,
     plan_batches,
 )
-from calcidem.sweep.workers import run_on_ranks
 
 CONTENTS = (0.0, 2.55, 9.0)
 
