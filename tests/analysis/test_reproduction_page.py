@@ -313,6 +313,18 @@ def test_the_conclusions_of_the_paper(cells: xr.Dataset) -> None:
         by_content = [spearman_at(one, "path_normalized_connectivity", content) for content in one["content"][1:]]
         assert f"{min(by_content):.2f} to {max(by_content):.2f}" == words
         assert words in text
+    for one, skewed in ((cells, "0.45 to 4"), (loud, "1.24 to 5")):
+        vs = one["vs"].sel(content=slice(0.1, None))
+        deviation = vs.std("seed", ddof=1)
+        largest = [float(by_content.idxmax()) for by_content in (deviation, deviation / vs.mean("seed"))]
+        assert all(STAGES["III"][0] <= content <= STAGES["III"][1] for content in largest)
+        assert f"holds: sd largest at {largest[0]:g} %, sd / mean at {largest[1]:g} % |" in text
+        first, last = map(float, skewed.split(" to "))
+        for content in vs["content"].sel(content=slice(first, last)):
+            values = values_at(one, float(content))
+            assert stats.skew(values) > 0
+            assert stats.jarque_bera(values).pvalue < 0.05
+        assert f"| holds at {skewed} % |" in text
     for one in (cells, loud):
         vs, x = (one[name].to_numpy() for name in ("vs", "path_normalized_connectivity"))
         known = np.isfinite(vs)
