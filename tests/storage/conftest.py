@@ -194,9 +194,13 @@ def postgresql_database(postgresql_socket: Path, postgresql_template: str) -> It
             try:
                 connection.execute(text(f'CREATE DATABASE "{name}" TEMPLATE {postgresql_template}'))
                 break
-            except OperationalError:  # a background process of the server may still be connected to the template
+            except OperationalError:  # a session that has ended, or one of the server's own, may still be there
                 if attempt == 29:
                     raise
+                connection.execute(
+                    text("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = :template"),
+                    {"template": postgresql_template},
+                )
                 sleep(1.0)
         yield f"postgresql://postgres@/{name}?host={postgresql_socket}"
         connection.execute(text(f'DROP DATABASE "{name}" WITH (FORCE)'))
