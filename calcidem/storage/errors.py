@@ -33,7 +33,7 @@ class StoreLockedError(StoreError):
 
 
 class DiskError(StoreError):
-    """Reading or writing the file failed: the disk is full, a quota, a network, or the file was removed or replaced."""
+    """Reading or writing the file failed: the disk is full, a quota, or a network."""
 
 
 class ReadOnlyStoreError(StoreError):
@@ -68,7 +68,7 @@ DAMAGE_REMEDY = (
 
 
 class OutputRefusedError(StoreError):
-    """An output file has the name of a database or of another file, or an unknown format."""
+    """A file to write has the name of a database or of another file, an unknown format, or was replaced meanwhile."""
 
 
 class CampaignMismatchError(StoreError):

@@ -25,6 +25,7 @@ from calcidem.storage.errors import (
     ForeignDatabaseError,
     LeaseHeldError,
     OtherSchemaError,
+    OutputRefusedError,
     StoreError,
     StoreInterruptedError,
     StoreLockedError,
@@ -174,7 +175,7 @@ def test_a_database_that_is_gone_is_not_written_any_more(tmp_path: Path, records
             path.touch()
         word = "replaced" if what == "replaced" else "removed"
         for write in (store.renew_lease, lambda: store.record_results([records.done(0)])):
-            with pytest.raises(DiskError, match=rf"one\.db was {word}"):
+            with pytest.raises(OutputRefusedError, match=rf"one\.db was {word}"):
                 write()
 
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import (
-    DiskError,
     ForeignDatabaseError,
+    OutputRefusedError,
     QueryError,
     StoreUnavailableError,
     UnknownCampaignError,
@@ -109,7 +109,7 @@ class StoreReader(Closable):
             raise StoreUnavailableError(f"{self.address} was closed.", "Open it again to go on with it.")
 
     def _refuse_replaced(self) -> None:
-        """Raise `DiskError` if the database file was removed or replaced."""
+        """Raise `OutputRefusedError` if the database file was removed or replaced."""
         path = self.address.path
         if path is None or self._file is None:
             return
@@ -121,7 +121,7 @@ class StoreReader(Closable):
             return  # the next transaction explains it
         if found is None or not os.path.samestat(found, self._file):
             what = "removed" if found is None else "replaced by another file"
-            raise DiskError(
+            raise OutputRefusedError(
                 f"{path} was {what} while it was being written.",
                 "Put the database back if you can, and run the same command again: it computes what is not in it.",
             )
