@@ -24,14 +24,25 @@ if __name__ == "__main__":
 """
 
 KILLED_ONCE = """
-import multiprocessing, os, signal, threading, time, calcidem
+import multiprocessing, os, signal, time, calcidem
+from calcidem.sweep import workers
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+attempt, begun = workers.attempt, []
+def hold(batch, *arguments):
+    begun.append(batch)
+    end = time.monotonic() + 120.0
+    while len(begun) > 1 and not Path("killed").exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    return attempt(batch, *arguments)
+workers.attempt = hold
 def run():
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         def kill(progress):
             if progress.finished >= 2 and not killed:
                 killed.append(next(iter(pool._processes)))
                 os.kill(killed[0], signal.SIGKILL)
+                Path("killed").touch()
         calcidem.run("c.toml", executor=pool, progress=kill).close()
 if __name__ == "__main__":
     killed = []
@@ -42,6 +53,7 @@ if __name__ == "__main__":
     assert killed
     run()
 """
+"""Batches after a worker's first wait until one of the workers is killed: all might be over before."""
 
 MPI_POOL = """
 import sys, calcidem
