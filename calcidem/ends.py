@@ -63,7 +63,7 @@ class Verdict(StrEnum):
         'wave.frequency = "auto" (2.5 wavelengths on the path), a wider box, a larger pick.largest_error',
     )
     INACCURATE = (
-        "half the time step, the finite law or double precision change the velocities of this content",
+        "the check samples of this content do not confirm its velocities",
         'a smaller wave.step_fraction, wave.damping or wave.amplitude, wave.law = "finite", wave.precision = "float64"',
     )
 

@@ -299,7 +299,13 @@ def test_errors_of_the_check_are_part_of_the_effective_error_and_may_refuse_vs(
     assert refused.effective_vs == plain.effective_vs
     assert Verdict.of(refused.reason) is Verdict.INACCURATE
     assert "5.1%" in refused.reason
-    for unknown in (with_error(None, 0.0, 0.0), with_error(0.0, None, 0.0), with_error(0.0, 0.0, None)):
+    alone = {
+        with_error(None, 0.0, 0.0): "with other settings their",
+        with_error(0.0, None, 0.0): "with the pulse reversed their",
+        with_error(0.0, 0.0, None): "with the wave from the other side their",
+    }
+    for unknown, cause in alone.items():
+        assert cause in unknown.reason
         assert (unknown.status, unknown.vs, unknown.effective_vs) == (CellStatus.NO_ARRIVAL, None, None)
         assert Verdict.of(unknown.reason) is Verdict.INACCURATE
     unchecked = with_error(None, None, None, experiment=replace(quiet, is_checked=False))

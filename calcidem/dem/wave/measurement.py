@@ -142,9 +142,14 @@ def interpret(experiment: Experiment, measurement: Measurement) -> Measurement:
     reading = read_section(section, experiment.clamp, experiment.pick)
     if isinstance(reading, Verdict):
         return replace(new, reason=describe_refusal(reading, section, experiment.pick))
-    if experiment.is_checked and None in (check.numerical_error, check.pulse_effect, check.side_error):
+    errors = {
+        "other settings": check.numerical_error,
+        "the pulse reversed": check.pulse_effect,
+        "the wave from the other side": check.side_error,
+    }
+    if experiment.is_checked and (unknown := [name for name, error in errors.items() if error is None]):
         # Neither velocity is a measurement without its error, whatever the law.
-        reason = "by an unknown amount, as waves of its check samples do not arrive in all runs"
+        reason = f"with {' and '.join(unknown)} their waves do not all arrive"
         return replace(new, reason=f"{Verdict.INACCURATE}: {reason}")
     vs: float | None = getattr(reading, experiment.pick.method)
     if reading.verdict is not None:
