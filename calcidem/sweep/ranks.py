@@ -181,7 +181,7 @@ def run_on_ranks(lead: Callable[[Executor | None, StopRequest], int], grace: flo
 
     Without an MPI launcher, or with one rank, there is no executor. All ranks call this; `lead` runs on rank 0 alone.
     No rank outlives its launcher, and none waits for ever for another: ranks that do not return within `grace` seconds
-    after the end of `lead` are aborted. `LaunchError` off Linux.
+    after the end of `lead` are aborted. `LaunchError` off Linux, and with fewer ranks than the launcher announced.
     """
     if launcher() is None:
         with StopRequest() as stop:
@@ -200,6 +200,12 @@ def run_on_ranks(lead: Callable[[Executor | None, StopRequest], int], grace: flo
         from mpi4py.futures import MPICommExecutor  # noqa: PLC0415 - as above
 
         comm = MPI.COMM_WORLD
+        announced = max(whole_number(name) or 1 for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"))
+        if comm.Get_size() < announced:  # each of them would compute the whole campaign
+            raise LaunchError(
+                f"{launcher()} announced {announced} ranks, but MPI has {comm.Get_size()}: the launcher was killed, or "
+                "it belongs to another MPI library than mpi4py; use the launcher of that library"
+            )
         if comm.Get_size() == 1:
             return lead(None, stop)
         processes = comm.allgather((platform.node(), os.getpid()))

@@ -117,6 +117,17 @@ def test_a_launcher_that_fails_is_started_twice(workshop: "Workshop", how: str, 
     assert (workshop.folder / "starts").read_text().count("start") == 2
 
 
+@pytest.mark.parametrize("variable", ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"])
+def test_a_rank_that_mpi_leaves_alone_does_not_compute_the_campaign(workshop: "Workshop", variable: str) -> None:
+    """Its launcher has been killed, or is that of another MPI library: there would be as many campaigns as ranks."""
+    workshop.configure(seeds=1, contents=(9.0,))
+    workshop.variables |= {"OMPI_COMM_WORLD_SIZE": "1", "OMPI_COMM_WORLD_RANK": "0", variable: "3"}
+    ended = workshop.run("run", "c.toml")
+    assert ended.code == 2
+    assert "announced 3 ranks, but MPI has 1" in ended.errors
+    assert not workshop.database.exists()
+
+
 @FULL
 def test_a_run_whose_launcher_is_killed_while_ranks_start_is_started_again(workshop: "Workshop") -> None:
     """The second start completes the campaign."""
