@@ -124,9 +124,17 @@ class CampaignAnalysis:
 
     @cached_property
     def distinct(self) -> xr.Dataset:
-        """The same of distinct samples with a velocity alone, NaN elsewhere: the population of tables and medians."""
+        """The same of distinct samples with a velocity alone, NaN elsewhere: the population of tables and medians.
+
+        Samples with an effective velocity, of which Vs may be unknown, are that of this velocity and its error.
+        """
         numbers = self.cells[[name for name, values in self.cells.items() if values.dtype.kind in "if"]]
-        return numbers.where(xr.DataArray(are_samples(self.cells["vs"], self.cells["content"]), self.vs.coords))
+        with_vs, with_effective = (
+            xr.DataArray(are_samples(self.cells[name], self.cells["content"]), self.vs.coords)
+            for name in ("vs", "effective_vs")
+        )
+        effective = numbers[["effective_vs", "effective_error"]].where(with_effective)
+        return numbers.where(with_vs).assign(effective.data_vars)
 
     @cached_property
     def vs(self) -> xr.DataArray:
@@ -346,7 +354,7 @@ class CampaignAnalysis:
                 name=name,
                 weights=weights,
                 connectivity=connectivity,
-                fit=fit_power_law(connectivity, self.sample_vs),
+                fit=fit_power_law(connectivity, self.sample_vs, self.sample_seeds),
                 check=leave_one_seed_out(connectivity, self.sample_vs, self.sample_seeds),
             )
 

@@ -29,10 +29,10 @@ from calcidem.storage.records import NOT_PLANNED, STATUS_CODES
 
 
 def name_outcomes(codes: xr.DataArray) -> xr.DataArray:
-    """Outcome of each cell as text along (seed, content), from its `STATUS_CODES`; empty if there is none."""
+    """Outcome of each cell as text along (seed, content), from its `STATUS_CODES`; empty if it has none yet."""
     names = np.full(max(STATUS_CODES.values()) + 1, "", dtype=object)
     for name, code in STATUS_CODES.items():
-        if name not in (CellStatus.PENDING, NOT_PLANNED):
+        if name != CellStatus.PENDING:
             names[code] = str(name)
     return xr.DataArray(names[codes.to_numpy()], codes.coords, codes.dims)
 
@@ -153,7 +153,7 @@ class ContentDistribution:
     content: float
     """Calcite content in percent of sand mass."""
     missing: int
-    """Number of cells not computed."""
+    """Number of planned cells that are not computed yet."""
     failed: int
     """Number of cells computed without a usable velocity."""
     vs: Distribution
@@ -169,9 +169,9 @@ def describe_contents(
     samples is hard to pick. The two are therefore never added. Without cement all seeds are one sample and count once.
 
     The arguments are along (seed, content), else `ValueError`: Vs in m/s, NaN if missing; the outcome as text, which is
-    "done" if Vs is a number, "" if the cell was not computed, and else the name of the failure; and the relative
-    standard error of Vs. That of the one sample without cement gives its interval. Without ``status`` every NaN counts
-    as not computed.
+    "done" if Vs is a number, "" if the cell is not computed yet, `NOT_PLANNED` if it will not be, and else the name of
+    the failure; and the relative standard error of Vs. That of the one sample without cement gives its interval.
+    Without ``status`` every NaN counts as not computed.
     """
     columns = vs.transpose("content", "seed").to_numpy()
     outcomes = np.where(np.isfinite(columns), "done", "")
@@ -182,7 +182,8 @@ def describe_contents(
     for content, column, outcome, error_there in zip(contents, columns, outcomes, errors, strict=True):
         counted = are_samples(column, content)
         described = Distribution.of_sample(column[counted], level)
-        missing, failed = int(np.sum(outcome == "")), int(np.sum((outcome != "") & (outcome != "done")))
+        missing = int(np.sum(outcome == ""))
+        failed = int(np.sum(~np.isin(outcome, ("", "done", NOT_PLANNED))))
         if content == 0.0:  # the best outcome of any seed counts
             failed = int(failed > 0 and not counted.any())
             missing = int(missing > 0 and not failed and not counted.any())
@@ -236,9 +237,10 @@ def narrowing(values: ArrayLike, counts: Sequence[int]) -> xr.Dataset:
     """Forecast the half-widths of 95 % intervals of mean, standard deviation and skewness for at least 3 seeds.
 
     They are along `count`, the first two in the unit of the values (n,); NaN are left out. That of the mean is
-    t s / sqrt(count). The other two are bootstrap results without assumed distribution: half the width of the central
-    95 % over samples of `count` values. Few values underestimate the half-width of skewness, which depends on rare
-    values. `ValueError` for fewer than two values, or a count below 3.
+    t s / sqrt(count). That of the standard deviation is the median of `Interval.of_standard_deviation` over samples of
+    `count` of the values, drawn with replacement. That of skewness is half the width of the central 95 % over such
+    samples; few values underestimate it, since it depends on rare ones. `ValueError` for fewer than two values, or a
+    count below 3.
     """
     sample = finite_values(values)
     if min(counts, default=3) < 3:  # fewer values always have the same skewness
@@ -251,7 +253,8 @@ def narrowing(values: ArrayLike, counts: Sequence[int]) -> xr.Dataset:
         resampled = sample[generator.integers(sample.size, size=(2000, count))]
         varied = resampled[np.ptp(resampled, axis=1) > 0]  # equal values have no skewness
         centre.append(mean_half_width(deviation, count, level))
-        spread.append(np.ptp(np.quantile(np.std(resampled, axis=1, ddof=1), ends)) / 2)
+        own = [Interval.of_standard_deviation(row, level).half_width for row in resampled[:200]]
+        spread.append(np.median(own))
         skew.append(np.ptp(np.quantile(stats.skew(varied, axis=1), ends)) / 2 if len(varied) else math.nan)
     return xr.Dataset(
         {"mean": ("count", centre), "standard_deviation": ("count", spread), "skewness": ("count", skew)},

@@ -75,11 +75,15 @@ class LeaveOneSeedOut:
     """Share of samples inside their prediction interval, for comparison with its level."""
 
 
-def fit_power_law(connectivity: ArrayLike, vs: ArrayLike) -> PowerLawFit:
+def fit_power_law(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike | None = None) -> PowerLawFit:
     """Fit Vs = a C^b + c by least squares to positive C_d,n and velocities (m/s), both (n,), NaN if unknown.
 
-    The parameters' intervals are those of 95 %. `ValueError` if shapes disagree, a connectivity is not positive,
-    there are fewer than four samples or three different connectivities, or the fit does not converge.
+    The parameters' intervals are those of 95 %. Without seeds they are for errors of equal variance that do not depend
+    on each other. With the seed of each sample, (n,), errors of a seed may depend on each other, since its samples
+    share their cement, and their variance may depend on C (Liang and Zeger 1986, doi:10.1093/biomet/73.1.13).
+
+    `ValueError` if shapes disagree, a connectivity is not positive, there are fewer than four samples or three
+    different connectivities, or the fit does not converge.
     """
     x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
     if x.ndim != 1 or x.shape != y.shape:
@@ -104,7 +108,14 @@ def fit_power_law(connectivity: ArrayLike, vs: ArrayLike) -> PowerLawFit:
             "use samples over a wider range of connectivity"
         ) from error
     residuals = y - power_law(x, *parameters)
-    quantile = float(stats.t.ppf(0.975, x.size - _PARAMETER_COUNT))
+    freedom = x.size - _PARAMETER_COUNT
+    if seed is not None:
+        names, member = np.unique(np.asarray(seed)[known], return_inverse=True)
+        gradient, scores = _power_law_gradient(x, *parameters), np.zeros((names.size, _PARAMETER_COUNT))
+        np.add.at(scores, member, gradient * residuals[:, None])
+        bread, freedom = np.linalg.pinv(gradient.T @ gradient), names.size - 1
+        covariance = names.size / max(freedom, 1) * bread @ (scores.T @ scores) @ bread
+    quantile = float(stats.t.ppf(0.975, freedom))  # NaN for a single seed
     intervals = [
         Interval(float(value - quantile * error), float(value + quantile * error))
         for value, error in zip(parameters, np.sqrt(np.diag(covariance)), strict=True)

@@ -2,7 +2,7 @@
 
 Phase velocity over frequency comes from the space-time sections of many samples of one content. One sample contains
 one to three wavelengths, so its spectrum over frequency and wavenumber is broad. The mean spectrum of many samples
-gives the dispersion of the content and its long-wave speed.
+gives the dispersion of the content.
 """
 
 import math
@@ -204,9 +204,6 @@ class Dispersion:
     phase_velocity: NDArray[np.float64]
     standard_error: NDArray[np.float64]
     """(F,) velocity of the largest power and its jackknife standard error, m/s; NaN for fewer than three samples."""
-    long_wave: float
-    long_wave_error: float
-    """Limit at frequency zero and its standard error, m/s; NaN for fewer than three samples."""
     samples: int
 
 
@@ -243,8 +240,8 @@ def dispersion(
     -----
     At each frequency the spectra of all places are normalised to unit magnitude, shifted by the phase of a plane wave
     and summed (phase-shift method: Park, Miller and Xia 1998, SEG Expanded Abstracts 17:1377). The power of this sum is
-    averaged over the samples. The long-wave limit is the intercept of the phase velocity over the squared frequency,
-    weighted by standard errors: a lattice of spacing d has ``c = c0 (1 - (pi f d / c0)^2 / 6)``.
+    averaged over the samples. The velocities have no limit at frequency zero, since the damped layers hold the strip:
+    they rise towards low frequencies, see `effective_vs`.
     """
     if not sections:
         raise ValueError("sections: none given; give that of a sample, or of three for a standard error")
@@ -256,17 +253,12 @@ def dispersion(
     powers = np.array([_power(section, wanted, velocity, waves) for section in sections])
     total, count = powers.sum(axis=0), len(sections)
     found, left_out = _ridge(total, velocity), np.array([_ridge(total - power, velocity) for power in powers])
-    error = _jackknife(left_out)
-    known = np.fmax(error, 1e-3 * found)  # at least the resolution of the grid by a parabola
-    limits = np.array([np.polyfit(wanted**2, ridge, 1, w=1.0 / known)[1] for ridge in (found, *left_out)])  # intercepts
     return Dispersion(
         frequency=wanted,
         velocity=velocity,
         power=total / count,
         phase_velocity=found,
-        standard_error=error,
-        long_wave=float(limits[0]),
-        long_wave_error=float(_jackknife(limits[1:])),
+        standard_error=_jackknife(left_out),
         samples=count,
     )
 

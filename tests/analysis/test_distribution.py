@@ -3,7 +3,9 @@ import pytest
 import xarray as xr
 from scipy import stats
 
-from calcidem.analysis.distribution import Distribution, describe_contents, tabulate
+from calcidem.analysis.distribution import Distribution, describe_contents, name_outcomes, tabulate
+from calcidem.app.report.tables import count_reasons
+from calcidem.storage.records import NOT_PLANNED, STATUS_CODES
 
 
 def matrix(values: list[list[float]], contents: list[float]) -> xr.DataArray:
@@ -47,6 +49,17 @@ def test_outcomes_are_counted_apart() -> None:
         (0.11, 2, 1, 0),
         (5.0, 1, 0, 2),
     ]
+
+
+def test_seeds_that_a_content_does_not_get_are_no_gaps() -> None:
+    """A campaign that adds seeds until intervals are narrow gives each content another number of them."""
+    nan = float("nan")
+    vs = matrix([[200.0, 800.0], [210.0, 900.0], [nan, 850.0], [nan, nan]], [0.11, 5.0])
+    codes = [["done", "done"], ["done", "done"], [NOT_PLANNED, "done"], [NOT_PLANNED, "pending"]]
+    status = name_outcomes(vs.copy(data=np.vectorize(STATUS_CODES.__getitem__)(codes)))
+    rows = describe_contents(vs, status)
+    assert [(row.vs.n, row.missing, row.failed) for row in rows] == [(2, 0, 0), (3, 1, 0)]
+    assert count_reasons(status.to_numpy().ravel(), np.full(8, ""), np.tile([0.11, 5.0], 4)) == []
 
 
 @pytest.mark.parametrize(

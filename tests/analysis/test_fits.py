@@ -139,6 +139,32 @@ def test_gaps_are_left_out_and_counted() -> None:
     assert study.errors.size == 80
 
 
+def test_intervals_hold_the_law_though_samples_of_a_seed_are_alike(
+    within_binomial: Callable[[int, int, float], bool],
+) -> None:
+    """Errors of a seed have a part in common and grow with Vs, as in a campaign; without seeds four fifths are held."""
+    held, alone, count = 0, 0, 150
+    for trial in range(count):
+        generator = np.random.default_rng(trial)
+        seeds = np.repeat(np.arange(60), 8)
+        x = np.tile(np.linspace(0.3, 1.3, 8), 60) * np.exp(0.1 * generator.standard_normal(480))
+        vs, fastest = power_law(x, *LAW), power_law(np.array(0.3), *LAW)
+        error = generator.standard_normal(60)[seeds] + 0.5 * generator.standard_normal(480)
+        vs = vs + 0.1 * vs**2 / fastest * error
+        held += fit_power_law(x, vs, seeds).b_interval.contains(LAW[1])
+        alone += fit_power_law(x, vs).b_interval.contains(LAW[1])
+    assert within_binomial(held, count, 0.95)
+    assert alone < 0.85 * count
+
+
+def test_one_seed_gives_a_law_without_intervals() -> None:
+    """Nothing tells how much its samples have in common."""
+    x, y = noisy(8)
+    fit = fit_power_law(x, y, np.zeros(80))
+    assert fit.b == fit_power_law(x, y).b
+    assert np.isnan(fit.b_interval.low)
+
+
 def test_what_cannot_be_fitted_is_refused() -> None:
     """Connectivities that are not positive, too few of them and unequal lengths are refused with a cure."""
     x, y = noisy(9)

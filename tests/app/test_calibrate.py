@@ -429,3 +429,16 @@ def test_untreated_specimens_have_no_scatter_to_fit() -> None:
     assert fit.values["a"] == pytest.approx(1.86, rel=0.05)
     assert np.isfinite(fit.deviations["a"])
     assert fit.freedom == 2  # two means, one standard deviation, one parameter
+
+
+def test_untreated_specimens_have_the_error_of_their_scatter() -> None:
+    """Their mean is known to sd / sqrt(samples), though all seeds without cement are one sample."""
+
+    def measure(tried: list[dict[str, float]]) -> list[np.ndarray]:
+        return [np.full((8, 1), 100.0 * one["a"]) for one in tried]
+
+    for sd, samples in ((20.0, 4), (5.0, 9)):
+        plan = FitPlan([Target(0.0, 186.0, sd, samples)], (ParameterRange("a"),), range(8), tolerance=0.01)
+        fit = _fit_to_targets(measure, plan, (1.5,))
+        assert fit.values["a"] == pytest.approx(1.86, rel=1e-3)
+        assert fit.deviations["a"] == pytest.approx(1.86 * sd / 186.0 / np.sqrt(samples), rel=1e-3)

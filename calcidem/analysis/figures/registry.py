@@ -128,7 +128,7 @@ CAMPAIGN_FIGURES: tuple[FigureEntry[CampaignAnalysis], ...] = (
         "Phase velocity against frequency",
         "Power of the space-time sections of a content, stacked with the delays of plane waves and averaged over the "
         "samples: dark where all stations move in phase. Dots are its ridge with the standard error, where that is "
-        "below 25 % and the power above 0.3; the diamond is the limit of long waves. At 0 % there is one sample.",
+        "below 25 % and the power above 0.3. At 0 % there is one sample.",
         lambda analysis: draw_dispersion(analysis.dispersions),
     ),
     FigureEntry(

@@ -166,10 +166,7 @@ def draw_signals(arrivals: Sequence[Arrival]) -> Figure:
 
 @apply_style
 def draw_dispersion(contents: Sequence[ContentDispersion]) -> Figure:
-    """Draw power over frequency and phase velocity, the phase velocity with its error, and the long-wave limit.
-
-    At most six contents are shown.
-    """
+    """Draw power over frequency and phase velocity, and the phase velocity with its error, of at most six contents."""
     contents = pick_evenly(contents, 6)
     lines = -(-len(contents) // 2)
     figure = new_figure(height=0.7 + 2.1 * lines)
@@ -208,23 +205,11 @@ def _draw_content_dispersion(axes: Axes, shown: ContentDispersion) -> None:
         linewidth=0.8,
         label="phase velocity and its standard error",
     )
-    axes.errorbar(
-        [0.0],
-        [found.long_wave],
-        yerr=[found.long_wave_error],
-        fmt="D",
-        color=VERMILION,
-        markersize=4.5,
-        capsize=2,
-        clip_on=False,
-        zorder=5,
-        label="long-wave limit",
-    )
     axes.axhline(shown.vs, color=VERMILION, linewidth=0.9, linestyle=":", label="median Vs")
     if np.isfinite(shown.static):
         axes.axhline(shown.static, color=GREEN, linewidth=0.9, linestyle="--", label="static speed (median)")
     ends = (found.phase_velocity + np.outer([-1.0, 1.0], found.standard_error))[:, known]
-    reached = [*ends[np.isfinite(ends)], found.long_wave, shown.vs]
+    reached = [*ends[np.isfinite(ends)], shown.vs]
     axes.set_ylim(min(0.45 * shown.vs, 0.9 * min(reached)), max(2.2 * shown.vs, 1.1 * max(reached)))
     axes.set_xlim(0.0, (found.frequency[-1] + 0.5 * (found.frequency[-1] - found.frequency[-2])) * KHZ)
     axes.set_title(f"{shown.content:g} % ({found.samples} sample{'s' * (found.samples != 1)})")

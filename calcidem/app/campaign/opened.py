@@ -388,7 +388,7 @@ class Campaign(Closable):
         return static_speed(*self.cemented(seed=seed, content=content))
 
     def dispersion(self, *, content: float) -> Dispersion:
-        """Compute phase velocity against frequency, and the speed of long waves, from the sections of a content.
+        """Compute phase velocity against frequency from the sections of a content.
 
         `UnknownCellError` if no cell has a velocity and a stored section.
         """

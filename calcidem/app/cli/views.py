@@ -137,14 +137,14 @@ def _vs_table(store: Store, selection: Selection) -> Table:
     table = make_table("Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda"))
     if has_others := any(one.counts.keys() - {CellStatus.DONE} for one in found.contents):
         table.add_column("other cells")
-    marks, is_near, counted = [], False, are_samples(columns["vs"], columns["content"])
+    marks, is_near = [], False
+    counted, also_counted = (are_samples(columns[name], columns["content"]) for name in ("vs", "effective_vs"))
     for one in found.contents:
         here = (columns["content"] == one.content) & counted
         marks.append(_marks_of(one.counts, one.budget.loud))
         median = median_known(columns["wavelengths_on_path"][here])
         is_near |= (near := median < FEWEST_WAVELENGTHS)
-        effective = columns["effective_vs"][here].astype(float)
-        effective = effective[np.isfinite(effective)]
+        effective = columns["effective_vs"][(columns["content"] == one.content) & also_counted].astype(float)
         mean = float(effective.mean()) if effective.size else np.nan
         deviation = float(effective.std(ddof=1)) if effective.size > 1 else np.nan
         others = [status for status in CellStatus if status in one.counts and status != CellStatus.DONE]

@@ -17,7 +17,7 @@ from calcidem.analysis.figures.samples import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.packing import section_of, section_reader
 from calcidem.dem.wave.reading import Reading
-from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, QUANTITY_BY_NAME, CellResult
+from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, NOT_PLANNED, QUANTITY_BY_NAME, CellResult
 from calcidem.storage.store import ALL_CELLS, Selection
 from calcidem.wording import EXCEPTIONAL, pluralize, readable_unit
 
@@ -94,7 +94,7 @@ def _gather_sections(analysis: CampaignAnalysis, seeds: Sequence[int], room: int
 
 def _describe_records(analysis: CampaignAnalysis, names: list[str]) -> dict[str, Any]:
     """Return quantities as columns over seeds, then contents, without those that no cell has."""
-    cells = analysis.cells.assign(status=analysis.status)
+    cells = analysis.cells.assign(status=analysis.status.where(analysis.status != NOT_PLANNED, ""))
     columns = {name: numbers_or_none(cells[name].to_numpy().ravel()) for name in names}
     shown = [
         name

@@ -22,7 +22,7 @@ from calcidem.analysis.velocity import (
     small_strain_modulus,
 )
 from calcidem.ends import Verdict
-from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95
+from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, NOT_PLANNED
 from calcidem.wording import ABSENT, decimal, significant
 
 
@@ -160,7 +160,7 @@ def count_reasons(
 
     The arguments are columns of all cells, (N,); the status is empty without an outcome.
     """
-    failed = np.flatnonzero((status != "") & (status != "done"))
+    failed = np.flatnonzero(~np.isin(status, ("", "done", NOT_PLANNED)))
     found: Counter[tuple[str, str]] = Counter()
     where: dict[tuple[str, str], set[float]] = {}
     for outcome, text, at in zip(status[failed], reason[failed], content[failed], strict=True):

@@ -64,9 +64,8 @@ class FitPlan:
 
     @property
     def met(self) -> tuple[Target, ...]:
-        """Targets of the fit; without cement all samples are the same, so only their velocity is one."""
-        met = (target for target in self.targets if target.content not in self.predict)
-        return tuple(replace(target, sd=None) if target.content == 0.0 else target for target in met)
+        """Targets of the fit."""
+        return tuple(target for target in self.targets if target.content not in self.predict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +124,11 @@ class FittedParameters:
         return any(row.role == "fitted" for row in self.contents)
 
 
+def _has_sd_to_fit(target: Target) -> bool:
+    """Whether the standard deviation is a target, too; without cement all samples of a campaign are the same."""
+    return target.sd is not None and target.content != 0.0
+
+
 class _UnreadTrialError(ValueError):
     """A trial would leave too few seeds."""
 
@@ -150,7 +154,7 @@ class _Fit:
     @property
     def wanted(self) -> int:
         """Number of target means and standard deviations at the used contents."""
-        return sum(1 if self._targets[i].sd is None else 2 for i in self.used)
+        return sum(2 if _has_sd_to_fit(self._targets[i]) else 1 for i in self.used)
 
     def begin(self, points: Sequence[Floats]) -> None:
         """Measure the first points, and leave out contents with too few readable seeds."""
@@ -170,7 +174,8 @@ class _Fit:
         for i in self.used:
             target, left = self._targets[i], int(common[:, i].sum())
             words = "" if left >= _FEWEST_SEEDS else f"left {left} of {len(common)} seeds with a velocity"
-            if not words and target.sd and any(np.ptp(vs[common[:, i], i]) == 0.0 for vs in self.trials.values()):
+            columns = (vs[common[:, i], i] for vs in self.trials.values())
+            if not words and _has_sd_to_fit(target) and any(np.ptp(column) == 0.0 for column in columns):
                 words = "gave all seeds the same velocity, and no standard deviation to fit,"
             if words:
                 self.trials = former
@@ -191,7 +196,7 @@ class _Fit:
         found = []
         for target, vs in self.columns(point):
             found.append(math.log(vs.mean() / target.vs))
-            if target.sd is not None:
+            if target.sd is not None and _has_sd_to_fit(target):
                 found.append(math.log(vs.std(ddof=1) / target.sd))
         return np.array(found)
 
@@ -200,10 +205,11 @@ class _Fit:
         found = []
         for target, vs in self.columns(point):
             scatter = max((target.sd or vs.std(ddof=1)) / target.vs, 1e-6)
+            of_trial = 1.0 if target.content else 0.0
             of_target = 0.0 if target.samples is None else 1.0
             count = target.samples or 2
-            found.append(math.hypot(self.tolerance, scatter * math.sqrt(1.0 / len(vs) + of_target / count)))
-            if target.sd is not None:
+            found.append(math.hypot(self.tolerance, scatter * math.sqrt(of_trial / len(vs) + of_target / count)))
+            if _has_sd_to_fit(target):
                 half = 0.5 / (len(vs) - 1) + 0.5 * of_target / (count - 1)
                 found.append(math.hypot(self.tolerance, math.sqrt(half)))
         return np.array(found)
@@ -222,7 +228,7 @@ class _Fit:
             scatter = max((target.sd or vs[used].std(ddof=1)) / target.vs, 1e-6)
             influence.append(from_mean / mean / math.sqrt(count * (count - 1)))
             of_targets.append(0.0 if target.samples is None else scatter**2 / target.samples)
-            if target.sd is not None:
+            if _has_sd_to_fit(target):
                 variance = vs[used].var()
                 of_deviation = np.where(used, from_mean**2 - variance, 0.0) / (2.0 * variance)
                 influence.append(of_deviation / math.sqrt(count * (count - 1)))
@@ -294,7 +300,7 @@ def _fit_to_targets(
     ``measure`` takes values of the parameters, first ``start``, and returns Vs for each, (seeds, contents of the
     targets), NaN if missing. The caller makes predictions. Errors are those of `calibrate`.
     """
-    names, wanted = [chosen.name for chosen in plan.free], sum(1 if row.sd is None else 2 for row in plan.met)
+    names, wanted = [chosen.name for chosen in plan.free], sum(2 if _has_sd_to_fit(row) else 1 for row in plan.met)
     problems = []
     if len(names) > wanted:
         problem = f"parameters = {len(names)}: give at most {wanted}, one for each mean and standard deviation"
@@ -386,12 +392,12 @@ def _open_questions(
 ) -> tuple[list[tuple[float, float]], dict[tuple[float, str], tuple[float, float]]]:
     """Intervals of the parameters, and bands by content and target; empty with too few trials near the point."""
     near = fit.near(point)
-    wanted = [(target, of) for target, _ in fit.columns(point) for of in ("vs", "sd")[: 1 if target.sd is None else 2]]
+    wanted = [(target, of) for target, _ in fit.columns(point) for of in ("vs", "sd")[: 1 + _has_sd_to_fit(target)]]
     fresh, covariance = [], fit.covariance(point) + fit.tolerance**2 * np.eye(len(wanted))
     for target, vs in fit.columns(point):
         count = target.samples or len(vs)
         fresh.append((target.sd or vs.std(ddof=1)) / target.vs / math.sqrt(count))
-        fresh += [] if target.sd is None else [math.sqrt(0.5 / (count - 1))]
+        fresh += [math.sqrt(0.5 / (count - 1))] if _has_sd_to_fit(target) else []
     try:
         points, predicted = draw_posterior(
             np.array(near),
@@ -492,7 +498,7 @@ def _told(names: Sequence[str], point: Floats, fit: _Fit) -> str:
     parts = [
         f"{of} at {target.content:g} %"
         for target, _ in fit.columns(point)
-        for of in ("mean", "sd")[: 1 if target.sd is None else 2]
+        for of in ("mean", "sd")[: 1 + _has_sd_to_fit(target)]
     ]
     shown = ", ".join(f"{name} {value:.4g}" for name, value in _values_at(names, point).items())
     ratios = ", ".join(f"{part} {ratio:.3f}" for part, ratio in zip(parts, np.exp(deviation), strict=True))
