@@ -150,12 +150,13 @@ def exists(process: int) -> bool:
 def end_after(process: int, grace: float, exit_code: int) -> None:
     """End this process some seconds after the end of another one of this machine, unless it ends by itself.
 
-    A thread waits for this. `srun` does not end a job when one of its tasks is killed, as mpirun does.
+    A thread waits for this. `srun` does not end a job when one of its tasks is killed, as mpirun does, nor does a pool
+    end when its master is.
     """
     try:
         descriptor = os.pidfd_open(process)
-    except OSError:
-        return  # before Linux 5.3, or it has just ended and MPI is being informed
+    except (OSError, AttributeError):
+        return  # another system, before Linux 5.3, or it has just ended and MPI is being informed
 
     def wait_and_end() -> None:
         select.select([descriptor], [], [])
@@ -200,7 +201,9 @@ def run_on_ranks(lead: Callable[[Executor | None, StopRequest], int], grace: flo
         from mpi4py.futures import MPICommExecutor  # noqa: PLC0415 - as above
 
         comm = MPI.COMM_WORLD
-        announced = max(whole_number(name) or 1 for name in ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE"))
+        names = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"]
+        names += ["SLURM_STEP_NUM_TASKS"] * (launcher() == LAUNCHER_VARIABLES["PMIX_RANK"])
+        announced = max(whole_number(name) or 1 for name in names)
         if comm.Get_size() < announced:  # each of them would compute the whole campaign
             raise LaunchError(
                 f"{launcher()} announced {announced} ranks, but MPI has {comm.Get_size()}: the launcher was killed, or "

@@ -7,6 +7,7 @@ The computation, with the packing, is pickled once and sent with the first batch
 process that lacks it reports this, and the batch is submitted again with the computation.
 """
 
+import multiprocessing
 import os
 import pickle
 import platform
@@ -20,8 +21,18 @@ from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeAlias
 
 from calcidem.ends import CellStatus
-from calcidem.sweep.ranks import available_cores, own_rank
-from calcidem.sweep.schedule import Batch, BatchOutcome, CellT, Compute, Failure, SweepError, SweepInterrupted, attempt
+from calcidem.sweep.ranks import available_cores, end_after, own_rank
+from calcidem.sweep.schedule import (
+    EXIT_RESUMABLE,
+    Batch,
+    BatchOutcome,
+    CellT,
+    Compute,
+    Failure,
+    SweepError,
+    SweepInterrupted,
+    attempt,
+)
 
 _Identity: TypeAlias = tuple[str, int, int, int | None]
 """Host, process, thread and MPI rank (None without MPI)."""
@@ -283,6 +294,9 @@ def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_
         if key not in _computations:
             if computation is None:
                 return pickle.dumps((worker, None))
+            parent = multiprocessing.parent_process()
+            if not _computations and parent is not None and parent.pid is not None:
+                end_after(parent.pid, 1.0, EXIT_RESUMABLE)  # a worker of a pool whose master is killed waits for ever
             _computations.clear()
             _computations[key] = pickle.loads(computation)  # noqa: S301 - written by the master of the same program
         compute = _computations[key]

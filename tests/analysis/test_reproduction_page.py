@@ -494,7 +494,7 @@ def test_sentences_on_choices_and_other_samples(
         f"the cement alone {100 * cement.min():.0f} to {100 * cement.max():.0f} %",
         f"raises Vs by {firm[0]:.2f} and {firmer[0] / firm[0]:.2f} at 0.66 %",
         f"only {100 * firm[-1] - 100:.0f} and {100 * firmer[-1] / firm[-1] - 100:.0f} % at 9 %",
-        f"only {int(small.notnull().sum())} of {small.size} samples have a velocity",
+        f"{int(small.notnull().sum())} of {small.size} samples have a velocity",
         f"single contacts have {single.min():.2f} to {single.max():.2f} of it up to 5 %",
         f"scatters by {static[low].min():.1f} to {static[low].max():.1f} of the printed values up to 6 %, and by "
         f"{static[-2:].mean():.1f} of them at 8 and 9 %",

@@ -88,6 +88,23 @@ def test_a_killed_process_of_a_pool_costs_a_second_call(workshop: "Workshop", ex
     assert workshop.cells() == expected
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork")
+def test_a_killed_master_of_forked_workers_leaves_no_process_and_no_lock(
+    workshop: "Workshop", expected: "Cells"
+) -> None:
+    """Forked workers share the lock of their master, and wait for ever for its next batch."""
+    workshop.configure()
+    (workshop.folder / "pool.py").write_text(POOL.replace('"spawn"', '"fork"'))
+    process = workshop.start(program=FROM_FILE)
+    workshop.wait_for_cells(1)
+    process.kill()
+    process.wait()
+    done = workshop.run("run", "c.toml")
+    assert done.code == 0, done.errors
+    assert workshop.cells() == expected
+    assert workshop.leaves_no_process()
+
+
 @pytest.mark.full
 @pytest.mark.mpi
 def test_a_pool_of_mpi_gives_the_same_bits(workshop: "Workshop", expected: "Cells") -> None:

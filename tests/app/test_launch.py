@@ -117,14 +117,33 @@ def test_a_launcher_that_fails_is_started_twice(workshop: "Workshop", how: str, 
     assert (workshop.folder / "starts").read_text().count("start") == 2
 
 
-@pytest.mark.parametrize("variable", ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"])
-def test_a_rank_that_mpi_leaves_alone_does_not_compute_the_campaign(workshop: "Workshop", variable: str) -> None:
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {"OMPI_COMM_WORLD_SIZE": "3", "OMPI_COMM_WORLD_RANK": "0"},
+        {"PMI_SIZE": "3", "PMI_RANK": "0"},
+        {"SLURM_STEP_NUM_TASKS": "3", "SLURM_NTASKS": "3", "PMIX_RANK": "0"},
+    ],
+)
+def test_a_rank_that_mpi_leaves_alone_does_not_compute_the_campaign(
+    workshop: "Workshop", variables: dict[str, str]
+) -> None:
     """Its launcher has been killed, or is that of another MPI library: there would be as many campaigns as ranks."""
     workshop.configure(seeds=1, contents=(9.0,))
-    workshop.variables |= {"OMPI_COMM_WORLD_SIZE": "1", "OMPI_COMM_WORLD_RANK": "0", variable: "3"}
+    workshop.variables |= variables
     ended = workshop.run("run", "c.toml")
     assert ended.code == 2
     assert "announced 3 ranks, but MPI has 1" in ended.errors
+    assert not workshop.database.exists()
+
+
+def test_a_step_of_several_tasks_starts_no_ranks(workshop: "Workshop") -> None:
+    """Each task of `srun calcidem run --ranks 0` would start as many."""
+    workshop.configure(seeds=1, contents=(9.0,))
+    workshop.variables |= {"SLURM_STEP_NUM_TASKS": "4", "SLURM_NTASKS": "4"}
+    ended = workshop.run("run", "c.toml", "--ranks", "0")
+    assert ended.code == 2
+    assert "SLURM_STEP_NUM_TASKS is 4" in ended.errors
     assert not workshop.database.exists()
 
 

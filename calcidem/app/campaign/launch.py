@@ -23,7 +23,7 @@ from typing import IO
 from calcidem.app.campaign.run import LONGEST_WAIT, RunView, prepared_store, read_own_status
 from calcidem.app.campaign.status import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.config.schema import Configuration
-from calcidem.storage.errors import PASSWORDS_VARIABLE, StoreError
+from calcidem.storage.errors import PASSWORDS_VARIABLE, StoreError, StoreUnavailableError
 from calcidem.storage.records import RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import STALE_AFTER
@@ -84,7 +84,10 @@ class Launch:
             raise LaunchError(
                 f"--ranks {self.ranks}: this process is an MPI rank already; leave --ranks out under {launcher()}"
             )
+        if (tasks := whole_number("SLURM_STEP_NUM_TASKS") or 1) > 1:
+            raise LaunchError(f"SLURM_STEP_NUM_TASKS is {tasks}: each task would start its own ranks; leave out srun")
         mpirun = find_mpirun()
+        code = EXIT_ERROR
         with StopRequest() as stop, view.display() as display:
             reporter = ProgressReporter(display)
             try:
@@ -99,7 +102,9 @@ class Launch:
                 tell("Ended by a signal before the ranks began; the same command starts again.")
                 return EXIT_RESUMABLE
             except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
-                return view.refuse(error)
+                # After a restart a server has all stored data.
+                is_lost = isinstance(error, StoreUnavailableError) and code == EXIT_RESUMABLE
+                return max(view.refuse(error), EXIT_RESUMABLE * is_lost)
         return code
 
     def _start_until_complete(
@@ -114,7 +119,9 @@ class Launch:
             state = "" if found is None or found.exit_state is None else found.exit_state.partition(":")[0]
             if state in {SweepState.COMPLETE, SweepState.STOPPED}:
                 return EXIT_COMPLETE if state == SweepState.COMPLETE else EXIT_RESUMABLE
-            if state == SweepState.ERROR or (found is None and start.code == 2):  # rank 0 refused its input
+            is_refused = start.code == 2 and not begun  # input, or a database that was removed
+            is_of_another = start.code == EXIT_ERROR and found is not None and state == "" and start.is_held()
+            if state == SweepState.ERROR or is_refused or is_of_another:  # rank 0 has said so
                 return start.code if 0 < start.code <= EXIT_RESUMABLE else EXIT_ERROR
             if found is not None:
                 why = f"The run was cut off ({why}): everything stored is safe, and the same command continues."
@@ -143,6 +150,7 @@ class _Start:
         self._next_hearing = STALE_AFTER.total_seconds()
         self._name = Path(mpirun).name
         self._before = self._latest_run()[0]
+        self._seen: RunRecord | None = None
         environment = os.environ | dict.fromkeys(THREAD_VARIABLES, "1") | {COMMAND_VARIABLE: "1"}
         # ssh forwards no environment to other hosts. Command lines show names, never values. PG: PostgreSQL's library.
         names = {*THREAD_VARIABLES, COMMAND_VARIABLE, PASSWORDS_VARIABLE}
@@ -170,9 +178,10 @@ class _Start:
         return self._process.returncode
 
     def own_run(self) -> RunRecord | None:
-        """Run that this start began; None without one."""
+        """Run that this start began, as it was when the database could last be read; None without one."""
         number, run = self._latest_run()
-        return run if number != self._before else None
+        self._seen = run if run is not None and number != self._before else self._seen
+        return self._seen
 
     def attend(self, stop: StopRequest, start_timeout: float) -> str:
         """Wait for the end of the launcher, or end it; return why."""
@@ -211,11 +220,15 @@ class _Start:
         """Wait a second for the last processes of this start, and up to 15 s as long as rank 0 has the campaign."""
         for _ in range(15):
             time.sleep(1.0)
-            holder = None
-            with suppress(StoreError), self._campaign() as store:
-                holder = store.lease_holder()
-            if holder is None or not holder.may_live():
+            if not self.is_held():
                 break
+
+    def is_held(self) -> bool:
+        """Whether a process that may live has the campaign."""
+        holder = None
+        with suppress(StoreError), self._campaign() as store:
+            holder = store.lease_holder()
+        return holder is not None and holder.may_live()
 
     def _why_not_ended(self, seconds: float, since_end: float | None) -> str:
         """Why a launch is ended some seconds after its start and after the end of its run; empty to wait."""

@@ -11,6 +11,7 @@ import errno
 import os
 import stat
 import time
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, fields
@@ -38,10 +39,24 @@ else:
     HAS_LOCKS = True
 
 
+_HELD: "weakref.WeakSet[Lease]" = weakref.WeakSet()
+"""Leases with a lock."""
+
+
+def _give_up_in_child() -> None:
+    """A forked process is no master: it shares the lock, which would be held as long as it lives."""
+    for lease in list(_HELD):
+        lease.close_lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_give_up_in_child)
+
+
 class Lease:
     """Right of one process to write a campaign: its row in the database, and a lock on ``<database>.lock``.
 
-    The operating system releases the lock at any end of the process.
+    The operating system releases the lock at any end of the process. Its forked children do not have it.
 
     Attributes
     ----------
@@ -84,6 +99,7 @@ class Lease:
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(descriptor), self.path.lstat()):
                     self._descriptor = descriptor
+                    _HELD.add(self)
             if not self.held:  # its former holder removed the file between our open and our lock
                 os.close(descriptor)
         return True
@@ -126,8 +142,14 @@ class Lease:
         if self._descriptor is not None and self.path is not None:
             if os.fstat(self._descriptor).st_size == 0:
                 self.path.unlink(missing_ok=True)
+            self.close_lock()
+
+    def close_lock(self) -> None:
+        """Close the lock file; the lock ends if no other process shares it."""
+        if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
+            _HELD.discard(self)
 
     def acknowledged(self) -> tuple[str, datetime] | None:
         """Token and heartbeat of the last acknowledged transaction of a master that did not end regularly.
