@@ -237,7 +237,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int]) -> xr.Dataset:
     """Forecast the half-widths of 95 % intervals of mean, standard deviation and skewness for at least 3 seeds.
 
     They are along `count`, the first two in the unit of the values (n,); NaN are left out. That of the mean is
-    t s / sqrt(count). That of the standard deviation is the median of `Interval.of_standard_deviation` over samples of
+    t s / sqrt(count). That of the standard deviation is the mean of `Interval.of_standard_deviation` over samples of
     `count` of the values, drawn with replacement. That of skewness is half the width of the central 95 % over such
     samples; few values underestimate it, since it depends on rare ones. `ValueError` for fewer than two values, or a
     count below 3.
@@ -254,7 +254,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int]) -> xr.Dataset:
         varied = resampled[np.ptp(resampled, axis=1) > 0]  # equal values have no skewness
         centre.append(mean_half_width(deviation, count, level))
         own = [Interval.of_standard_deviation(row, level).half_width for row in resampled[:200]]
-        spread.append(np.median(own))
+        spread.append(np.mean(own))
         skew.append(np.ptp(np.quantile(stats.skew(varied, axis=1), ends)) / 2 if len(varied) else math.nan)
     return xr.Dataset(
         {"mean": ("count", centre), "standard_deviation": ("count", spread), "skewness": ("count", skew)},
