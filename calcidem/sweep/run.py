@@ -244,7 +244,7 @@ class _Master:
                 self._hand_out(workers, commits)
             commits.advance()
             if level is not StopLevel.NONE:
-                self._schedule.extend(workers.cancel())
+                self._schedule.extend(workers.cancel(finishes=level is StopLevel.DRAIN))
             if (end := self._reason_to_end(workers, level)) is not None:
                 return end
             self._beat()

@@ -113,6 +113,8 @@ class Workers(Generic[CellT]):
         self._loading = silence_floor  # seconds that a worker may need in addition for its first batch
         self._slowest = 0.0  # seconds for a unit of cost
         self._longest = 0.0  # seconds of a batch
+        self._tells_begin = False  # a future of Dask never says that it runs, and one that does can be cancelled
+        self._finishing: list[Future[bytes]] | None = None  # what may run of such an executor
         self.exhausted = ""
         self.last_dropped: float | None = None
 
@@ -158,7 +160,7 @@ class Workers(Generic[CellT]):
         now, found = time.monotonic(), []
         for future, flight in self._in_flight.items():
             if flight.begun is None and (future.running() or future.done()):
-                flight.begun = now
+                flight.begun, self._tells_begin = now, True
                 found.append(flight.batch)
         return found
 
@@ -197,11 +199,18 @@ class Workers(Generic[CellT]):
             self._submit(batch, with_computation=False)
         return outcomes
 
-    def cancel(self) -> list[Batch[CellT]]:
-        """Take batches back that have not begun."""
+    def cancel(self, *, finishes: bool = False) -> list[Batch[CellT]]:
+        """Take batches back that have not begun.
+
+        With ``finishes`` those stay that were submitted first to an executor that does not tell: one for each worker.
+        """
         taken = [] if self._held is None else [self._held]
         self._held = None
-        return taken + [self._in_flight.pop(future).batch for future in list(self._in_flight) if future.cancel()]
+        if finishes and self._finishing is None and not self._tells_begin:
+            self._finishing = [*self._in_flight][: self.count]
+        kept = (self._finishing or []) if finishes else []
+        given_up = [future for future in self._in_flight if future not in kept and future.cancel()]
+        return taken + [self._in_flight.pop(future).batch for future in given_up]
 
     def _submit(self, batch: Batch[CellT], *, with_computation: bool) -> None:
         if self._time_limit is not None:

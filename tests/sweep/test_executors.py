@@ -6,8 +6,16 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import (
+    CancelledError,
+    Executor,
+    Future,
+    InvalidStateError,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
@@ -22,6 +30,7 @@ from calcidem.sweep.schedule import (
     LOSSES_BEFORE_QUARANTINE,
     Batch,
     Progress,
+    StopRequest,
     SweepError,
     SweepInterrupted,
     SweepState,
@@ -270,6 +279,45 @@ def test_the_computation_travels_with_the_first_batches_only(sink: "MemorySink",
     more = [Batch(((number, 1.0),)) for number in range(50)]
     run_sweep(executor, [*batches, *more], Fault("", tmp_path), sink)
     assert executor.with_computation < 20
+
+
+class Reticent(Executor):
+    """Two threads whose futures do not tell that they run, and are cancelled all the same, as those of Dask."""
+
+    num_workers = 2
+
+    def __init__(self, begun: Callable[[], object]) -> None:
+        self._threads, self._begun = ThreadPoolExecutor(2), begun
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **_: Any) -> "Future[Any]":  # noqa: ANN401
+        """Compute in a thread."""
+        future: Future[Any] = Future()
+
+        def compute() -> None:
+            if not future.cancelled():
+                self._begun()
+                time.sleep(0.5)
+                found = function(*arguments)
+                with suppress(InvalidStateError):
+                    future.set_result(found)
+
+        self._threads.submit(compute)
+        return future
+
+
+def test_running_batches_are_finished_though_their_executor_does_not_tell(sink: "MemorySink", tmp_path: Path) -> None:
+    """SIGUSR1 while two of eight batches run: both are stored, no other is begun."""
+    begun: list[None] = []
+
+    def note() -> None:
+        begun.append(None)
+        if len(begun) == 2:
+            os.kill(os.getpid(), signal.SIGUSR1)
+
+    with StopRequest() as stop:
+        end = run_sweep(Reticent(note), planned(), Fault("", tmp_path), sink, stop_request=stop)
+    assert end.state is SweepState.STOPPED
+    assert (len(begun), len(sink.outcomes)) == (2, 2)
 
 
 @pytest.mark.full
