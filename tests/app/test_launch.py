@@ -174,6 +174,49 @@ def test_a_signal_while_starting_ends_the_run(workshop: "Workshop") -> None:
     assert workshop.leaves_no_process()
 
 
+WAITING_CELLS = """
+import time
+from pathlib import Path
+import calcidem.sweep.workers as workers
+attempt = workers.attempt
+
+def wait_and_attempt(*arguments):
+    end = time.monotonic() + 120.0
+    while not Path("other-has-ended").exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    return attempt(*arguments)
+
+workers.attempt = wait_and_attempt
+"""
+
+
+@FULL
+def test_a_run_that_comes_second_ends_with_1(workshop: "Workshop") -> None:
+    """While its launcher started the other took the campaign; the run of that is not its own, and is not disturbed."""
+    workshop.configure(seeds=2)
+    slow = workshop.folder / "slow.sh"
+    own = Path(sys.executable).with_name("mpirun")
+    mpirun = own if own.exists() else shutil.which("mpirun")
+    wait = 'case "$1" in --version) ;; *) touch waits; while [ ! -e go ]; do sleep 0.1; done;; esac'
+    slow.write_text(f'#!/bin/sh\n{wait}\nexec {mpirun} "$@"\n')
+    slow.chmod(0o755)
+    workshop.variables["MPIRUN"] = str(slow)
+    second = workshop.start("run", "c.toml", "--ranks", "2")
+    while not (workshop.folder / "waits").exists():
+        time.sleep(0.1)
+    customize(workshop, WAITING_CELLS)
+    first = workshop.start("run", "c.toml")
+    while not workshop.database.with_name(workshop.database.name + ".lock").exists():
+        time.sleep(0.1)
+    (workshop.folder / "go").touch()
+    ended = workshop.wait(second)
+    (workshop.folder / "other-has-ended").touch()
+    assert ended.code == 1, ended.errors
+    assert "is being written by process" in ended.output + ended.errors
+    assert "Start 2" not in ended.output
+    assert workshop.wait(first).code == 0
+
+
 def test_a_cell_that_kills_each_worker_is_quarantined_and_the_others_go_on(
     workshop: "Workshop", expected: "Cells"
 ) -> None:

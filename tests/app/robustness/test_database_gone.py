@@ -1,5 +1,6 @@
 """Whatever happens to the database during a run, the run never says that it is complete, and shows no traceback."""
 
+import os
 import shutil
 import sqlite3
 import subprocess
@@ -75,6 +76,36 @@ def test_a_server_database_needs_no_folder_and_may_die(workshop: "Workshop", pos
     again = workshop.run("run", "c.toml", "--db", server, "--ranks", "3")
     assert again.code == 0, again.errors
     assert (workshop.folder / "results" / "small.nc").exists()
+
+
+def test_a_server_that_goes_down_ends_ranks_with_75(workshop: "Workshop", postgresql_socket: Path) -> None:
+    """Neither refused input nor a run that did not begin: when the server is back the same command goes on."""
+    (programs,) = {path.parent for path in Path("/usr/lib/postgresql").glob("*/bin/pg_ctl")}
+    ask = [programs / "psql", "-h", postgresql_socket, "-U", "postgres", "-c", "CREATE DATABASE lost"]
+    subprocess.run(ask, check=True, capture_output=True)
+    server = f"postgresql://postgres@/lost?host={postgresql_socket}"
+    owner = {"user": "postgres"} if os.geteuid() == 0 else {}
+
+    def control(*command: str) -> None:
+        place = ["-D", str(postgresql_socket / "data"), "-l", str(postgresql_socket / "log")]
+        told = [str(programs / "pg_ctl"), *place, "-w", *command]
+        subprocess.run(told, check=True, cwd=postgresql_socket, stdout=subprocess.DEVNULL, **owner)
+
+    workshop.configure()
+    process = workshop.start("run", "c.toml", "--db", server, "--ranks", "2", "--restarts", "1")
+    end = time.monotonic() + 60.0
+    while time.monotonic() < end and not _cells_on(server):
+        time.sleep(0.1)
+    control("-m", "immediate", "stop")
+    try:
+        ended = workshop.wait(process)
+    finally:
+        control("restart")  # as it was started
+    assert ended.code == 75, ended.errors
+    assert "The run was cut off" in ended.output + ended.errors
+    assert "Traceback" not in ended.errors
+    again = workshop.run("run", "c.toml", "--db", server, "--ranks", "2")
+    assert again.code == 0, again.errors
 
 
 def _cells_on(server: str) -> int:
