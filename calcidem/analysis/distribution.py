@@ -18,6 +18,7 @@ from calcidem.analysis.intervals import (
     BOOTSTRAP_SEED,
     UNDEFINED,
     Interval,
+    bounds_of_deviation,
     finite_values,
     mean,
     mean_half_width,
@@ -253,8 +254,7 @@ def narrowing(values: ArrayLike, counts: Sequence[int]) -> xr.Dataset:
         resampled = sample[generator.integers(sample.size, size=(2000, count))]
         varied = resampled[np.ptp(resampled, axis=1) > 0]  # equal values have no skewness
         centre.append(mean_half_width(deviation, count, level))
-        own = [Interval.of_standard_deviation(row, level).half_width for row in resampled[:200]]
-        spread.append(np.mean(own))
+        spread.append(np.mean(np.diff(bounds_of_deviation(resampled[:500], level), axis=0)) / 2)
         skew.append(np.ptp(np.quantile(stats.skew(varied, axis=1), ends)) / 2 if len(varied) else math.nan)
     return xr.Dataset(
         {"mean": ("count", centre), "standard_deviation": ("count", spread), "skewness": ("count", skew)},

@@ -62,23 +62,10 @@ class Interval:
         is corrected for the sample's kurtosis (Bonett 2006, doi:10.1016/j.csda.2004.10.003). A percentile or BCa
         bootstrap of few values has far too little coverage: 57 % instead of 95 % for four normal values.
         """
-        n = values.size
-        if n <= 1:
+        if values.size <= 1:
             return cls(math.nan, math.nan)
-        deviation = float(standard_deviation(values))
-        if deviation == 0:
-            return cls(0.0, 0.0)
-        if n < 8:  # the kurtosis of so few is too uncertain
-            tail = (1 - level) / 2
-            low, high = np.sqrt((n - 1) / scipy.stats.chi2.ppf([1 - tail, tail], n - 1))
-            return cls(deviation * float(low), deviation * float(high))
-        quantile = float(scipy.stats.norm.ppf((1 + level) / 2))
-        trimmed = scipy.stats.trim_mean(values, 1 / (2 * math.sqrt(n - 4)))
-        kurtosis = n * np.sum((values - trimmed) ** 4) / ((n - 1) * deviation**2) ** 2
-        correction = n / (n - quantile)
-        error = correction * math.sqrt(max(kurtosis - (n - 3) / n, 0.0) / (n - 1))
-        low, high = np.sqrt(correction * np.exp([-quantile * error, quantile * error]))
-        return cls(deviation * float(low), deviation * float(high))
+        low, high = bounds_of_deviation(values, level)
+        return cls(float(low), float(high))
 
     @classmethod
     def of_prediction(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
@@ -158,6 +145,22 @@ def mean(values: NDArray[np.float64]) -> float:
 def standard_deviation(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the standard deviation along the last axis, with denominator n - 1; exactly zero for equal values."""
     return np.asarray(np.std(values - values[..., :1], axis=-1, ddof=1))
+
+
+def bounds_of_deviation(samples: NDArray[np.float64], level: float) -> NDArray[np.float64]:
+    """Ends (2, ...) of `Interval.of_standard_deviation` of samples (..., n) of at least two values."""
+    n, deviation = samples.shape[-1], standard_deviation(samples)
+    if n < 8:  # the kurtosis of so few is too uncertain
+        tail = (1 - level) / 2
+        low, high = np.sqrt((n - 1) / scipy.stats.chi2.ppf([1 - tail, tail], n - 1))
+        return np.array([deviation * low, deviation * high])
+    quantile = float(scipy.stats.norm.ppf((1 + level) / 2))
+    trimmed = np.expand_dims(scipy.stats.trim_mean(samples, 1 / (2 * math.sqrt(n - 4)), axis=-1), -1)
+    fourth = n * np.sum((samples - trimmed) ** 4, axis=-1)
+    kurtosis = np.divide(fourth, ((n - 1) * deviation**2) ** 2, out=np.zeros_like(fourth), where=deviation > 0)
+    correction = n / (n - quantile)
+    error = correction * np.sqrt(np.maximum(kurtosis - (n - 3) / n, 0.0) / (n - 1))
+    return np.asarray(deviation * np.sqrt(correction * np.exp([-quantile * error, quantile * error])))
 
 
 def bias_of_failed(measured: int, failed: int) -> float:

@@ -124,9 +124,9 @@ def die_with_parent(parent: int | None = None) -> None:
     """Let the kernel kill this process as soon as its parent ends.
 
     Otherwise a rank whose mpirun was killed would run for ever. It is a descendant of mpirun or, on other nodes, of its
-    daemon, which ends when it loses mpirun. Call this before MPI is initialised: if the launcher has ended by then, the
-    initialisation fails and the rank ends. A caller that knows the process number of its parent gives it, since the
-    parent may have ended before this call. `OSError` if the kernel refuses.
+    daemon, which ends when it loses mpirun. Call this before MPI is initialised: if the launcher has ended by then, MPI
+    leaves the rank alone, which `run_on_ranks` refuses. A caller that knows the process number of its parent gives it,
+    since the parent may have ended before this call. `OSError` if the kernel refuses.
     """
     parent = parent or os.getppid()
     if _LIBC.prctl(1, signal.SIGKILL, 0, 0, 0) != 0:  # PR_SET_PDEATHSIG

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeAlias
@@ -160,7 +161,8 @@ class Workers(Generic[CellT]):
         now, found = time.monotonic(), []
         for future, flight in self._in_flight.items():
             if flight.begun is None and (future.running() or future.done()):
-                flight.begun, self._tells_begin = now, True
+                flight.begun = now
+                self._tells_begin |= future.running()
                 found.append(flight.batch)
         return found
 
@@ -207,7 +209,7 @@ class Workers(Generic[CellT]):
         taken = [] if self._held is None else [self._held]
         self._held = None
         if finishes and self._finishing is None and not self._tells_begin:
-            self._finishing = [*self._in_flight][: self.count]
+            self._finishing = [future for future in self._in_flight if not future.done()][: self.count]
         kept = (self._finishing or []) if finishes else []
         given_up = [future for future in self._in_flight if future not in kept and future.cancel()]
         return taken + [self._in_flight.pop(future).batch for future in given_up]
@@ -293,6 +295,12 @@ _computations: dict[str, Compute[Any, Any]] = {}
 _loading = threading.Lock()
 
 
+@cache  # a forked process inherits the entries of its parent, which has another one
+def _end_with(master: int) -> None:
+    """End this worker after its master: without one it would wait for ever."""
+    end_after(master, 1.0, EXIT_RESUMABLE)
+
+
 def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_limit: float | None) -> bytes:
     """Compute a batch in a worker.
 
@@ -303,9 +311,8 @@ def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_
         if key not in _computations:
             if computation is None:
                 return pickle.dumps((worker, None))
-            parent = multiprocessing.parent_process()
-            if not _computations and parent is not None and parent.pid is not None:
-                end_after(parent.pid, 1.0, EXIT_RESUMABLE)  # a worker of a pool whose master is killed waits for ever
+            if (parent := multiprocessing.parent_process()) is not None and parent.pid is not None:
+                _end_with(parent.pid)
             _computations.clear()
             _computations[key] = pickle.loads(computation)  # noqa: S301 - written by the master of the same program
         compute = _computations[key]

@@ -192,7 +192,7 @@ workers.attempt = wait_and_attempt
 
 @FULL
 def test_a_run_that_comes_second_ends_with_1(workshop: "Workshop") -> None:
-    """While its launcher started the other took the campaign; the run of that is not its own, and is not disturbed."""
+    """The other one took the campaign while the launcher started: it is not disturbed, nor taken for the own run."""
     workshop.configure(seeds=2)
     slow = workshop.folder / "slow.sh"
     own = Path(sys.executable).with_name("mpirun")

@@ -320,6 +320,28 @@ def test_running_batches_are_finished_though_their_executor_does_not_tell(sink: 
     assert (len(begun), len(sink.outcomes)) == (2, 2)
 
 
+def test_a_finished_batch_does_not_tell_that_others_run(tmp_path: Path) -> None:
+    """An answer that was not yet received says nothing of the batches that an executor keeps silent about."""
+    futures: list[Future[Any]] = []
+
+    class Silent(Executor):
+        num_workers = 1
+
+        def submit(self, *_: Any, **__: Any) -> "Future[Any]":  # noqa: ANN401
+            futures.append(Future())
+            return futures[-1]
+
+    workers = Workers(Silent(), Fault("", tmp_path), None, 300.0)
+    batches = planned()[:4]
+    for batch in batches:
+        workers.submit(batch)
+    futures[0].set_result(b"")
+    assert workers.begun() == [batches[0]]
+    assert workers.cancel(finishes=True) == [*batches[2:]]
+    assert workers.cancel(finishes=True) == []
+    assert workers.cancel() == [batches[1]]
+
+
 @pytest.mark.full
 def test_a_cell_that_kills_workers_of_a_real_cluster_is_quarantined(sink: "MemorySink", tmp_path: Path) -> None:
     """Nannies replace three killed workers; the deadly cell is given up and all others are computed, in one sweep."""

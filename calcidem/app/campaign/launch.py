@@ -77,7 +77,7 @@ class Launch:
         """Run calcidem under an MPI launcher and return its exit code.
 
         The packing is made here, before any rank starts. `LaunchError` if there is no launcher, or this process was
-        started by one, or this is not Linux.
+        started by one or is one of several tasks of `srun`, or this is not Linux.
         """
         refuse_ranks_off_linux()
         if launcher() is not None:
@@ -104,7 +104,8 @@ class Launch:
             except Exception as error:  # noqa: BLE001 - the view raises again what is not the user's to cure
                 # After a restart a server has all stored data.
                 is_lost = isinstance(error, StoreUnavailableError) and code == EXIT_RESUMABLE
-                return max(view.refuse(error), EXIT_RESUMABLE * is_lost)
+                refused = view.refuse(error)
+                return EXIT_RESUMABLE if is_lost else refused
         return code
 
     def _start_until_complete(
