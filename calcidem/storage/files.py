@@ -24,7 +24,7 @@ def write_atomically(path: str | os.PathLike[str], *, replaces_netcdf: bool = Fa
     `FileNotFoundError` if the folder does not exist; `OutputRefusedError` if `path` is a database or a NetCDF file.
     """
     refuse_to_replace(path, replaces_netcdf=replaces_netcdf)
-    with replace_file(Path(path).absolute()) as temporary:
+    with replace_file(Path(path).resolve()) as temporary:
         yield temporary
 
 
@@ -53,7 +53,7 @@ def write_text_atomically(path: str | os.PathLike[str], text: str) -> None:
 
 def refuse_to_replace(path: str | os.PathLike[str], *, replaces_netcdf: bool = False) -> None:
     """Raise the errors of `write_atomically` early, before a long computation."""
-    target = Path(path).absolute()
+    target = Path(path).resolve()  # the file of a link, as a program that opens it would write it
     if not target.parent.is_dir():
         raise FileNotFoundError(f"The folder {target.parent} does not exist; create it, or give another file name.")
     what = "is a folder or a device" if target.exists() and not target.is_file() else ""

@@ -12,6 +12,7 @@ import shutil
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -85,6 +86,7 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
     if unknown:
         raise ValueError(f"without = {unknown[0]!r}: choose among {', '.join(ARRAY_RECORDS)}")
     wanted = [group for group in ARRAY_RECORDS if group not in without]
+    record = store.use_campaign(store.record.name)  # with the present plan
     with (
         _replace_netcdf(path, store.record.hash) as temporary,
         netCDF4.Dataset(temporary, "w", format="NETCDF4") as file,
@@ -94,7 +96,7 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
             stress = np.array([json.dumps(dict(packing.wall_stress))], dtype=object)
             own = {"wall_stress": ("", "normal stress on each wall in Pa, as JSON", stress)}
             _append_records(file.createGroup("packings"), "packing", PackingRecord, [packing], own)
-        for attempts in chunks(store.history(), 10_000):
+        for attempts in chunks(store.history(Selection(record.seeds, record.contents)), 10_000):
             _append_attempts(file, attempts)
         _write_cells(file, store, wanted)
     return Path(path).absolute()
@@ -269,13 +271,14 @@ def import_netcdf(
 ) -> CampaignRecord:
     """Rebuild the campaign of an exported file: plan, runs, packings, attempts, outcomes and their arrays.
 
-    If the store already has the campaign, missing data are added and done cells are kept; runs are added each time.
-    Everything is one transaction. ``check`` refuses a packing whose state does not fit.
+    If the store already has the campaign, missing data are added and done cells are kept; runs are added each time, and
+    attempts that a cell does not have are counted after its own. Everything is one transaction. ``check`` refuses a
+    packing whose state does not fit.
 
     `InputFileError` if it is no regular file; `StoreUnavailableError` if it is not NetCDF; `ForeignDatabaseError` if
-    calcidem did not write it; `OtherSchemaError` if it has another layout; `DamagedStoreError` if it was changed, lacks
-    a packing, or can't be read to its end; `CampaignMismatchError` if the store has another campaign of that name, or
-    another packing; `LeaseHeldError` while a run writes the database.
+    calcidem did not write it; `OtherSchemaError` if it has another layout; `DamagedStoreError` if its configuration was
+    changed, it lacks a packing, or can't be read to its end; `CampaignMismatchError` if the store has another campaign
+    of that name, or another packing; `LeaseHeldError` while a run writes the database.
     """
     with _open(Path(path)) as file, store.together():
         campaign = CampaignRecord(
@@ -312,9 +315,28 @@ def import_netcdf(
             moments = {name: run[name] and datetime.fromisoformat(run[name]) for name in ("started", "ended")}
             known = {name: value for name, value in (run | moments).items() if name in RunRecord.__slots__}
             run_numbers[number] = store.begin_run(RunRecord(**known))  # earlier files describe the workers, too
-        store.restore_attempts(_read_attempts(file, run_numbers))
-        store.record_results(_results(file, status))
+        numbers = _restore_attempts(store, list(_read_attempts(file, run_numbers)))
+        results = _results(file, status)
+        store.record_results(
+            replace(cell, attempt=numbers.get((cell.key, cell.attempt), cell.attempt)) for cell in results
+        )
         return store.use_campaign(name)
+
+
+def _restore_attempts(store: Store, attempts: Sequence[AttemptRecord]) -> dict[tuple[CellKey, int], int]:
+    """Store attempts after those that their cells have; return the numbers of attempts at cells that have some."""
+    counts = store.attempt_counts({attempt.key for attempt in attempts})
+    last = {key: count.attempts for key, count in counts.items() if count.attempts}
+    tried = Selection({key.seed for key in last}, {key.content for key in last})
+    known = {(own.key, own.identity): own.number for own in (store.history(tried) if last else ())}
+    numbers = {}
+    for attempt in attempts:
+        if attempt.key in last:
+            number = known.get((attempt.key, attempt.identity), last[attempt.key] + 1)
+            last[attempt.key] = max(last[attempt.key], number)
+            numbers[attempt.key, attempt.number] = number
+    store.restore_attempts(replace(one, number=numbers.get((one.key, one.number), one.number)) for one in attempts)
+    return numbers
 
 
 def _open(path: Path) -> Group:

@@ -519,6 +519,11 @@ class AttemptRecord(Record):
         if self.outcome not in (known := (*STORED_STATUSES, "lost", CellStatus.RUNNING)):
             raise ValueError(f"AttemptRecord.outcome is '{self.outcome}'; it is one of {', '.join(known)}.")
 
+    @property
+    def identity(self) -> tuple[object, ...]:
+        """Equal for the copies of one attempt at a cell in several databases, which number it differently."""
+        return self.recorded, self.outcome, self.host, self.rank
+
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:

@@ -5,13 +5,14 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from calcidem.app.campaign.identity import physics_version
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError, StoreError
-from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, PackingRecord
+from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, PackingRecord, RunRecord
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import replace_database
 from calcidem.storage.sql.reading import chunks
@@ -202,23 +203,25 @@ def _settled_cells(sources: Sequence[Store]) -> dict[CellKey, dict[int, _Values]
 
 def _copy_history(sources: Sequence[Store], target: Store) -> _Numbers:
     """Copy runs and attempts, each once; return the new numbers of the attempts."""
-    runs: dict[tuple[object, ...], int] = {}
+    copies_of_run: defaultdict[tuple[datetime, str], list[RunRecord]] = defaultdict(list)
+    for source in sources:
+        for _, run in source.runs():
+            copies_of_run[run.started, run.host].append(run)
+    # A copy that was made during the run does not know its end.
+    runs = {
+        same: target.begin_run(max(copies_of_run[same], key=lambda run: run.ended is not None))
+        for same in sorted(copies_of_run)
+    }
     attempts: defaultdict[CellKey, dict[tuple[object, ...], AttemptRecord]] = defaultdict(dict)
     copies: dict[tuple[int, CellKey, int], tuple[object, ...]] = {}
     for position, source in enumerate(sources):
-        run_numbers: dict[int | None, int] = {}
-        for number, run in source.runs():
-            same_run = (run.started, run.host)
-            if same_run not in runs:
-                runs[same_run] = target.begin_run(run)
-            run_numbers[number] = runs[same_run]
+        run_numbers: dict[int | None, int] = {number: runs[run.started, run.host] for number, run in source.runs()}
         for attempt in source.history():
             if attempt.outcome == CellStatus.RUNNING:
                 continue  # in a copy nobody will end it, which would count as the death of a run
-            identity = (attempt.recorded, attempt.outcome, attempt.host, attempt.rank)
             moved = replace(attempt, run_id=run_numbers.get(attempt.run_id))
-            attempts[attempt.key].setdefault(identity, moved)
-            copies[position, attempt.key, attempt.number] = identity
+            attempts[attempt.key].setdefault(attempt.identity, moved)
+            copies[position, attempt.key, attempt.number] = attempt.identity
     numbers: dict[tuple[CellKey, tuple[object, ...]], int] = {}
     for key, found in attempts.items():
         in_time = sorted(found.items(), key=lambda item: (item[1].recorded, item[1].number))

@@ -97,8 +97,8 @@ def import_command(
 ) -> None:
     """Read an exported campaign into a database (--db), or disks of another program into a file (--out).
 
-    Existing cells are kept. Changed files and other packings are refused. The format of disks is recognised by content.
-    Left wall and floor become x = 0 and y = 0.
+    Existing cells are kept. A changed configuration and other packings are refused; 'verify' finds changed numbers. The
+    format of disks is recognised by content. Left wall and floor become x = 0 and y = 0.
     """
     if (database is None) is (out is None):
         raise typer.BadParameter("give one of them: --db for an exported campaign, --out for disks of another program")

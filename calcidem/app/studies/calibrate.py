@@ -124,9 +124,41 @@ class FittedParameters:
         return any(row.role == "fitted" for row in self.contents)
 
 
-def _has_sd_to_fit(target: Target) -> bool:
-    """Whether the standard deviation is a target, too; without cement all samples of a campaign are the same."""
-    return target.sd is not None and target.content != 0.0
+@dataclass(frozen=True, slots=True)
+class _Goal:
+    """Mean or standard deviation of Vs to be met at one content."""
+
+    place: int
+    """Column of the content in the result of a trial."""
+    target: Target
+    name: Literal["mean", "sd"]
+
+    @property
+    def value(self) -> float:
+        """Value to be met, m/s."""
+        return self.target.vs if self.name == "mean" else self.target.sd or math.nan
+
+    def of(self, vs: Floats) -> float:
+        """The same of some velocities."""
+        return float(vs.mean() if self.name == "mean" else vs.std(ddof=1))
+
+    def variance(self, vs: Floats, samples: int) -> float:
+        """Variance of its logarithm over samples with normal scatter, as the target's or that of some velocities."""
+        scatter = max((self.target.sd or vs.std(ddof=1)) / self.target.vs, 1e-6)
+        return scatter**2 / samples if self.name == "mean" else 0.5 / (samples - 1)
+
+    def variance_of_target(self, vs: Floats) -> float:
+        """Variance of the logarithm of its value."""
+        return 0.0 if self.target.samples is None else self.variance(vs, self.target.samples)
+
+
+def _goals(targets: Sequence[Target]) -> tuple[_Goal, ...]:
+    """What targets ask for; a standard deviation only with cement, as without any all samples of a campaign are one."""
+    return tuple(
+        _Goal(place, target, name)
+        for place, target in enumerate(targets)
+        for name in (("mean", "sd") if target.sd is not None and target.content != 0.0 else ("mean",))
+    )
 
 
 class _UnreadTrialError(ValueError):
@@ -152,9 +184,9 @@ class _Fit:
         self.used: tuple[int, ...] = tuple(range(len(targets)))
 
     @property
-    def wanted(self) -> int:
-        """Number of target means and standard deviations at the used contents."""
-        return sum(2 if _has_sd_to_fit(self._targets[i]) else 1 for i in self.used)
+    def goals(self) -> tuple[_Goal, ...]:
+        """Means and standard deviations to be met at the used contents."""
+        return tuple(goal for goal in _goals(self._targets) if goal.place in self.used)
 
     def begin(self, points: Sequence[Floats]) -> None:
         """Measure the first points, and leave out contents with too few readable seeds."""
@@ -171,15 +203,15 @@ class _Fit:
         if new:
             self.trials |= {point.tobytes(): vs for point, vs in zip(new, self._measure(new), strict=True)}
         common = self.common
-        for i in self.used:
-            target, left = self._targets[i], int(common[:, i].sum())
+        for goal in self.goals:
+            left = int(common[:, goal.place].sum())
             words = "" if left >= _FEWEST_SEEDS else f"left {left} of {len(common)} seeds with a velocity"
-            columns = (vs[common[:, i], i] for vs in self.trials.values())
-            if not words and _has_sd_to_fit(target) and any(np.ptp(column) == 0.0 for column in columns):
+            columns = (vs[common[:, goal.place], goal.place] for vs in self.trials.values())
+            if not words and goal.name == "sd" and any(np.ptp(column) == 0.0 for column in columns):
                 words = "gave all seeds the same velocity, and no standard deviation to fit,"
             if words:
                 self.trials = former
-                raise _UnreadTrialError(f"a trial {words} at {target.content:g} %")
+                raise _UnreadTrialError(f"a trial {words} at {goal.target.content:g} %")
 
     @property
     def common(self) -> NDArray[np.bool_]:
@@ -192,27 +224,16 @@ class _Fit:
         return [other for other in trials if np.abs(other - point).max() < 0.3]  # in the logarithm of each
 
     def deviation(self, point: Floats) -> Floats:
-        """Logarithms of mean and, if targeted, standard deviation over their targets, (R,)."""
-        found = []
-        for target, vs in self.columns(point):
-            found.append(math.log(vs.mean() / target.vs))
-            if target.sd is not None and _has_sd_to_fit(target):
-                found.append(math.log(vs.std(ddof=1) / target.sd))
-        return np.array(found)
+        """Logarithms of the goals' means and standard deviations over their values, (R,)."""
+        return np.log([goal.of(vs) / goal.value for goal, vs in self.columns(point)])
 
     def errors(self, point: Floats) -> Floats:
         """Standard errors of `deviation` for normal scatter, (R,), from target, trial and the model's tolerance."""
-        found = []
-        for target, vs in self.columns(point):
-            scatter = max((target.sd or vs.std(ddof=1)) / target.vs, 1e-6)
-            of_trial = 1.0 if target.content else 0.0
-            of_target = 0.0 if target.samples is None else 1.0
-            count = target.samples or 2
-            found.append(math.hypot(self.tolerance, scatter * math.sqrt(of_trial / len(vs) + of_target / count)))
-            if _has_sd_to_fit(target):
-                half = 0.5 / (len(vs) - 1) + 0.5 * of_target / (count - 1)
-                found.append(math.hypot(self.tolerance, math.sqrt(half)))
-        return np.array(found)
+        variances = [
+            goal.variance_of_target(vs) + (goal.variance(vs, len(vs)) if goal.target.content else 0.0)
+            for goal, vs in self.columns(point)
+        ]
+        return np.hypot(self.tolerance, np.sqrt(variances))
 
     def covariance(self, point: Floats) -> Floats:
         """Covariance of `deviation` by sampling, (R, R).
@@ -220,26 +241,19 @@ class _Fit:
         For the trial it follows from the influence of each seed at all contents, without assuming normal scatter or
         independent contents (Efron & Tibshirani 1993, chapter 21). For the targets normal scatter is assumed.
         """
-        influence, of_targets = [], []
-        trial, common = self.trials[point.tobytes()], self.common
-        for target, used, vs in ((self._targets[i], common[:, i], trial[:, i]) for i in self.used):
-            count, mean = used.sum(), vs[used].mean()
-            from_mean = np.where(used, vs - mean, 0.0)
-            scatter = max((target.sd or vs[used].std(ddof=1)) / target.vs, 1e-6)
-            influence.append(from_mean / mean / math.sqrt(count * (count - 1)))
-            of_targets.append(0.0 if target.samples is None else scatter**2 / target.samples)
-            if _has_sd_to_fit(target):
-                variance = vs[used].var()
-                of_deviation = np.where(used, from_mean**2 - variance, 0.0) / (2.0 * variance)
-                influence.append(of_deviation / math.sqrt(count * (count - 1)))
-                of_targets.append(0.0 if target.samples is None else 0.5 / (target.samples - 1))
-        rows = np.array(influence)
-        return np.asarray(rows @ rows.T + np.diag(of_targets))
+        influence = []
+        for goal, vs in self.columns(point):
+            from_mean, of_seeds = vs - vs.mean(), np.zeros(len(self.common))
+            change = from_mean / vs.mean() if goal.name == "mean" else 0.5 * (from_mean**2 / vs.var() - 1.0)
+            of_seeds[self.common[:, goal.place]] = change / math.sqrt(len(vs) * (len(vs) - 1))
+            influence.append(of_seeds)
+        of_targets = [goal.variance_of_target(vs) for goal, vs in self.columns(point)]
+        return np.asarray(np.array(influence) @ np.array(influence).T + np.diag(of_targets))
 
-    def columns(self, point: Floats) -> list[tuple[Target, Floats]]:
-        """Each used target with its used velocities."""
+    def columns(self, point: Floats) -> list[tuple[_Goal, Floats]]:
+        """Each goal with the used velocities of its content."""
         vs, common = self.trials[point.tobytes()], self.common
-        return [(self._targets[i], vs[common[:, i], i]) for i in self.used]
+        return [(goal, vs[common[:, goal.place], goal.place]) for goal in self.goals]
 
 
 def calibrate(
@@ -300,7 +314,7 @@ def _fit_to_targets(
     ``measure`` takes values of the parameters, first ``start``, and returns Vs for each, (seeds, contents of the
     targets), NaN if missing. The caller makes predictions. Errors are those of `calibrate`.
     """
-    names, wanted = [chosen.name for chosen in plan.free], sum(2 if _has_sd_to_fit(row) else 1 for row in plan.met)
+    names, wanted = [chosen.name for chosen in plan.free], len(_goals(plan.met))
     problems = []
     if len(names) > wanted:
         problem = f"parameters = {len(names)}: give at most {wanted}, one for each mean and standard deviation"
@@ -334,7 +348,7 @@ def _fit_to_targets(
         contents=contents,
         trials=len(fit.trials),
         chi_square=math.nan,
-        freedom=fit.wanted - len(names),
+        freedom=len(fit.goals) - len(names),
         doubts=tuple(doubts),
     )
     if not slopes.size:
@@ -359,7 +373,7 @@ def _fit_to_targets(
         if not low <= value <= high
     ]
     banded = tuple(
-        replace(row, mean_band=bands.get((row.content, "vs")), sd_band=bands.get((row.content, "sd")))
+        replace(row, mean_band=bands.get((row.content, "mean")), sd_band=bands.get((row.content, "sd")))
         for row in contents
     )
     return replace(
@@ -389,30 +403,27 @@ def _slopes_of_all(fit: _Fit, point: Floats, slopes: Floats) -> tuple[Floats, Fl
 
 def _open_questions(
     fit: _Fit, point: Floats, limits: Floats
-) -> tuple[list[tuple[float, float]], dict[tuple[float, str], tuple[float, float]]]:
-    """Intervals of the parameters, and bands by content and target; empty with too few trials near the point."""
-    near = fit.near(point)
-    wanted = [(target, of) for target, _ in fit.columns(point) for of in ("vs", "sd")[: 1 + _has_sd_to_fit(target)]]
-    fresh, covariance = [], fit.covariance(point) + fit.tolerance**2 * np.eye(len(wanted))
-    for target, vs in fit.columns(point):
-        count = target.samples or len(vs)
-        fresh.append((target.sd or vs.std(ddof=1)) / target.vs / math.sqrt(count))
-        fresh += [math.sqrt(0.5 / (count - 1))] if _has_sd_to_fit(target) else []
+) -> tuple[list[tuple[float, float]], Mapping[tuple[float, Literal["mean", "sd"]], tuple[float, float]]]:
+    """Intervals of the parameters, and bands by content and name; empty with too few trials near the point."""
+    near, goals = fit.near(point), fit.goals
+    fresh = [goal.variance(vs, goal.target.samples or len(vs)) for goal, vs in fit.columns(point)]
     try:
         points, predicted = draw_posterior(
             np.array(near),
             np.array([fit.deviation(other) for other in near]),
-            np.zeros(len(wanted)),
-            covariance,
-            np.array(fresh),
+            np.zeros(len(goals)),
+            fit.covariance(point) + fit.tolerance**2 * np.eye(len(goals)),
+            np.sqrt(fresh),
             limits,
         )
     except (ValueError, np.linalg.LinAlgError):
         return [], {}
-    scale = np.array([target.vs if of == "vs" else target.sd for target, of in wanted], dtype=float)
     within = (0.025, 0.975)
-    ends = (np.exp(np.quantile(predicted, within, axis=0)) * scale).T.tolist()
-    bands = {(target.content, of): (low, high) for (target, of), (low, high) in zip(wanted, ends, strict=True)}
+    ends = np.exp(np.quantile(predicted, within, axis=0)).T.tolist()
+    bands = {
+        (goal.target.content, goal.name): (low * goal.value, high * goal.value)
+        for goal, (low, high) in zip(goals, ends, strict=True)
+    }
     return [(low, high) for low, high in np.exp(np.quantile(points, within, axis=0)).T.tolist()], bands
 
 
@@ -446,9 +457,9 @@ def _descend(
         beside = [point + step * unit for step, unit in zip(steps, np.eye(len(point)), strict=True)]
         if number == 0:
             fit.begin([point, *beside])
-            if fit.wanted < len(names):
+            if len(fit.goals) < len(names):
                 cure = "give more seeds, or free fewer parameters"
-                return point, slopes, [f"{fit.wanted} readable numbers for {len(names)} parameters: {cure}"]
+                return point, slopes, [f"{len(fit.goals)} readable numbers for {len(names)} parameters: {cure}"]
         try:
             fit.try_points([point, *beside])
         except _UnreadTrialError as error:
@@ -495,11 +506,7 @@ def _nearer(fit: _Fit, point: Floats, step: Floats, errors: Floats) -> tuple[Flo
 def _told(names: Sequence[str], point: Floats, fit: _Fit) -> str:
     """Message about a point of a fit."""
     deviation, errors = fit.deviation(point), fit.errors(point)
-    parts = [
-        f"{of} at {target.content:g} %"
-        for target, _ in fit.columns(point)
-        for of in ("mean", "sd")[: 1 + _has_sd_to_fit(target)]
-    ]
+    parts = [f"{goal.name} at {goal.target.content:g} %" for goal in fit.goals]
     shown = ", ".join(f"{name} {value:.4g}" for name, value in _values_at(names, point).items())
     ratios = ", ".join(f"{part} {ratio:.3f}" for part, ratio in zip(parts, np.exp(deviation), strict=True))
     return f"{shown}: over target {ratios}; chi-square {np.sum((deviation / errors) ** 2):.2f}"

@@ -2,6 +2,7 @@
 
 import math
 import os
+import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
@@ -36,7 +37,12 @@ _ERRORS: tuple[tuple[tuple[int, ...], tuple[str, ...], type[StoreError], str], .
     # SQLITE_BUSY, LOCKED; serialization failure or deadlock, lock not available
     ((5, 6), ("40", "55P03"), StoreLockedError, "Try again when the other process has finished; it was not stored."),
     # SQLITE_READONLY; read-only transaction, insufficient privilege
-    ((8,), ("25006", "42501"), ReadOnlyStoreError, "Check the permissions of the file and its folder, or use a copy."),
+    (
+        (8,),
+        ("25006", "42501"),
+        ReadOnlyStoreError,
+        "Check the permissions of the file, of its -wal and -shm and of the folder, or use a copy.",
+    ),
     # SQLITE_IOERR
     ((10,), (), DiskError, "Check the disk, your quota and the file system's network; nothing of this was stored."),
     # SQLITE_CORRUPT; internal errors
@@ -118,9 +124,9 @@ class Connections:
         installed.
         """
         self.address = address
-        self._unlocked: tuple[int, ...] | None = None  # `_written_last` if this process may not write the folder
+        self._unlocked: tuple[int, ...] | None = None  # `_written_last` if this process must not make a log
         if address.path is not None:
-            if read_only and not os.access(address.path.parent, os.W_OK, effective_ids=True):
+            if read_only and not _may_make_a_log(address.path):
                 self._unlocked = _written_last(address.path)
             self._engine = _sqlite_engine(address.path, read_only=read_only, unlocked=self._unlocked is not None)
             return
@@ -130,7 +136,9 @@ class Connections:
             raise StoreUnavailableError(
                 f"The driver for {address} is missing ({error}).", "Install it: pip install 'psycopg[binary]'."
             ) from error
-        self._engine = engine.execution_options(postgresql_readonly=True) if read_only else engine
+        # A reader whose transaction has several queries sees one state, as in SQLite.
+        options = {"postgresql_readonly": True, "isolation_level": "REPEATABLE READ"}
+        self._engine = engine.execution_options(**options) if read_only else engine
 
     @contextmanager
     def transaction(self, *, write: bool) -> Iterator[Connection]:
@@ -141,7 +149,7 @@ class Connections:
         """
         if self._unlocked is not None and self.address.path is not None:
             now = _written_last(self.address.path)
-            if now != self._unlocked:  # by a process that may write the folder
+            if now != self._unlocked:  # by a process that may write the file
                 self._engine.dispose()
                 self._engine = _sqlite_engine(self.address.path, read_only=True, unlocked=True)
                 self._unlocked = now
@@ -149,13 +157,25 @@ class Connections:
         try:
             with bound.begin() as connection:
                 yield connection
+            self._refuse_changed()
         except SQLAlchemyError as error:
+            self._refuse_changed()
             raise _translate_error(error, self.address) from error
         except (ArithmeticError, LookupError, TypeError, ValueError) as error:
             if write:
                 raise  # the values to be written may be wrong
             problem = f"{self.address} is damaged: a stored value can't be read ({type(error).__name__}: {error})."
             raise DamagedStoreError(problem, DAMAGE_REMEDY) from error
+
+    def _refuse_changed(self) -> None:
+        """Raise `StoreLockedError` if the file changed under a reader without locks, which may have read a mixture."""
+        if self._unlocked is None or self.address.path is None or self._engine.url.query.get("immutable") != "1":
+            return
+        if _written_last(self.address.path)[:3] != self._unlocked[:3]:
+            raise StoreLockedError(
+                f"{self.address} was written while it was read, without locks, since this user cannot write it.",
+                "Run the same command again.",
+            )
 
     def bring_log_into_file(self) -> None:
         """Copy the write-ahead log, if any, into the database file, as far as readers allow.
@@ -175,8 +195,7 @@ def _sqlite_engine(path: Path, *, read_only: bool, unlocked: bool) -> Engine:
     # writer into the database.
     query: dict[str, str] = {"uri": "true", "mode": "rw" if read_only else "rwc"}
     if unlocked and _needs_a_log(path):
-        # SQLite would have to make the log, which needs a writable folder. Without a log no process writes at present.
-        query["immutable"] = "1"
+        query["immutable"] = "1"  # without a log no process writes at present
     url = URL.create("sqlite", database=path.as_uri(), query=query)
     engine = create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_SECONDS})
     journal = None if read_only else ("DELETE" if is_network_filesystem(path) else "WAL")
@@ -213,6 +232,17 @@ def _written_last(path: Path) -> tuple[int, ...]:
     return ()
 
 
+def _may_make_a_log(path: Path) -> bool:
+    """Whether a reader may let SQLite make the log of a database.
+
+    A log whose owner may not write the database could not be used by the others, and its index needs 32 kB.
+    """
+    is_own = all(
+        os.access(place, os.W_OK, effective_ids=os.access in os.supports_effective_ids) for place in (path, path.parent)
+    )
+    return is_own and shutil.disk_usage(path.parent).free > 1_000_000
+
+
 def _needs_a_log(path: Path) -> bool:
     """Whether a database is written through a log, and has none at present."""
     if any(Path(f"{path}{end}").exists() for end in ("-wal", "-journal")):
@@ -224,9 +254,11 @@ def find_damage(path: Path, pragma: str = "quick_check") -> list[str]:
     """Let SQLite check a file and return what it finds, at most 20 lines; an intact file gives none.
 
     The file is not changed, except that SQLite undoes an unfinished transaction of a rollback journal.
-    ``integrity_check`` also compares indices with tables, which takes longer.
+    ``integrity_check`` also compares indices with tables, which takes longer. `StoreError` if the file cannot be read.
     """
     mode = "rw" if Path(f"{path}-journal").exists() else "ro"
+    if not _may_make_a_log(path) and _needs_a_log(path):
+        mode = "ro&immutable=1"
     try:
         with closing(
             sqlite3.connect(f"{path.as_uri()}?mode={mode}", timeout=_BUSY_TIMEOUT_SECONDS, uri=True)
@@ -234,7 +266,7 @@ def find_damage(path: Path, pragma: str = "quick_check") -> list[str]:
             lines = [str(line) for (line,) in connection.execute(f"PRAGMA {pragma}(20)")]
     except sqlite3.DatabaseError as error:
         if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_CORRUPT:
-            return []  # no damage; opening it explains it
+            raise _translate_error(error, Address.parse(path)) from error
         lines = [str(error)]
     return [] if lines == ["ok"] else lines
 
@@ -245,7 +277,7 @@ def refuse_damaged(path: Path) -> None:
         raise DamagedStoreError(f"{path} is damaged: {'; '.join(lines[:3])}.", DAMAGE_REMEDY)
 
 
-def _translate_error(error: SQLAlchemyError, address: Address) -> StoreError:
+def _translate_error(error: SQLAlchemyError | sqlite3.Error, address: Address) -> StoreError:
     """Return the error of the store for an error of the database."""
     original = error.orig if isinstance(error, DBAPIError) else error
     problem = f"{address}: {str(original).strip().rstrip('.')}."

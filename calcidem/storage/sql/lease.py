@@ -86,7 +86,7 @@ class Lease:
         if not HAS_LOCKS or self.path is None:
             return True
         while not self.held:
-            descriptor = self._open(os.O_CREAT)
+            descriptor = self._open(os.O_RDWR | os.O_CREAT)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
@@ -108,7 +108,7 @@ class Lease:
         """Open the lock file; `StoreUnavailableError` unless it is a regular file that calcidem wrote."""
         safely = os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK  # no link of a user, no wait for the end of a pipe
         try:
-            descriptor = os.open(str(self.path), os.O_RDWR | flags | safely, 0o666)
+            descriptor = os.open(str(self.path), flags | safely, 0o666)
         except OSError as error:
             if error.errno not in {errno.ELOOP, errno.EISDIR, errno.ENXIO}:
                 raise
@@ -160,7 +160,7 @@ class Lease:
             return None
         descriptor = self._descriptor
         try:
-            descriptor = self._open(0) if descriptor is None else descriptor
+            descriptor = self._open(os.O_RDONLY) if descriptor is None else descriptor
             _, token, heartbeat = os.pread(descriptor, 200, 0).decode("ascii").split()
             return token, datetime.fromisoformat(heartbeat)
         except (OSError, ValueError, StoreUnavailableError):
@@ -251,6 +251,15 @@ class Lease:
 _HOLDER = tuple(LEASE.c[field.name] for field in fields(LeaseHolder))
 
 
+def refuse_hard_links(path: Path) -> None:
+    """Raise `StoreUnavailableError` if a file has several names."""
+    if (names := path.stat().st_nlink) > 1:
+        raise StoreUnavailableError(
+            f"{path} has {names} names (hard links): two programs could write it without noticing.",
+            "Remove the other names, or work on a copy.",
+        )
+
+
 @contextmanager
 def replace_database(path: Path) -> Iterator[Path]:
     """Yield a temporary file that becomes the database at a path once the block has ended without error.
@@ -260,7 +269,9 @@ def replace_database(path: Path) -> Iterator[Path]:
     one. `LeaseHeldError` if another process writes it or makes it; `OutputRefusedError` if a file appeared meanwhile;
     `DiskError` if the data did not all reach the temporary file.
     """
-    if not path.exists():
+    if path.exists():
+        refuse_hard_links(path)
+    else:
         refuse_to_replace(path)  # names that belong to another database
         most = os.pathconf(path.parent, "PC_NAME_MAX") - len("-journal")
         if len(os.fsencode(path.name)) > most:

@@ -36,7 +36,7 @@ from calcidem.storage.records import (
     unpack_arrays,
 )
 from calcidem.storage.sql.engine import Address, Connections, find_damage, refuse_damaged
-from calcidem.storage.sql.lease import Lease, replace_database
+from calcidem.storage.sql.lease import Lease, refuse_hard_links, replace_database
 from calcidem.storage.sql.tables import (
     ARRAYS,
     ATTEMPT,
@@ -417,11 +417,8 @@ def _refuse_wrong_file(path: Path, *, read_only: bool) -> None:
         raise StoreUnavailableError(f"{path} is a folder.", "Give a file name.")
     if not stat.S_ISREG(status.st_mode) or Path("/proc") in path.parents:  # whose files are no real ones
         raise ForeignDatabaseError(f"{path} is not a database file.", "Give a file name, not that of a device.")
-    if status.st_nlink > 1 and not read_only:
-        raise StoreUnavailableError(
-            f"{path} has {status.st_nlink} names (hard links): two programs could write it without noticing.",
-            "Remove the other names, or work on a copy.",
-        )
+    if not read_only:
+        refuse_hard_links(path)
 
 
 def _prepare_file(address: Address, path: Path) -> None:

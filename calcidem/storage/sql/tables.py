@@ -298,7 +298,7 @@ def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bo
     """Create the tables of an empty database, within the connection's transaction; refuse a database of another kind.
 
     `ForeignDatabaseError` if it has tables but not calcidem's mark, or is empty and only read; `OtherSchemaError` if
-    another calcidem wrote it.
+    another calcidem wrote it; `DamagedStoreError` if it lacks a table.
     """
     if not read_only:
         exclude_others(connection)
@@ -323,6 +323,8 @@ def prepare_schema(connection: sa.Connection, address: Address, *, read_only: bo
         )
     is_numbered = "version" in {column["name"] for column in inspector.get_columns(_VERSION.name)}  # not before 1.0
     version = connection.scalar(sa.select(sa.func.max(_VERSION.c.version))) if is_numbered else 0
+    if version == _SCHEMA and (lacking := _METADATA.tables.keys() - set(tables)):
+        raise DamagedStoreError(f"{address} lacks the table {', '.join(sorted(lacking))}.", DAMAGE_REMEDY)
     own = {column["name"] for column in inspector.get_columns(RESULT.name)} if version == _SCHEMA else set()
     if own != set(RESULT.c.keys()):
         differing = ", ".join(sorted(own ^ set(RESULT.c.keys()))) if own else f"schema {version}, not {_SCHEMA}"
