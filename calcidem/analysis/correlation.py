@@ -208,7 +208,7 @@ def _correlation_matrix(groups: Sequence[NDArray[np.float64]], names: list[str])
             "pearson_low": (square, np.tanh(z - half)),
             "pearson_high": (square, np.tanh(z + half)),
             "spearman": (square, spearman),
-            "n": sum(map(len, groups)),
+            "n": int(count.max(initial=0)),  # those that vary
         },
         coords={"variable": names, "other": names},
         attrs={"level": 0.95},

@@ -1,12 +1,15 @@
 """From a measurement to what the store keeps of it."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from calcidem.app.campaign.cells import CellComputation, cell_result
 from calcidem.app.config.schema import Configuration, RunOptions
+from calcidem.dem.sample.cement import GIVEN, Pattern
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.static_speed import LARGEST_STATIC_ERROR, static_speed
@@ -21,6 +24,25 @@ def computed(configuration: Configuration, packing: Packing, seed: int, content:
     batch: Batch[Cell] = Batch(((seed, content),))
     (result,) = CellComputation(configuration, packing)(batch, lambda: None)
     return result.values()
+
+
+def test_a_changed_pattern_of_one_name_is_checked_anew(
+    small_configuration: Configuration, small_packing: Packing, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The hash has the name alone; the check of a former function would give its errors, step and law."""
+    monkeypatch.setenv("CALCIDEM_CACHE", str(tmp_path))
+    pattern = replace(small_configuration.pattern, drawn_by="own")
+    found = []
+    patterns: tuple[Pattern, ...] = (
+        lambda points, _: np.argsort(points[:, 1]),
+        lambda points, random: random.permutation(len(points)),
+    )
+    for function in (*patterns, patterns[0]):
+        monkeypatch.setitem(GIVEN, "own", function)
+        computation = CellComputation(replace(small_configuration, pattern=pattern), small_packing)
+        found.append(computation._checked(5.0, lambda: None))
+        assert len(list(tmp_path.glob("check-*.json"))) == min(len(found), 2)
+    assert found[0] == found[2] != found[1]
 
 
 def test_wavelengths_on_the_path_are_the_periods_of_the_travel_time(

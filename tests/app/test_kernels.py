@@ -4,20 +4,26 @@ import contextlib
 import pickle
 import sys
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 
 import pytest
 
+from calcidem.app.campaign import run
 from calcidem.app.campaign.cells import CellComputation, kernel_compilations
+from calcidem.app.campaign.status import ProgressDisplay, ProgressReporter
 from calcidem.app.config.schema import Configuration
 from calcidem.dem.engine.scene import Installation
 from calcidem.dem.kernels.layout import Features
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.rule import Law
+from calcidem.sweep.run import SweepState
+from calcidem.sweep.schedule import StopLevel, StopRequest
 
 
 class _EnoughSeen(Exception):  # noqa: N818 - an expected end of a measurement
@@ -91,3 +97,23 @@ def test_two_processes_of_an_executor_compile_two_kernels_at_the_same_time(
     with ThreadPoolExecutor(2) as pool:
         assert len(list(pool.map(pickle.loads, [told] * 2))) == 2
     assert set(compiled[:2]) == {0, 1}
+
+
+def test_a_stop_during_a_compilation_begins_no_other(
+    small_configuration: Configuration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One cannot be interrupted; after it the run ends without a cell."""
+    stop, compiled = StopRequest(), list[int]()
+
+    def compilations(*_: object) -> list[Callable[[], None]]:
+        def compile_one(number: int) -> None:
+            compiled.append(number)
+            stop.level, stop.reason = StopLevel.HURRY, "SIGINT"  # as its handler does
+
+        return [partial(compile_one, number) for number in (1, 2)]
+
+    monkeypatch.setattr(run, "kernel_compilations", compilations)
+    options = replace(small_configuration.run, database=str(tmp_path / "c.db"))
+    with run.CampaignRun(replace(small_configuration, run=options)) as work:
+        end = work.compute(None, ProgressReporter(ProgressDisplay()), stop)
+        assert (compiled, end.state, end.tally.total()) == ([1], SweepState.STOPPED, 0)

@@ -67,6 +67,15 @@ def test_rows_with_scatter_are_means_unless_they_name_specimens(tmp_path: Path) 
     assert read_targets(tmp_path / "lab.csv") == (Target(2.0, 480.0, 20.0, 1), Target(2.0, 490.0, 20.0, 1))
 
 
+def test_a_deviation_in_another_unit_than_the_velocity_is_asked_for(tmp_path: Path) -> None:
+    """It takes that of the velocity, which makes 20 m/s 20 km/s."""
+    (tmp_path / "lab.csv").write_text("content (%),Vs (km/s),sd\n1,0.5,20\n", encoding="utf-8")
+    with pytest.raises(ConfigurationError, match=r"sd = 20000 m/s at Vs = 500 m/s: is it in the unit of the velocity"):
+        read_targets(tmp_path / "lab.csv")
+    (tmp_path / "lab.csv").write_text("content (%),Vs (km/s),sd (m/s)\n1,0.5,20\n", encoding="utf-8")
+    assert read_targets(tmp_path / "lab.csv") == (Target(1.0, 500.0, 20.0),)
+
+
 def test_one_mistake_in_many_rows_is_one_line(tmp_path: Path) -> None:
     """With the first row and the number of the others."""
     (tmp_path / "lab.csv").write_text("content,vs\n1,-3\n2,-4\n3,-5\n4,400\n", encoding="utf-8")

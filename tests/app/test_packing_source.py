@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from hashlib import sha256
 from importlib.resources import as_file, files
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calcidem.app.campaign import packing as packing_source
+from calcidem.app.campaign.cells import _known_static_speed
 from calcidem.app.campaign.packing import (
     DamagedPackingError,
     _cached_name,
@@ -28,11 +30,13 @@ from calcidem.app.campaign.packing import (
 )
 from calcidem.app.cli.run import Preset
 from calcidem.app.config import presets
-from calcidem.app.config.checks import check_against_packing
+from calcidem.app.config.checks import _tightest_seed, check_against_packing
 from calcidem.app.config.presets import preset_packings, preset_text
 from calcidem.app.config.reader import load_configuration
-from calcidem.app.config.schema import Configuration, PackingDraw
+from calcidem.app.config.schema import Configuration, ConfigurationError, PackingDraw, RunOptions
 from calcidem.dem.sample.packing import Packing, PackingRule
+from calcidem.dem.wave.experiment import station_disks
+from calcidem.dem.wave.static_speed import static_speed
 from calcidem.storage.errors import DamagedStoreError
 from calcidem.storage.netcdf import import_netcdf
 from calcidem.storage.records import CampaignRecord, canonical_json
@@ -297,6 +301,54 @@ def test_contents_are_checked_against_the_packing(packing: Packing) -> None:
     message = str(refused.value)
     assert "campaign.contents = [0.0, 90.0]" in message
     assert "wave.receiver_half_width = 0.05" in message
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_bands_that_no_disk_touches_are_refused(packing: Packing, mirrored: bool) -> None:
+    """The wave also comes from the other side, so they are refused there, too, and whatever transmits."""
+    side = packing.mirrored() if mirrored else packing
+    height = np.abs(side.y - 0.5 * side.height)
+    least = float(height[side.x < side.radius].min())
+    wave = replace(TINY.wave, boundary_thickness=0.001, listening_depth=0.005, receiver_half_width=0.008)
+    for transmitter in ("wall", "driven"):
+        narrow = replace(TINY, wave=replace(wave, transmitter=transmitter, transmitter_half_width=0.99 * least))
+        with pytest.raises(
+            ConfigurationError, match=r"wave\.transmitter_half_width = .*no disk touches the transmitter"
+        ):
+            check_against_packing(narrow, packing)
+    beside = replace(wave, transmitter_half_width=0.008, receiver_half_width=0.99 * least)
+    with pytest.raises(ConfigurationError, match=r"wave\.(receiver_half_width|listening_depth) = "):
+        check_against_packing(replace(TINY, wave=beside), packing)
+
+
+def test_what_is_too_narrow_to_measure_is_refused(packing: Packing) -> None:
+    """A wave needs three groups of disks far from the transmitter, and a static speed an inner part."""
+    wave = replace(TINY.wave, receiver_half_width=0.008, boundary_thickness=0.001, listening_depth=0.005)
+    refused = 0
+    for half in np.linspace(1.1e-3, 4e-3, 30).tolist():
+        narrow = replace(wave, receiver_half_width=half)
+        try:
+            check_against_packing(replace(TINY, wave=narrow), packing)
+        except ConfigurationError as error:
+            refused += (is_it := f"receiver_half_width = {half}: fewer than 3 groups of disks record" in str(error))
+            assert not is_it or station_disks(packing, narrow) == ()
+    assert refused
+    check_against_packing(replace(TINY, wave=wave), packing)
+    with pytest.raises(ConfigurationError, match=r"run\.static_speed = true: packing\.width = 0\.02: too narrow"):
+        check_against_packing(replace(TINY, wave=wave, run=RunOptions(static_speed=True)), packing)
+    none = np.zeros(len(packing.pairs), dtype=bool)
+    with pytest.raises(ValueError, match=r"packing\.width = 0\.02: too narrow for a static speed"):
+        static_speed(TINY.experiment(packing), none)
+    assert _known_static_speed(TINY.experiment(packing), none) is None  # which costs a cell nothing else
+
+
+def test_every_seed_that_may_be_added_holds_the_content() -> None:
+    """With ``until`` a content close to what samples hold is compared with the tightest of all, as far as needed."""
+    room = {1: 9.0, 2: 8.0, **dict.fromkeys(range(3, 9), 9.5), **dict.fromkeys(range(9, 60), 8.5), 60: 7.0}
+    experiment = SimpleNamespace(ordering=lambda seed: SimpleNamespace(maximum_content=room[seed]))
+    assert _tightest_seed(experiment, range(1, 9), 7.5) == (2, 8.0)  # type: ignore[arg-type]
+    assert _tightest_seed(experiment, range(1, 61), 7.5) == (60, 7.0)  # type: ignore[arg-type]
+    assert _tightest_seed(experiment, range(1, 61), 5.9) == (2, 8.0)  # type: ignore[arg-type]
 
 
 def test_a_pulse_is_checked_against_the_packing(packing: Packing) -> None:

@@ -155,7 +155,7 @@ def test_a_stiff_patch_at_the_wall_does_not_change_the_static_speed() -> None:
     """Cement that joins two walls at a corner makes a small box stiffer, not its inner part, nor the error."""
     experiment = lattice_experiment(3)
     packing = experiment.packing
-    experiment = experiment.with_wave(boundary_thickness=0.2 * packing.height)
+    experiment = experiment.with_wave(boundary_thickness=0.2 * packing.height, boundary_damping=1.0)
     none = np.zeros(len(packing.preload.pairs), dtype=bool)
     ends = packing.preload.pairs
     corner = np.maximum(packing.x / packing.width, packing.y / packing.height) < 0.15
@@ -178,7 +178,7 @@ def test_rows_count_with_the_energy_of_the_wave_in_them() -> None:
     cement = replace(cement, bond_modulus=1.2e9 * normal / float(cement.bond_stiffness(one, one)[0][0]))
     spacing = 2.0 * RADIUS - packing.report.mean_overlap
     layer = float(packing.y.min()) + 3.5 * spacing  # of 21 rows the outer four at either side
-    experiment = replace(given, cement=cement).with_wave(boundary_thickness=layer)
+    experiment = replace(given, cement=cement).with_wave(boundary_thickness=layer, boundary_damping=1.0)
     row = np.rint((packing.y - packing.y.min()) / spacing).astype(int)
     bare = static_speed(experiment, np.zeros(len(packing.pairs), dtype=bool)).speed
 

@@ -39,6 +39,7 @@ from calcidem.storage.errors import (
 from calcidem.storage.netcdf import _read, export_netcdf, import_netcdf
 from calcidem.storage.records import CellKey
 from calcidem.storage.sql.store import Store
+from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
     from conftest import Records
@@ -116,6 +117,51 @@ def test_import_again_adds_nothing_but_runs(exported: Path, tmp_path: Path) -> N
         before = list(copy.results(with_arrays=True)), list(copy.history())
         import_netcdf(exported, copy)
         assert (list(copy.results(with_arrays=True)), list(copy.history())) == before
+
+
+def test_an_export_has_the_plan_of_its_beginning_alone(store: Store, records: "Records", tmp_path: Path) -> None:
+    """A reader that was opened before the plan grew exports the grown one; what is planned meanwhile is left out."""
+    store.save_packing(records.packing())
+    store.record_results([records.done(0)])
+    with Store(store.address.path or "", read_only=True) as reader:
+        reader.use_campaign()
+        store.extend([8], [5.0])
+        store.record_results([records.done(8)])
+        packings = reader.packing_indices
+
+        def extended() -> tuple[int, ...]:
+            store.extend([9], [5.0])
+            store.record_results([records.done(9)])
+            return packings()
+
+        reader.packing_indices = extended  # type: ignore[method-assign]
+        export_netcdf(reader, tmp_path / "grown.nc")
+    with Store(tmp_path / "copy.db") as copy:
+        assert import_netcdf(tmp_path / "grown.nc", copy).seeds == (*records.campaign().seeds, 8)
+        assert [cell.key.seed for cell in copy.results()] == [0, 8]
+
+
+def test_an_import_keeps_the_attempts_of_the_store(exported: Path, records: "Records", tmp_path: Path) -> None:
+    """Those of the file come after them, with their own time, run and host; a second import adds none."""
+    with Store(tmp_path / "copy.db") as copy:
+        copy.begin_campaign(records.campaign())
+        copy.begin_run(records.run(host="elsewhere"))
+        copy.record_results([records.failed(0)])
+        copy.record_results([records.failed(0, attempt=2)])
+        own = list(copy.history())
+        import_netcdf(exported, copy)
+        found = list(copy.history(Selection(0, 5.0)))
+        assert found[:2] == own
+        with Store(tmp_path / "campaign.db", read_only=True) as original:
+            original.use_campaign()
+            (given,) = original.history(Selection(0, 5.0))
+            theirs = dict(original.runs())[given.run_id]
+        new = dataclasses.replace(given, number=3, run_id=None)
+        assert [dataclasses.replace(one, run_id=None) for one in found[2:]] == [new]
+        assert dict(copy.runs())[found[2].run_id].started == theirs.started
+        assert copy.cell(seed=0, content=5.0).attempt == 3
+        import_netcdf(exported, copy)
+        assert list(copy.history(Selection(0, 5.0))) == found
 
 
 def test_import_into_another_campaign_is_refused(exported: Path, tmp_path: Path, records: "Records") -> None:

@@ -4,6 +4,7 @@ import os
 import shutil
 import sqlite3
 import stat
+import subprocess
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -33,6 +34,7 @@ from calcidem.storage.errors import (
 )
 from calcidem.storage.records import CellKey, CellResult, RunRecord
 from calcidem.storage.sql import engine
+from calcidem.storage.sql.engine import find_damage
 from calcidem.storage.sql.lease import replace_database
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.schedule import EXIT_RESUMABLE
@@ -206,23 +208,72 @@ def test_awkward_names(tmp_path: Path, name: str, records: "Records") -> None:
         assert campaign.record.name == "quick"
 
 
-def test_read_only_folder(database: Path, records: "Records") -> None:
-    """A finished database on a read-only medium can be read, though its journal wants a writable folder."""
+@pytest.mark.parametrize("folder", [0o555, 0o777])
+def test_read_only_file(database: Path, records: "Records", folder: int) -> None:
+    """One who may not write it can read and check it, and leaves no log that its owner could not use."""
     with tempfile.TemporaryDirectory() as name:
         copy = Path(shutil.copy(database, name))
         with open_campaign(copy) as campaign:  # imports all modules while they may be read
             assert list(campaign.select(seed=0)) == [records.done(0)]
+            assert campaign.store.damage() == []
         copy.chmod(0o444)
-        copy.parent.chmod(0o555)
+        copy.parent.chmod(folder)
         if os.geteuid() == 0:
             os.seteuid(NOBODY)  # permissions don't stop root
         try:
             with open_campaign(copy) as campaign:
                 found = list(campaign.select(seed=0))
+                assert campaign.store.damage() == []
+                os.seteuid(os.getuid())
+                with copy.open("r+b") as file:
+                    file.seek(-4096, os.SEEK_END)
+                    file.write(os.urandom(4096))
+                if os.geteuid() == 0:
+                    os.seteuid(NOBODY)
+                assert find_damage(copy, "integrity_check")
         finally:
             os.seteuid(os.getuid())
             copy.parent.chmod(0o755)
+        assert list(copy.parent.iterdir()) == [copy]
     assert found == [records.done(0)]
+
+
+def test_a_file_that_cannot_be_checked_is_not_called_sound(tmp_path: Path) -> None:
+    """What keeps SQLite from reading it is told."""
+    with pytest.raises(StoreUnavailableError, match="unable to open"):
+        find_damage(tmp_path / "none.db")
+    (tmp_path / "text.db").write_text("no database")
+    with pytest.raises(ForeignDatabaseError, match="not a database"):
+        find_damage(tmp_path / "text.db")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="mounting a small disk needs root")
+def test_a_database_on_a_full_disk_can_be_read(database: Path, records: "Records", tmp_path: Path) -> None:
+    """As one has to, to bring it to another disk."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", disk], check=False).returncode:  # noqa: S607
+        pytest.skip("no disk can be mounted here")
+    try:
+        copy = Path(shutil.copy(database, disk))
+        with suppress(OSError), (disk / "rest").open("wb", buffering=0) as file:
+            while file.write(b"x" * 4096):
+                pass
+        with open_campaign(copy) as campaign:
+            assert list(campaign.select(seed=0)) == [records.done(0)]
+            assert campaign.store.damage() == []
+    finally:
+        subprocess.run(["umount", disk], check=True)  # noqa: S607
+
+
+@pytest.mark.parametrize("table", ["attempt", "lease", "result"])
+def test_a_database_without_a_table_is_damaged(database: Path, table: str) -> None:
+    """As after the recovery of a damaged file."""
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute("DROP VIEW cells")
+        connection.execute(f"DROP TABLE {table}")
+    with pytest.raises(DamagedStoreError, match=f"lacks the table {table}"):
+        open_campaign(database)
 
 
 def test_a_server_that_hangs_up_while_the_database_is_opened_is_no_bad_input(
@@ -332,3 +383,13 @@ def test_a_reader_without_locks_notices_a_writer(
                 writer.record_results([records.done(seed)])
                 assert len(list(reader.results())) == count
         assert len(list(reader.results())) == 4
+        with pytest.raises(StoreLockedError, match="was written while it was read"):
+            read_while_written(reader, database, records)
+
+
+def read_while_written(reader: Store, database: Path, records: "Records") -> None:
+    """Store a cell within a transaction of a reader."""
+    with reader._reading() as connection, Store(database) as writer:
+        connection.scalar(text("SELECT count(*) FROM cell"))
+        writer.use_campaign()
+        writer.record_results([records.done(1, 0.3)])

@@ -94,6 +94,21 @@ with Store(sys.argv[1], read_only=True) as store:
 """
 
 
+def test_an_output_by_a_link_is_the_file_of_the_link(database: Path, tmp_path: Path) -> None:
+    """As every program writes it that opens the link."""
+    (tmp_path / "far").mkdir()
+    link = tmp_path / "near.nc"
+    link.symlink_to(tmp_path / "far" / "real.nc")
+    with read_campaign(database) as store:
+        export_netcdf(store, link)
+    assert link.is_symlink()
+    assert not (tmp_path / "far" / "real.nc").is_symlink()
+    link.unlink()
+    link.symlink_to(database)
+    with pytest.raises(OutputRefusedError, match="is a database"):
+        write_text_atomically(link, "text")
+
+
 def test_netcdf_on_a_full_disk_is_a_sentence(database: Path, tmp_path: Path) -> None:
     """A file that does not fit is told in plain words, and neither it nor a part of it is left."""
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY

@@ -2,12 +2,14 @@
 
 import contextlib
 import json
+import marshal
 import os
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache, partial
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,9 @@ from calcidem.app.campaign.packing import cache_folder, packing_record, pattern_
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
 from calcidem.dem.kernels.gpu import choose_gpu
+from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import GIVEN, CementOrdering, Pattern, content_of_contacts
+from calcidem.dem.sample.compaction import SettlingError
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.check import Check, check_content, kernels_of
 from calcidem.dem.wave.experiment import Experiment
@@ -77,10 +81,9 @@ class CellComputation:
             cell_result(measurement, experiment, run.store_sections, self._graph) for measurement in measurements
         ]
         if run.static_speed:
-            speeds = (static_speed(experiment, measurement.cement.bonded) for measurement in measurements)
             results = [
-                replace(result, static_speed=found.speed if found.error <= LARGEST_STATIC_ERROR else None)
-                for result, found in zip(results, speeds, strict=True)
+                replace(result, static_speed=_known_static_speed(experiment, measurement.cement.bonded))
+                for result, measurement in zip(results, measurements, strict=True)
             ]
         return tuple(result.pack() for result in results)
 
@@ -100,8 +103,11 @@ class CellComputation:
 
     def _checked(self, content: float, raise_if_stopped: Callable[[], None]) -> Check:
         """Check of a content, kept in a file for the other processes of the machine and for later runs."""
-        name = f"check-{self.configuration.hash[:32]}-{self._experiment.packing.content_hash[:32]}-{content!r}.json"
-        path = cache_folder() / name
+        name = f"check-{self.configuration.hash[:32]}-{self._experiment.packing.content_hash[:32]}-{content!r}"
+        given = getattr(GIVEN.get(self.configuration.pattern.drawn_by or ""), "__code__", None)
+        if given is not None:  # the hash has only its name, and the function may have been changed
+            name += f"-{sha256(marshal.dumps(given)).hexdigest()[:16]}"
+        path = cache_folder() / f"{name}.json"
         with contextlib.suppress(OSError, ValueError, TypeError):  # without a readable file it is computed
             return Check(**json.loads(path.read_text(encoding="utf-8")))
         found = self._experiment.once(
@@ -121,6 +127,15 @@ class CellComputation:
             self.configuration.wave.receiver_half_width,
             self.configuration.wave.boundary_thickness,
         )
+
+
+def _known_static_speed(experiment: Experiment, bonded: Flags) -> float | None:
+    """Static speed of a sample, m/s; None if it has none, or its error is too large."""
+    try:
+        found = static_speed(experiment, bonded)
+    except (ValueError, SettlingError):
+        return None
+    return found.speed if found.error <= LARGEST_STATIC_ERROR else None
 
 
 def _prepared_computation(

@@ -56,6 +56,7 @@ from calcidem.storage.records import (
 )
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Closable, Selection
+from calcidem.wording import pluralize
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -612,7 +613,7 @@ def predict_velocity(
     others = np.ones(len(vs), dtype=bool) if without_seed is None else seeds != without_seed
     fewest = FEWEST_ROWS + 1 + table.shape[1]  # one more than a fit needs, for checking
     if others.sum() < fewest:
-        problem = f"{others.sum()} cells at {content:g} % have a velocity."
+        problem = f"At {content:g} % {pluralize(int(others.sum()), 'cell')} with a velocity can be used."
         raise QueryError(problem, f"Compute at least {fewest} seeds.")
     features: Floats = np.empty(0)
     if pattern is not None and table.shape[1]:

@@ -39,7 +39,7 @@ from calcidem.dem.sample.packing import (
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.reading import PickRule, Reading, read_section
 from calcidem.dem.wave.rule import WaveRule
-from calcidem.dem.wave.section import RESOLUTION, Section, clamp_of_strip
+from calcidem.dem.wave.section import RESOLUTION, Section, clamp_of_layers
 from calcidem.ends import Verdict
 from calcidem.input_file import MOST_BYTES, InputFileError, read_input
 from calcidem.storage.errors import DamagedStoreError, OutputRefusedError, StoreError
@@ -321,8 +321,10 @@ def section_reader(store: "Store") -> Callable[[CellResult], Reading | Verdict]:
     """
     wave, pick = (store.record.parameters.get(name, {}) for name in ("wave", "pick"))
     rule = PickRule(**{field.name: pick[field.name] for field in fields(PickRule) if field.name in pick})
-    layers = 2.0 * wave.get("boundary_thickness", WaveRule().boundary_thickness)
-    clamp = lru_cache(lambda index: clamp_of_strip(store.packing(index).height - layers))
+    layers = WaveRule(
+        **{name: wave[name] for name in ("damping", "boundary_damping", "boundary_thickness") if name in wave}
+    )
+    clamp = lru_cache(lambda index: clamp_of_layers(store.packing(index).height, layers))
 
     def read(cell: CellResult) -> Reading | Verdict:
         if cell.section is None:

@@ -55,6 +55,7 @@ from calcidem.sweep.schedule import (
     BatchOutcome,
     Cell,
     LaunchError,
+    StopLevel,
     StopRequest,
     SweepEnd,
     SweepInterrupted,
@@ -307,7 +308,8 @@ class CampaignRun:
             if batches and executor is None:
                 reporter.begin(RunStage.COMPILING)
                 for compile_kernel in kernel_compilations(self.configuration, self.packing, reporter.on_compiling):
-                    compile_kernel()
+                    if stop_request.level is StopLevel.NONE:
+                        compile_kernel()
             self.end = run_sweep(
                 executor,
                 batches,

@@ -144,6 +144,8 @@ def report_command(
     if out is None:
         with read_campaign(database, campaign) as store:
             out = unnamed_page(store)
+    if out.suffix.lower() not in {".html", ".htm"}:
+        raise typer.BadParameter(f"{out}: a report is a page; give it the ending .html", param_hint="--out")
     refuse_to_replace(out)
     targets = read_targets(measured, tell) if measured else ()
     studies = None
@@ -226,6 +228,11 @@ def query_command(
     from calcidem.storage.records import QUANTITY_BY_NAME, depends_on_pulse
     from calcidem.storage.sql.store import read_campaign
 
+    layouts = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET, ".txt": Format.TABLE}
+    if layout is Format.TABLE and out is not None:
+        if out.suffix.lower() not in layouts:
+            raise typer.BadParameter(f"{out} ends with none of {', '.join(layouts)}", param_hint="--out")
+        layout = layouts[out.suffix.lower()]
     selection = Selection(seed or None, content or None, status or None, where)
     if features:
         if columns is not None or sort or limit is not None:
@@ -256,8 +263,6 @@ def query_command(
         remark = pluralize(len(rows), "cell") if rows else "0 cells; 'calcidem status DB' has the seeds and contents"
         if "vs" in names and (loud := int(depends_on_pulse(found["pulse_effect"]).sum())):
             remark += f"; {pulse_remark(loud)}"
-    if layout is Format.TABLE and out is not None:
-        layout = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET}.get(out.suffix.lower(), layout)
     if layout is not Format.TABLE:
         tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
     elif out is None:

@@ -127,11 +127,12 @@ def _tell_checks(
     content: float | None,
 ) -> None:
     """Tell how far to trust predictions: a table of all contents, or a sentence on one."""
+    from calcidem.analysis.fits import FEWEST_ROWS
     from calcidem.app.cli.output import make_console, make_table
 
     if not chosen:
         if content is None:
-            say("No content has the six velocities that a check needs.")
+            say(f"No content has the {FEWEST_ROWS + 2} velocities that a check needs.")
         return
     inside, scores, without = (
         np.concatenate([found[known][part] for known in chosen])
@@ -439,8 +440,8 @@ def stability_command(
         percent_option("Content of the scenes; the campaign's middle one if not given."),
     ] = None,
     scenes: Annotated[
-        int, typer.Option(min=0, help="Random scenes, without a figure, instead of one quantity at a time.")
-    ] = 0,
+        int | None, typer.Option(min=1, help="Random scenes, without a figure, instead of one quantity at a time.")
+    ] = None,
     draw: Annotated[int, typer.Option(min=0, metavar="SEED", help="Seed of the random scenes.")] = 1,
     db: JudgedDatabase = None,
     out: StudyFolder = None,
@@ -460,7 +461,7 @@ def stability_command(
     middle = cells.contents[len(cells.contents) // 2]
     chosen = middle if content is None else content
     kept = out and out / "stability.partial.json"
-    result = stability(loaded, cells.experiment, chosen, scenes=scenes, draw=draw, kept=kept, progress=tell)
+    result = stability(loaded, cells.experiment, chosen, scenes=scenes or 0, draw=draw, kept=kept, progress=tell)
     tell_study(result, layout, out and out / "stability.md")
     if result.is_wrong:
         raise typer.Exit(EXIT_ERROR)

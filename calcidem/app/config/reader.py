@@ -340,6 +340,9 @@ def _questions(targets: "Sequence[Target]", bare: Collection[str]) -> Iterator[P
     if "content" in bare and 0.0 < most <= 0.2:
         cure = "percent or parts? Write the unit into the column's name: 'content (%)' or 'content (-)'"
         yield Problem(f"content = {most:g} at most: {cure}")
+    if wrong := [row for row in targets if row.sd is not None and row.sd >= row.vs]:
+        cure = "is it in the unit of the velocity? Write both into the names of columns: 'Vs (km/s)', 'sd (m/s)'"
+        yield Problem(f"sd = {wrong[0].sd:g} m/s at Vs = {wrong[0].vs:g} m/s: {cure}")
     # slower than mud, or faster than rock
     if set(bare) - {"content"} and (min(speeds) < 20.0 or max(speeds) > 5000.0):
         cure = "is it in other units? Write them into the names of columns: 'Vs (km/s)', 'G0 (MPa)', 'density (kg/m3)'"

@@ -214,9 +214,11 @@ class FrequencyTable:
 
     content: Annotated[
         tuple[float, ...],
-        Predicate(lambda content: () != content == tuple(sorted(set(content)))),
+        Predicate(
+            lambda content: () != content == tuple(sorted(set(content))) and 0.0 <= content[0] <= content[-1] <= 100.0
+        ),
         Unit("percent"),
-        "increasing contents in percent",
+        "increasing contents in percent, from 0 to 100",
     ]
     frequency: Annotated[tuple[Positive, ...], Unit("Hz"), "a list of positive frequencies in Hz"]
 

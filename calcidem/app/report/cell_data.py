@@ -19,7 +19,7 @@ from calcidem.app.campaign.packing import section_of, section_reader
 from calcidem.dem.wave.reading import Reading
 from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, NOT_PLANNED, QUANTITY_BY_NAME, CellResult
 from calcidem.storage.store import ALL_CELLS, Selection
-from calcidem.wording import EXCEPTIONAL, pluralize, readable_unit
+from calcidem.wording import EXCEPTIONAL, readable_unit
 
 MOST_FULL_RECORDS = 10_000
 SHORT_RECORD = ("status", "reason", "vs", "vs_error", "path_normalized_connectivity", "seconds")
@@ -72,7 +72,9 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> tuple[dict[str, s
         )
     if drawn < len(shown):
         those = (
-            f"Space-time sections of the first {pluralize(drawn, 'seed')} are" if drawn else "No space-time section is"
+            f"Space-time sections of {drawn} of {analysis.vs.sizes['seed']:,} seeds are"
+            if drawn
+            else "No space-time section is"
         )
         remarks.append(f"{those} in this page; 'calcidem show DB --seed S --content C --out DIR' draws every one.")
     return blocks, remarks

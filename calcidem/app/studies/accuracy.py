@@ -319,7 +319,7 @@ def choose_settings(cells: Cells, only: Sequence[str]) -> list[Setting]:
     known = {setting.name: setting for setting in settings(cells.experiment, cells.contents)}
     for name in only:
         if name not in known:
-            raise ValueError(f"only = {name}: choose among {', '.join(known)}")
+            raise ValueError(f"only = '{name}': choose among {', '.join(map(repr, known))}")
     return [known[DEFAULT], *(known[name] for name in only or known if name != DEFAULT)]
 
 

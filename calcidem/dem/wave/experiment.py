@@ -24,7 +24,7 @@ from calcidem.dem.sample.cement import CementOrdering, CementRule, draw_cement
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.reading import PickRule
 from calcidem.dem.wave.rule import EXCITATION, WaveRule
-from calcidem.dem.wave.section import clamp_of_strip
+from calcidem.dem.wave.section import clamp_of_layers
 
 WAVELENGTHS = 2.5
 """Path over wavelength: with fewer wavelengths the near field disturbs, with many more little propagates."""
@@ -194,6 +194,16 @@ def driven_disks(packing: Packing, rule: WaveRule) -> Integers:
     return found
 
 
+def refuse_idle_bands(packing: Packing, rule: WaveRule) -> None:
+    """Raise a `ValueError` unless disks touch both bands."""
+    off_centre = np.abs(packing.y - packing.height / 2.0)
+    for name, distance in (("transmitter", packing.x), ("receiver", packing.width - packing.x)):
+        half = getattr(rule, f"{name}_half_width")
+        is_touched = bool(np.any((off_centre < half) & (distance < packing.radius)))
+        cure = f"no disk touches the {name}, here or with the wave from the other side: make it wider"
+        require(is_touched, f"{name}_half_width", half, cure)
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """Settings common to samples of many seeds and contents; compared by identity.
@@ -249,7 +259,7 @@ class Experiment:
     @property
     def clamp(self) -> float:
         """K of the strip between the damped layers, 1/m, see `StripWave`."""
-        return clamp_of_strip(self.packing.height - 2.0 * self.wave.boundary_thickness)
+        return clamp_of_layers(self.packing.height, self.wave)
 
     def with_wave(self, **changes: Any) -> "Experiment":  # noqa: ANN401 - fields of several types
         """The experiment with changed fields of its `WaveRule`; the same one for the same fields."""

@@ -65,8 +65,9 @@ class Measurement:
         return math.sqrt(fit_square + numerical * numerical + pulse * pulse)
 
     def _waves(self, reading: Reading) -> tuple[StripWave, ...]:
-        """Waves that the sample was measured with: from one side or both."""
-        return (reading.wave,) if self.other_wave is None else (reading.wave, self.other_wave)
+        """Waves that count: those of one side or both whose error is known, else that of this side."""
+        both = (reading.wave,) if self.other_wave is None else (reading.wave, self.other_wave)
+        return tuple(wave for wave in both if wave.error < 1.0) or both[:1]
 
 
 def measure(

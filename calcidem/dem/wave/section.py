@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from calcidem.dem.engine.portable import cosine_and_sine, exponential, parabola_vertex
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.rule import Pulse
+from calcidem.dem.wave.rule import Pulse, WaveRule
 
 RESOLUTION = 2.0**-20
 """Resolution of recorded velocities over the amplitude of the pulse: 1e-3 of the weakest accepted arrival."""
@@ -136,6 +136,10 @@ _TERMS = 24
 """Number of frequencies of a waveform: up to three times that of the pulse. The fit uses those up to once."""
 
 
+FEWEST_STATIONS = 3
+"""Stations beyond half of the path, the receiver included, that a jackknife needs."""
+
+
 class StripWave(NamedTuple):
     """Wave that fits a section best."""
 
@@ -154,6 +158,13 @@ class StripWave(NamedTuple):
 def clamp_of_strip(height: float) -> float:
     """K of a strip of a height between clamped edges, both SI units."""
     return np.pi * P_OVER_S / height
+
+
+def clamp_of_layers(height: float, rule: WaveRule) -> float:
+    """K of a sample of a height, m, between its layers, 1/m; 0 without any: smooth walls hold nothing."""
+    if rule.boundary_thickness == 0.0 or rule.boundary_damping <= rule.damping:
+        return 0.0
+    return clamp_of_strip(height - 2.0 * rule.boundary_thickness)
 
 
 def far_stations(places: tuple[float, ...]) -> tuple[float, ...]:
@@ -179,7 +190,7 @@ def fit_wave(section: Section, clamp: float) -> StripWave | None:
     stiffer, *_ = _fit(section, motion, 1.15 * clamp)
     total, count = misfit.sum(axis=1), misfit.shape[1]
     coherence = 1.0 - float(total.min()) / count
-    if count < 3 or not 0 < total.argmin() < len(total) - 1:
+    if count < FEWEST_STATIONS or not 0 < total.argmin() < len(total) - 1:
         return StripWave(velocity, 1.0, coherence, clamp)
     left_out = np.array([_least(velocities, total - misfit[:, one]) for one in range(count)]) / velocity - 1.0
     apart = left_out - left_out.mean()

@@ -19,6 +19,7 @@ from calcidem.dem.engine.stability import pair_stiffness
 from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.layout import FIRST_ARM, NORMAL_X, NORMAL_Y, SECOND_ARM, Flags, Floats, Integers
 from calcidem.dem.sample.compaction import settle
+from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment, wave_scene
 
 
@@ -206,7 +207,7 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
     -----
     G is mean stress over mean strain where the wave is: along the whole path, and between the damped layers at floor
     and lid, which it cannot enter, weighted across the path by ``cos^2(pi y / h)``, the energy of a wave in a strip of
-    height h (`StripWave`).
+    height h (`StripWave`), or evenly without such layers.
     The sample is sheared twice. First all disks at the walls follow the shear, then only those at the side walls, with
     floor and lid free. The speed is the geometric mean of both. Displacements prescribed all around give an upper bound
     for the whole box (Huet 1990, doi:10.1016/0022-5096(90)90041-2), far too high where stiff patches reach its walls.
@@ -217,6 +218,7 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
     itself is slower, since local damping reduces each force that moves a disk. docs/velocity.md compares the two.
     """
     packing, sand = experiment.stiffen()
+    refuse_narrow(packing)
     state, corners = _state_at_rest(experiment, bonded), experiment.once(_corners)
     x, y, radius = (np.asarray(values, dtype=float) for values in (packing.x, packing.y, packing.radius))
     from_sides, from_ends = np.minimum(x, packing.width - x), np.minimum(y, packing.height - y)
@@ -226,7 +228,8 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
         triangles = sheared_triangles(state, sheared_motion(state, held), corners)
         from_sides_here = np.minimum(triangles.middle[:, 0], packing.width - triangles.middle[:, 0])
         across = (triangles.middle[:, 1] - 0.5 * packing.height) / strip
-        energy = np.where(np.abs(across) < 0.5, np.cos(np.pi * across) ** 2, 0.0)
+        profile = np.cos(np.pi * across) ** 2 if experiment.clamp else 1.0
+        energy = np.where(np.abs(across) < 0.5, profile, 0.0)
         for column, margin in enumerate(_MARGINS):
             inner = from_sides_here > margin * 2.0 * radius.mean()
             modulus, solid = triangles.weighted(np.where(inner, energy, 0.0))
@@ -237,6 +240,13 @@ def static_speed(experiment: Experiment, bonded: Flags) -> StaticSpeed:
         raise ValueError("bonded: the inner part of the sample carries no shear: give more cement, or a denser packing")
     spread = np.hypot(0.5 * abs(clamped - free), 0.5 * np.ptp(speeds.mean(axis=0)))
     return StaticSpeed(speed, float(spread / speed))
+
+
+def refuse_narrow(packing: Packing) -> None:
+    """Raise a `ValueError` for a box without an inner part of some disks."""
+    least = 2.0 * (2.0 * _MARGINS[-1] + 2.0) * float(packing.radius.mean())
+    cure = f"too narrow for a static speed: the disks at the side walls are held; give at least {least:.3g} m"
+    require(packing.width >= least, "packing.width", packing.width, cure)
 
 
 def _corners(experiment: Experiment) -> Integers:

@@ -86,6 +86,7 @@ def test_out_writes_a_file(database: Path, invoke: Invoke, tmp_path: Path) -> No
     ("arguments", "message"),
     [
         (("--where", "vss > 1"), "Did you mean 'vs'"),
+        (("--columns", "vss"), "Did you mean 'vs'"),
         (("--columns", "seed,velocity"), "Unknown quantities: velocity"),
         (("--sort", "-velocity"), "Unknown quantities: velocity"),
         (("--columns", ","), "Give columns"),

@@ -68,6 +68,12 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
         {},
         "/dev/zero is a pipe or a device",
     ),
+    "a report that is no page": (("report", "quick.db", "--out", "x.pdf"), {}, "give it the ending .html"),
+    "a table of no known format": (
+        ("query", "quick.db", "--out", "x.xyz"),
+        {},
+        "ends with none of .json, .csv, .parquet, .txt",
+    ),
     "a device of disks": (("init", "a.toml", "--disks", "/dev/zero"), {}, "/dev/zero is a pipe or a device"),
     "a device to import": (("import", "/dev/zero", "--db", "new.db"), {}, "/dev/zero is a pipe or a device"),
     "a device of contacts": (

@@ -4,6 +4,7 @@ import json
 import shutil
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from calcidem.app.campaign.merge import MergeConflictError, merge_databases
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import packing_record, stored_packing
 from calcidem.ends import CellStatus
-from calcidem.storage.errors import CampaignMismatchError, ForeignDatabaseError
+from calcidem.storage.errors import CampaignMismatchError, ForeignDatabaseError, StoreUnavailableError
 from calcidem.storage.records import CellKey, CellResult, canonical_hash, canonical_json
 from calcidem.storage.sql.store import Store
 
@@ -61,6 +62,29 @@ def test_merging_a_copy_changes_nothing(troubled: Path, tmp_path: Path) -> None:
             [replace(attempt, run_id=None) for attempt in campaign.store.history()] for campaign in (before, after)
         ]
     assert histories[0] == histories[1]
+
+
+@pytest.mark.parametrize("older_first", [True, False])
+def test_the_end_of_a_run_is_kept_whichever_copy_has_it(troubled: Path, tmp_path: Path, older_first: bool) -> None:
+    """A copy that was made while it ran does not know it."""
+    copy, out = shutil.copy(troubled, tmp_path / "copy.db"), tmp_path / "out.db"
+    with closing(sqlite3.connect(copy)) as connection, connection:
+        connection.execute("UPDATE run SET ended = NULL, exit_state = NULL")
+    merge_databases([str(copy), str(troubled)] if older_first else [str(troubled), str(copy)], out)
+    with open_campaign(troubled) as before, open_campaign(out) as after:
+        ends = [[(run.started, run.ended, run.exit_state) for _, run in one.runs()] for one in (before, after)]
+    assert ends[0] == ends[1]
+    assert any(ended for _, ended, _ in ends[1])
+
+
+def test_a_second_name_of_the_merged_file_is_refused(part: Callable[..., Path], tmp_path: Path) -> None:
+    """It would go on with the former cells, without notice."""
+    out = part("out.db", {1})
+    (tmp_path / "other.db").hardlink_to(out)
+    before = out.read_bytes()
+    with pytest.raises(StoreUnavailableError, match="2 names"):
+        merge_databases([str(part("b.db", {2}))], out)
+    assert out.read_bytes() == before
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
