@@ -57,7 +57,8 @@ def predict_command(
 ) -> None:
     """Predict Vs of a sample, with an interval, from the campaign's samples of its content, without simulating it.
 
-    The feature is the conductance of the cement (network_conductance).
+    The feature is the conductance of the cement (network_conductance). The interval is that of a new sample, from the
+    errors of the others in log Vs; 'report' gives one for a normal distribution.
     """
     from calcidem.app.campaign.opened import check_predictions, open_campaign
     from calcidem.app.cli.views import pulse_remark
