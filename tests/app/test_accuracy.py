@@ -75,6 +75,17 @@ def test_a_refused_campaign_ends_a_study_with_its_reason(experiment: Experiment)
         run_study(Cells(fast, [0.66], SEEDS), [Setting(DEFAULT, fast)])
 
 
+@pytest.mark.full
+def test_known_contents_stay_in_a_study_that_asks_for_others(study: Study, experiment: Experiment) -> None:
+    """A start with other contents loses nothing of the former ones."""
+    gentle = replace(experiment.with_wave(amplitude=1e-4), frequencies=HIGH)
+    known = {part.content: part for part in study.parts}
+    compared = [Setting(DEFAULT, gentle), Setting("precision float32", gentle)]
+    last = max(known)
+    again = run_study(Cells(gentle, [last], SEEDS), compared, known={**known, 9.0: replace(known[last], content=9.0)})
+    assert [part.content for part in again.parts] == [*sorted(known), 9.0]
+
+
 def test_the_error_is_as_large_as_stated(study: Study) -> None:
     """Most errors of the default are within 1.96 standard errors that its content states, which are small."""
     cells = [cell for cell in study.cells if cell.setting == DEFAULT]

@@ -281,6 +281,19 @@ def test_velocities_without_scatter_are_a_doubt() -> None:
     assert "it ended before it converged: a trial gave all seeds the same velocity" in found.doubts[0]
 
 
+def test_an_exact_target_without_cement_can_be_met_without_tolerance() -> None:
+    """Neither it nor the one sample there has an error; the fit goes on all the same."""
+    measure = synthetic(20, 5, contents=1)
+
+    def bare(tried: list[dict[str, float]]) -> list[np.ndarray]:
+        return [np.full((20, 1), vs[0, 0]) for vs in measure([{"a": values["a"], "b": 1.0} for values in tried])]
+
+    wanted = float(bare([{"a": 2.2}])[0][0, 0])
+    found = _fit_to_targets(bare, FitPlan([Target(0.0, wanted)], SYNTHETIC[:1], range(20), tolerance=0.0), [2.0])
+    assert found.values["a"] == pytest.approx(2.2, rel=1e-3)
+    assert np.isfinite(found.chi_square)
+
+
 @pytest.mark.usefixtures("cached_packing")
 def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_packing: Packing, tmp_path: Path) -> None:
     """Unknown names, numbers of the packing, ranges that are none or impossible, too many parameters: each is named."""

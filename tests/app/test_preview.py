@@ -76,6 +76,12 @@ def test_costs_are_those_of_cells_that_were_computed(
     computed = steps * len(small_packing.radius) * 5e-9 + 0.02 * sum(len(batch.cells) for batch in batches)
     assert 0.5 < found.seconds / computed < 2.0
     assert 0.5 < 0.5 * found.disk / small_database.stat().st_size < 2.0
+    checked = preview._expected_cost(small_configuration, speeds, batches, sorted(contents))
+    # A check costs 45 to 75 samples (docs/accuracy.md), and a batch has the eight of its lanes.
+    lanes = {b.cells[0][1]: found.seconds - 0.02 * sum(len(each.cells) for each in batches) for b in batches}
+    assert checked.seconds - found.seconds == pytest.approx(
+        60.0 / 8.0 * next(iter(lanes.values())) * len(contents) / len(batches), rel=0.5
+    )
     half = preview._expected_cost(small_configuration, speeds, batches[::2])
     assert half.seconds < found.seconds
     assert half.disk < found.disk

@@ -14,6 +14,7 @@ from calcidem.app.studies.sensitivity import (
     variant_table,
     vary_one,
 )
+from calcidem.storage.errors import CampaignMismatchError
 
 pytestmark = pytest.mark.slow
 
@@ -96,6 +97,11 @@ def test_a_variant_has_the_disks_of_its_base_and_the_cells_of_the_plan(tmp_path:
         (('value = "Eq. 2"', 'value = "Eq/2"'), "name"),
         (("base.toml", "lost.toml"), "lost.toml"),
         (('without = ["pattern', 'without = ["patern'), "patern"),
+        (('set = { "cement.bond_modulus" = 1.28e12 }', "seeds = 9"), 'changes no value of "reference"'),
+        (
+            ('value = "Eq. 2"', 'value = "Eq. 2"\ncontents = [0.0, 0.66]'),
+            'contents = 0: "modulus: sixteen times" has no',
+        ),
     ],
 )
 def test_mistakes_in_a_plan_are_named(change: tuple[str, str], named: str, tmp_path: Path) -> None:
@@ -129,6 +135,9 @@ def test_stiffer_cement_is_faster_and_nothing_is_computed_twice(
     assert f"{change.mean:.0f} ± {change.standard_deviation:.0f}" in table
     compute_variants(variants, lambda _: None)
     assert variant_table(variants).text == table
+    changed = read_variants(planned(tmp_path, PLAN.replace("1.28e12", "1.3e12")), str(tmp_path / "all.db"))[:2]
+    with pytest.raises(CampaignMismatchError, match="bond_modulus"):  # the numbers are those of the former plan
+        variant_table(changed)
 
 
 @pytest.mark.parametrize(("varied", "head"), [("damping", "0.3 |"), ("frequency", "0.3 Hz |")])

@@ -115,6 +115,8 @@ def test_a_cell_shows_sample_forces_and_record(browser: Chromium, live: Live) ->
     before = browser.evaluate("document.querySelector('#sample canvas').toDataURL()")
     browser.click_on("#forces")
     assert browser.evaluate("document.querySelector('#sample canvas').toDataURL()") != before
+    browser.evaluate("(one => [one.focus(), one.click()])(document.querySelector('[data-zoom=\"2\"]'))")
+    assert browser.evaluate("document.activeElement.dataset.zoom") == "2"  # to be pressed again
     command = browser.evaluate("document.querySelector('#more code').textContent")
     film = live.databases[0].parent / "wave.gif"
     subprocess.run(shlex.split(command.replace("wave.gif", str(film))), check=True)
@@ -122,14 +124,19 @@ def test_a_cell_shows_sample_forces_and_record(browser: Chromium, live: Live) ->
 
 
 def test_the_other_campaign_can_be_chosen(browser: Chromium, live: Live) -> None:
-    """The button of a campaign leads to its cells; a click on its small map opens one of them."""
+    """The button of a campaign leads to its cells; a click on its small map opens one, also that open in the other."""
     browser.visit(live.url, 1280)
     browser.wait_for(SETTLED)
     assert browser.evaluate("document.getElementById('which').textContent").startswith("These are the cells of small")
+    browser.evaluate("location.hash = '#seed=5&content=2.55'")
+    is_open = "!document.getElementById('cell').hidden && "
+    opened = f"{is_open}document.querySelector('#cell h3')?.textContent.startsWith('Seed 5 at 2.55 %: ')"
+    browser.wait_for(opened)
     browser.evaluate("document.querySelectorAll('.campaign button')[1].click()")
     browser.wait_for("document.getElementById('count').textContent.startsWith('40 of 40 cells')")
+    assert browser.evaluate("document.getElementById('cell').hidden")
     browser.click_on(".campaign:nth-child(2) canvas")
-    browser.wait_for("document.querySelector('#cell h3')?.textContent.startsWith('Seed 5 at 2.55 %: Vs = ')")
+    browser.wait_for(opened.replace("2.55 %: ", "2.55 %: Vs = "))
 
 
 @pytest.mark.mpi

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +44,8 @@ def test_a_point_has_the_bits_of_its_cells_and_is_computed_once(
         for content in (0.66, 5.0)
     }
     point = point_of_study(small_configuration, database, [0.66], [1, 2])
+    both = replace(small_configuration, wave=replace(small_configuration.wave, both_sides=True))
+    assert point_of_study(both, database, [0.66], [1, 2]) == point  # Vs is that of one side
     np.testing.assert_array_equal(point_velocities(point)[:, 0], expected[0.66])
     assert np.isfinite(expected[0.66]).any()
 

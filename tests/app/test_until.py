@@ -13,6 +13,7 @@ import pytest
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.plan import SeedDemand
+from calcidem.app.campaign.preview import preview_lines
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.run import CampaignRun, retry_cells
 from calcidem.app.config.reader import load_configuration
@@ -176,6 +177,20 @@ def test_a_cell_that_is_given_up_at_a_start_counts_at_that_start(tmp_path: Path)
     assert min(seed for batch in batches for seed, _ in batch.cells) == 9
     assert (deaths.attempts, deaths.losses) == (4, 3)
     assert retry_cells(configuration, [CellStatus.FAILED]) == (CellKey(9, 0.66),)
+
+
+def test_a_preview_counts_the_seeds_that_are_added(tmp_path: Path) -> None:
+    """Of a run that was stopped once its first seeds were done."""
+    path = tmp_path / "c.toml"
+    path.write_text(UNTIL.format(seeds=8, until="{ mean = 0.02 }"))
+    configuration = load_configuration(path, {"database": str(tmp_path / "c.db"), "output": str(tmp_path)})
+    with CampaignRun(configuration) as work:
+        work.store.begin_run(describe_run(2))
+        work._plan_batches()
+        work.store.record_results([measured(Batch(((seed, 0.66),)), lambda: None)[0] for seed in range(1, 9)])
+        count = len(SeedDemand.of_store(work.store, configuration.campaign).cells) - 8
+    assert count > 0
+    assert f"8 are finished, {count} samples are to be computed" in next(preview_lines(configuration))
 
 
 @pytest.mark.full

@@ -152,6 +152,8 @@ def new_figure(height: float, width: float = FIGURE_WIDTH) -> Figure:
     if (cell := place.get_subplotspec()) is None:
         raise ValueError("ax is not of a grid, and this figure has several panels: make it with plt.subplots.")
     owner = place.figure
+    if owner.figure.get_layout_engine() is None:  # without one, a part with several panels overlaps
+        owner.figure.set_layout_engine("constrained")
     place.remove()
     return cast("Figure", owner.add_subfigure(cell))  # a part of a figure accepts the same drawing calls
 

@@ -2,21 +2,19 @@
 
 import contextlib
 import json
-import marshal
 import os
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache, partial
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
 
 from calcidem.analysis.packing_graph import PackingGraph, packing_graph
 from calcidem.analysis.velocity import median_diameter_by_mass, wavelengths
-from calcidem.app.campaign.packing import cache_folder, packing_record, pattern_of, stored_section
+from calcidem.app.campaign.packing import check_path, packing_record, pattern_of, stored_section
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
 from calcidem.dem.kernels.gpu import choose_gpu
@@ -103,11 +101,7 @@ class CellComputation:
 
     def _checked(self, content: float, raise_if_stopped: Callable[[], None]) -> Check:
         """Check of a content, kept in a file for the other processes of the machine and for later runs."""
-        name = f"check-{self.configuration.hash[:32]}-{self._experiment.packing.content_hash[:32]}-{content!r}"
-        given = getattr(GIVEN.get(self.configuration.pattern.drawn_by or ""), "__code__", None)
-        if given is not None:  # the hash has only its name, and the function may have been changed
-            name += f"-{sha256(marshal.dumps(given)).hexdigest()[:16]}"
-        path = cache_folder() / f"{name}.json"
+        path = check_path(self.configuration, self._experiment.packing, content)
         with contextlib.suppress(OSError, ValueError, TypeError):  # without a readable file it is computed
             return Check(**json.loads(path.read_text(encoding="utf-8")))
         found = self._experiment.once(

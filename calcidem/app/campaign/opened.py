@@ -347,7 +347,8 @@ class Campaign(Closable):
         """Return the shear moduli G0 = rho c^2 (Eq. 1) of the effective velocities along (seed, content) in Pa.
 
         NaN for cells without one. The default density of the sample is that of the paper's soil, 1659 kg/m^3.
-        `StoreError` if velocities depend on the pulse: then they give no modulus.
+        `StoreError` if velocities depend on the pulse: then they give no modulus; `QueryError` for a density of no
+        soil.
 
         Examples
         --------
@@ -355,6 +356,8 @@ class Campaign(Closable):
         >>> 1e9 < float(moduli.sel(content=5.0).mean()) < 1e10, moduli.attrs["units"]
         (True, 'Pa')
         """
+        if density is not None and not 100.0 <= density <= 2e4:  # kg/m^3, from foam to metal
+            raise QueryError(f"density = {density:g} kg/m^3: is none of a soil.", "Give one such as 1659.")
         found = cell_matrices(self.store, ("effective_vs", "pulse_effect"))
         effect = found["pulse_effect"].max("seed")
         loud = effect[depends_on_pulse(effect.to_numpy())]
@@ -578,6 +581,8 @@ def load_paper_campaign(preset: Literal["paper", "paper-as-printed"] = "paper") 
     >>> round(float(campaign.vs.sel(content=0.66).mean()), -1)
     370.0
     """
+    if preset not in (known := ("paper", "paper-as-printed")):
+        raise QueryError(f"There are no results of '{preset}'.", f"Give one of {', '.join(known)}.")
     with (
         as_file(files("calcidem.app.config.presets").joinpath(f"{preset}.nc")) as path,
         xr.open_dataset(path) as dataset,

@@ -6,6 +6,7 @@ again. Loads no kernel before a packing is made, so stored cells can be read and
 
 import io
 import json
+import marshal
 import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, fields, replace
@@ -21,6 +22,7 @@ from calcidem.app.config.presets import preset_packings
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.cement import (
+    GIVEN,
     CementCapacityError,
     PlacedCement,
     RandomPurpose,
@@ -299,6 +301,15 @@ def stored_section(section: Section) -> RecordedSection:
         across=section.across,
         along=section.along,
     )
+
+
+def check_path(configuration: Configuration, packing: Packing, content: float) -> Path:
+    """File that keeps the check of a content."""
+    name = f"check-{configuration.hash[:32]}-{packing.content_hash[:32]}-{content!r}"
+    given = getattr(GIVEN.get(configuration.pattern.drawn_by or ""), "__code__", None)
+    if given is not None:  # the hash has only its name, and the function may have been changed
+        name += f"-{sha256(marshal.dumps(given)).hexdigest()[:16]}"
+    return cache_folder() / f"{name}.json"
 
 
 def section_of(stored: RecordedSection) -> Section:

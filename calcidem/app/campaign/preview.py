@@ -15,8 +15,8 @@ import numpy as np
 from calcidem.analysis.velocity import FEWEST_GRAINS
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
-from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder, kept_packing, stored_packing
-from calcidem.app.campaign.plan import batches_of, planned_cells, time_of_wave
+from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder, check_path, kept_packing, stored_packing
+from calcidem.app.campaign.plan import SeedDemand, batches_of, planned_cells, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
 from calcidem.app.config.checks import (
     can_make_files,
@@ -72,7 +72,9 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
     packing, settled, widths = None, set[CellKey](), dict[float, float]()
     with nullcontext() if is_new else Store(configuration.database, read_only=True) as store:
         if store is not None and choose_campaign(store, configuration):
-            statuses = store.statuses(Selection(plan.seed_numbers))  # a content may be new
+            if plan.until is not None:
+                own = [CellKey(*cell) for cell in SeedDemand.of_store(store, plan).cells]
+            statuses = store.statuses(Selection({key.seed for key in own}))  # a content may be new
             settled = {key for key in own if statuses.get(key, CellStatus.PENDING) is not CellStatus.PENDING}
             widths = _expected_half_widths(store, configuration)
             if store.packing_indices():
@@ -96,7 +98,9 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
         yield note
     doubts = [] if packing is None else check_against_packing(configuration, packing)
     speeds = _expected_speeds(configuration, packing, plan.contents)
-    yield from _cost_lines(configuration, speeds, left, is_packed=packing is not None)
+    contents = sorted({batch.cells[0][1] for batch in left})
+    checks = [c for c in contents if packing is None or not check_path(configuration, packing, c).exists()]
+    yield from _cost_lines(configuration, speeds, left, checks, is_packed=packing is not None)
     yield from _machine_warnings(address.path)
     if ranks is not None and ranks != 1:
         yield _describe_ranks(Launch((), ranks).ranks)
@@ -129,12 +133,17 @@ def _expected_half_widths(store: Store, configuration: Configuration) -> dict[fl
 
 
 def _cost_lines(
-    configuration: Configuration, speeds: Mapping[float, float], batches: Sequence[Batch[Cell]], *, is_packed: bool
+    configuration: Configuration,
+    speeds: Mapping[float, float],
+    batches: Sequence[Batch[Cell]],
+    checks: Collection[float],
+    *,
+    is_packed: bool,
 ) -> Iterator[str]:
-    """Time, memory and disk that the remaining cells need."""
+    """Time, memory and disk that the remaining cells, and the checks of these contents, need."""
     if not batches:
         return
-    cost, cores = _expected_cost(configuration, speeds, batches), available_cores()
+    cost, cores = _expected_cost(configuration, speeds, batches, checks), available_cores()
     busy = max(1, min(cores, len(batches)))
     # A loose lattice (porosity 0.33, 1,440 disks of two sizes) took 20 times as long as a packing.
     loose = "" if configuration.packing_draw.file is None else " (20 times as long if its disks are loose)"
@@ -289,22 +298,29 @@ def _expected_speeds(
 
 
 def _expected_cost(
-    configuration: Configuration, speeds: Mapping[float, float], batches: Sequence[Batch[Cell]]
+    configuration: Configuration,
+    speeds: Mapping[float, float],
+    batches: Sequence[Batch[Cell]],
+    checks: Collection[float] = (),
 ) -> _ExpectedCost:
-    """Cost of the batches of a configuration with these speeds of waves, m/s, at each content."""
+    """Cost of the batches of a configuration with these speeds of waves, m/s, and of the checks of some contents."""
     wave, lanes, disks = configuration.wave, configuration.run.lanes, disks_in_box(configuration)
-    # Seconds for a disk, a step and a sample, eight samples side by side.
-    seconds_of_step = {"auto": 5e-9, "linear": 5e-9, "finite": 22e-9}[wave.law]
+    # With the linear law 5 ns for a disk, a step and a sample, eight samples side by side.
+    slower_law = 4.4 if wave.law == "finite" else 1.0
     sides = 2 if wave.both_sides else 1
-    seconds, cells = 0.0, 0
-    for batch in batches:
-        content = batch.cells[0][1]
+
+    def seconds_of_lane(content: float) -> float:
+        """Of the wave of one sample with the linear law, until its reading is settled."""
         # The stability limit of a cemented sample is 1.18 to 1.20 times that of mean disks, at 0.66 to 9 % of `paper`.
         longer = 1.19 if content > 0.0 else 1.0
         step = wave.step_fraction * longer * limit_of_mean_disks(configuration, cemented=content > 0.0)
-        steps = 1.25 * time_of_wave(configuration, content, speeds[content]) / step  # until the reading is settled
+        return 1.25 * time_of_wave(configuration, content, speeds[content]) / step * disks * 5e-9
+
+    seconds = sum(60.0 * seconds_of_lane(content) for content in checks)  # 45 to 75 samples (docs/accuracy.md)
+    cells = 0
+    for batch in batches:
         # Reading, numerical error and graph take 0.02 s.
-        seconds += sides * lanes * steps * disks * seconds_of_step + 0.02 * len(batch.cells)
+        seconds += sides * lanes * slower_law * seconds_of_lane(batch.cells[0][1]) + 0.02 * len(batch.cells)
         cells += len(batch.cells)
     slower = _seconds_of_arithmetic() / SECONDS_WHERE_MEASURED
     return _ExpectedCost(

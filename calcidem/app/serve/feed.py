@@ -225,7 +225,7 @@ class CampaignFeed:
             told: dict[str, Any] = {
                 "campaign": self.number,
                 "database": self.label,
-                "name": self.name or self.label.rpartition("/")[2],
+                "name": self.name or known.get("name") or self.label.rpartition("/")[2],
                 "problem": self._problem,
                 "sequence": self.sequence,
                 "checked": self._checked,

@@ -336,21 +336,21 @@ def run_study(
 
     The experiment's own setting comes first in ``compared``, see `choose_settings`. The search for the reference starts
     at a step of ``coarsest`` times the limit. Settings are timed alternately in ``rounds``. ``known`` contents are not
-    measured again. ``tell`` receives the results after each content. A refused content has none; `ValueError` if all
-    are refused.
+    measured again, and are results whether they are asked for or not. ``tell`` receives the results after each content.
+    A refused content has none; `ValueError` if all are refused.
     """
-    parts: list[ContentErrors] = []
+    found_parts = dict(known or {})
 
     def study() -> Study:
+        parts = [found_parts[content] for content in sorted(found_parts)]
         summaries = (
             Summary.of(one.name, parts, numerical=one.numerical, adds=one.adds, why=one.why) for one in compared
         )
         return Study(tuple(parts), tuple(summaries))
 
     for content in cells.contents:
-        if known and content in known:
+        if content in found_parts:
             cells.progress(f"{content:g} %: known from an earlier start")
-            parts.append(known[content])
             continue
         cells.progress(f"{content:g} %: reference")
         try:
@@ -358,11 +358,11 @@ def run_study(
             found, seconds = cells.take_turns({one.name: one.experiment for one in compared}, content, rounds)
         except ValueError as refused:
             cells.progress(f"{content:g} %: {refused}")
-            if content == cells.contents[-1] and not parts:
+            if content == cells.contents[-1] and not found_parts:
                 raise
             continue
         errors = tuple(CellError.compare(name, own[key], exact[key]) for name, own in found.items() for key in exact)
-        parts.append(ContentErrors(content, references, errors, taken, seconds))
+        found_parts[content] = ContentErrors(content, references, errors, taken, seconds)
         tell(study())
     return study()
 

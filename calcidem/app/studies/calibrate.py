@@ -233,7 +233,7 @@ class _Fit:
             goal.variance_of_target(vs) + (goal.variance(vs, len(vs)) if goal.target.content else 0.0)
             for goal, vs in self.columns(point)
         ]
-        return np.hypot(self.tolerance, np.sqrt(variances))
+        return np.hypot(max(self.tolerance, 1e-6), np.sqrt(variances))  # the sample without cement may have no other
 
     def covariance(self, point: Floats) -> Floats:
         """Covariance of `deviation` by sampling, (R, R).

@@ -5,7 +5,7 @@ The latter follow section 3.1 of the paper.
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from copy import deepcopy
@@ -22,6 +22,7 @@ from calcidem.analysis.distribution import Change, paired_changes
 from calcidem.analysis.figures.registry import STUDY_FIGURES
 from calcidem.analysis.measured import published_study
 from calcidem.analysis.velocity import FEWEST_WAVELENGTHS
+from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import stored_experiment
 from calcidem.app.campaign.run import run
@@ -119,7 +120,22 @@ def read_variants(path: str | os.PathLike[str], database: str) -> tuple[Variant,
     if problems:
         raise ConfigurationError(source, problems)
     first = _ListedVariant(choice=REFERENCE, value="")
-    return tuple(_variant(entry, base, listed, source) for entry in (first, *listed.variant))
+    variants = {entry.name: _variant(entry, base, listed, source) for entry in (first, *listed.variant)}
+    if problems := list(_problems_of_variants(variants)):
+        raise ConfigurationError(source, problems)
+    return tuple(variants.values())
+
+
+def _problems_of_variants(variants: Mapping[str, Variant]) -> Iterator[Problem]:
+    """Variants that are no campaigns of their own, or have cells that the variant beside them lacks."""
+    first: dict[str, str] = {}
+    for name, variant in variants.items():
+        if (same := first.setdefault(variant.configuration.hash, name)) != name:
+            yield Problem(f'variant "{name}": changes no value of "{same}"; remove it, or change one')
+        against = variants[variant.against].configuration.campaign
+        if lacking := sorted(set(variant.configuration.campaign.contents) - set(against.contents)):
+            listed = ", ".join(f"{content:g}" for content in lacking)
+            yield Problem(f'variant "{name}": contents = {listed}: "{variant.against}" has no such cells; remove them')
 
 
 def compute_variants(variants: Sequence[Variant], say: Callable[[str], None], executor: Executor | None = None) -> None:
@@ -133,12 +149,13 @@ def compute_variants(variants: Sequence[Variant], say: Callable[[str], None], ex
 
 
 def variant_changes(variants: Sequence[Variant]) -> dict[str, tuple[Change, ...]]:
-    """Compare every computed variant with its reference variant, by its name."""
+    """Compare every computed variant with its reference variant, by its name; errors as `compute_variants`."""
     found: dict[str, xr.DataArray] = {}
     for variant in variants:
         plan = variant.configuration.campaign
         # None of its cells may be computed, and a database may contain more of them from an earlier plan.
         with suppress(UnknownCampaignError), open_campaign(variant.configuration.database, variant.name) as campaign:
+            refuse_other_physics(campaign.record, variant.configuration)
             found[variant.name] = campaign.vs().reindex(seed=list(plan.seed_numbers), content=sorted(plan.contents))
     return {
         variant.name: paired_changes(found[variant.name], found[variant.against])

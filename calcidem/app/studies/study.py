@@ -380,13 +380,14 @@ def point_of_study(
     configuration: Configuration, database: Path, contents: Sequence[float], seeds: Sequence[int]
 ) -> Configuration:
     """The same physics as a campaign of the study's database, named by its hash; `ValueError` for impossible cells."""
+    # Only Vs is compared.
+    configuration = replace(configuration, wave=replace(configuration.wave, both_sides=False))
     name = f"point {configuration.hash[:16]}"
     campaign = replace(configuration.campaign, name=name, contents=tuple(contents), seeds=tuple(seeds), until=None)
     run_options = replace(
         configuration.run, database=str(database), output=str(database.parent), store_sections=False, part=None
     )
-    one_side = replace(configuration.wave, both_sides=False)  # only Vs is compared
-    return replace(configuration, campaign=campaign, run=run_options, wave=one_side)
+    return replace(configuration, campaign=campaign, run=run_options)
 
 
 def point_velocities(point: Configuration, executor: Executor | None = None) -> Floats:

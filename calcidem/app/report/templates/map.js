@@ -25,7 +25,7 @@ function valueOf(name, place) {
 
 function readFilters() {
   const text = byId("seeds").value.trim();
-  const ranges = text.split(/[\s,;]+/).map((part) => part.match(/^(\d+)(?:[-–](\d+))?$/)).filter(Boolean);
+  const ranges = text.replace(/\s*[-–]\s*/g, "-").split(/[\s,;]+/).map((part) => part.match(/^(\d+)(?:[-–](\d+))?$/)).filter(Boolean);
   const content = byId("content").value;
   const outcome = byId("outcome").value;
   const [least, most] = ["least", "most"].map((id) => (byId(id).value === "" ? null : Number(byId(id).value)));
@@ -34,7 +34,7 @@ function readFilters() {
   for (let place = 0; place < cellCount; place++) {
     const seed = seedOf(place);
     const vs = columns.vs[place];
-    const isWanted = ([, from, to]) => seed === from || (to && seed - from >= 0 && to - seed >= 0);
+    const isWanted = ([, from, to]) => seed === from || seed === to || (to && (seed - from) * (seed - to) < 0);
     if (text && !ranges.some(isWanted)) continue;
     if (content !== "" && contentOf(place) !== Number(content)) continue;
     if (outcome !== "" && statusOf(place) !== outcome) continue;
@@ -370,7 +370,9 @@ function start(records) {
     }
     if (!event.target.dataset.zoom) return;
     zoom = clamp(zoom * Number(event.target.dataset.zoom), 1, 4);
+    const pressed = event.target.dataset.zoom;
     drawSample();
+    byId("cell").querySelector(`[data-zoom="${pressed}"]`)?.focus();
   });
   for (const [id, step] of [["back", -1], ["on", 1]]) {
     byId(id).addEventListener("click", () => {

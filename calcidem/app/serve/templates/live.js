@@ -111,6 +111,7 @@ function choose(number) {
     details = null;
     byId("cell").hidden = true;
     page = 0;
+    history.replaceState(null, "", location.pathname + location.search); // the same cell of this campaign is another one
   }
   byId("cells-of").hidden = false;
   markChosen();
