@@ -218,7 +218,7 @@ def test_sections_end_where_the_page_is_full(small_database: Path) -> None:
         room = sum(map(len, whole.values())) - len(whole[sections[-1]])
         blocks, remarks = gather_cell_data(analysis, room)
     assert list(blocks) == [name for name in whole if name != sections[-1]]
-    assert f"Space-time sections of the first {len(sections) - 1} seeds" in remarks[-1]
+    assert f"Space-time sections of {len(sections) - 1} of {analysis.vs.sizes['seed']} seeds" in remarks[-1]
 
 
 def test_large_campaigns_leave_out_what_a_page_cannot_hold(
