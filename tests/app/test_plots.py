@@ -73,6 +73,15 @@ def test_a_figure_of_several_panels_takes_the_place_of_own_axes(campaign: Campai
     assert {axes, other}.isdisjoint(figure.axes)
     assert sum(panel.get_window_extent().x0 > 0.5 * figure.bbox.width for panel in figure.axes) == 2
     free = figure.add_axes((0.0, 0.0, 0.1, 0.1))
+    plain, beside = plt.subplots(1, 2, figsize=(10, 4))
+    campaign.plot.signal(**CELL, ax=beside[1])
+    plain.draw_without_rendering()
+    part = plain.subfigs[0]
+    texts = [text.get_window_extent() for axes in part.axes for text in axes.texts]
+    assert texts
+    assert (
+        max(extent.x1 for extent in texts) <= plain.bbox.x1
+    )  # which needs a layout, whether the caller gave one or not
     with pytest.raises(ValueError, match=r"make it with plt\.subplots"):
         campaign.plot.methods(ax=free)
     assert free in figure.axes

@@ -144,9 +144,9 @@ def report_command(
     if out is None:
         with read_campaign(database, campaign) as store:
             out = unnamed_page(store)
+    refuse_to_replace(out)
     if out.suffix.lower() not in {".html", ".htm"}:
         raise typer.BadParameter(f"{out}: a report is a page; give it the ending .html", param_hint="--out")
-    refuse_to_replace(out)
     targets = read_targets(measured, tell) if measured else ()
     studies = None
     if with_studies:
@@ -225,11 +225,13 @@ def query_command(
     p corrected for the features of path, or of network.
     """
     from calcidem.app.cli.views import pulse_remark
+    from calcidem.storage.files import refuse_to_replace
     from calcidem.storage.records import QUANTITY_BY_NAME, depends_on_pulse
     from calcidem.storage.sql.store import read_campaign
 
     layouts = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET, ".txt": Format.TABLE}
     if layout is Format.TABLE and out is not None:
+        refuse_to_replace(out)
         if out.suffix.lower() not in layouts:
             raise typer.BadParameter(f"{out} ends with none of {', '.join(layouts)}", param_hint="--out")
         layout = layouts[out.suffix.lower()]
