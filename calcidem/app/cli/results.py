@@ -225,16 +225,10 @@ def query_command(
     p corrected for the features of path, or of network.
     """
     from calcidem.app.cli.views import pulse_remark
-    from calcidem.storage.files import refuse_to_replace
     from calcidem.storage.records import QUANTITY_BY_NAME, depends_on_pulse
     from calcidem.storage.sql.store import read_campaign
 
-    layouts = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET, ".txt": Format.TABLE}
-    if layout is Format.TABLE and out is not None:
-        refuse_to_replace(out)
-        if out.suffix.lower() not in layouts:
-            raise typer.BadParameter(f"{out} ends with none of {', '.join(layouts)}", param_hint="--out")
-        layout = layouts[out.suffix.lower()]
+    layout = layout if out is None else _layout_of_file(out, layout)
     selection = Selection(seed or None, content or None, status or None, where)
     if features:
         if columns is not None or sort or limit is not None:
@@ -276,6 +270,17 @@ def query_command(
         write_text_atomically(out, _as_table(headings, rows, remark))
     if out is not None:
         say(f"Wrote {out}: {remark}")
+
+
+def _layout_of_file(out: Path, layout: Format) -> Format:
+    """Format of a file to write, by its ending if none was chosen; an unusable place or ending is refused."""
+    from calcidem.storage.files import refuse_to_replace
+
+    refuse_to_replace(out)
+    layouts = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET, ".txt": Format.TABLE}
+    if layout is Format.TABLE and out.suffix.lower() not in layouts:
+        raise typer.BadParameter(f"{out} ends with none of {', '.join(layouts)}", param_hint="--out")
+    return layouts[out.suffix.lower()] if layout is Format.TABLE else layout
 
 
 def _numbers(form: str, *values: float) -> str:

@@ -124,7 +124,7 @@ class Connections:
         installed.
         """
         self.address = address
-        self._unlocked: tuple[int, ...] | None = None  # `_written_last` if this process must not make a log
+        self._unlocked: tuple[int, ...] | None = None  # `_written_last` if this process makes no log
         if address.path is not None:
             if read_only and not _may_make_a_log(address.path):
                 self._unlocked = _written_last(address.path)
@@ -173,7 +173,7 @@ class Connections:
             return
         if _written_last(self.address.path)[:3] != self._unlocked[:3]:
             raise StoreLockedError(
-                f"{self.address} was written while it was read, without locks, since this user cannot write it.",
+                f"{self.address} was written while it was read without locks.",
                 "Run the same command again.",
             )
 
@@ -233,9 +233,9 @@ def _written_last(path: Path) -> tuple[int, ...]:
 
 
 def _may_make_a_log(path: Path) -> bool:
-    """Whether a reader may let SQLite make the log of a database.
+    """Whether a reader may let SQLite make the log of a database, and has room for it.
 
-    A log whose owner may not write the database could not be used by the others, and its index needs 32 kB.
+    The log belongs to the user who makes it. If this user may not write the database, its writers are locked out.
     """
     is_own = all(
         os.access(place, os.W_OK, effective_ids=os.access in os.supports_effective_ids) for place in (path, path.parent)

@@ -1,6 +1,5 @@
 """Open database, its campaigns, and reading of the chosen one: a `Selection` gives records and columns."""
 
-import difflib
 import os
 import stat
 from collections import Counter, defaultdict
@@ -48,6 +47,7 @@ from calcidem.storage.sql.tables import (
     RESULT,
     RUN,
     STATUS,
+    hint_at_quantity,
     join_results,
     parse_where,
     prepare_schema,
@@ -368,9 +368,7 @@ class StoreReader(Closable):
         negative limit.
         """
         if unknown := [name for name in (*names, *(n.removeprefix("-") for n in sort)) if name not in QUANTITY_BY_NAME]:
-            close = difflib.get_close_matches(unknown[0].removeprefix("-"), list(QUANTITY_BY_NAME), n=1)
-            hint = f"Did you mean '{close[0]}'?" if close else f"Known are: {', '.join(QUANTITY_BY_NAME)}."
-            raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", hint)
+            raise QueryError(f"Unknown quantities: {', '.join(unknown)}.", hint_at_quantity(unknown[0]))
         if not names or (limit is not None and not 0 <= limit < 2**63):  # the largest whole number of databases
             raise QueryError(
                 f"{len(names)} columns and limit {limit} are not a table.", "Give columns, and a limit of 0 or more."

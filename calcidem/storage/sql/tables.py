@@ -360,6 +360,12 @@ _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
 _EXAMPLE = 'Write for example "vs > 1500 and status == \'done\'", "content in (4, 5)" or "vs_peak is None".'
 
 
+def hint_at_quantity(unknown: str) -> str:
+    """Sentence with the quantity that a wrong name resembles, else with all."""
+    close = difflib.get_close_matches(unknown, list(QUANTITY_BY_NAME), n=1)
+    return f"Did you mean '{close[0]}'?" if close else f"Known are: {', '.join(QUANTITY_BY_NAME)}."
+
+
 def parse_where(text: str) -> ColumnElement[bool]:
     """Convert a filter expression to a condition of a query.
 
@@ -443,9 +449,7 @@ def _operand(node: ast.expr, text: str) -> SQLColumnExpression[Any]:
     if isinstance(node, ast.Name):
         if node.id in QUANTITY_BY_NAME:
             return EXPRESSIONS[node.id]
-        close = difflib.get_close_matches(node.id, list(QUANTITY_BY_NAME), n=1)
-        hint = f"Did you mean '{close[0]}'?" if close else f"Known are: {', '.join(QUANTITY_BY_NAME)}."
-        raise QueryError(f"The filter '{text}' names the unknown quantity '{node.id}'.", hint)
+        raise QueryError(f"The filter '{text}' names the unknown quantity '{node.id}'.", hint_at_quantity(node.id))
     try:
         value = ast.literal_eval(node)
     except (TypeError, ValueError):  # the first that cannot be in a set
