@@ -18,7 +18,6 @@ from calcidem.analysis.correlation import (
     PathEnvelope,
     RatioScan,
     correlate,
-    correlate_by_content,
     path_envelope,
     scan_ratio,
     seed_permutation_test,
@@ -229,12 +228,6 @@ class CampaignAnalysis:
         return self._feature_table(NETWORK_FEATURES, lambda sample, name: getattr(sample.network, name))
 
     @cached_property
-    def content_correlations(self) -> xr.Dataset:
-        """Correlation of the eight features with Vs at each content, with corrected p-values."""
-        with _translate_refusals():
-            return correlate_by_content(self.table, "vs")
-
-    @cached_property
     def envelopes(self) -> tuple[PathEnvelope, ...]:
         """Length of the shortest path for all weight ratios, for each sample."""
         with _translate_refusals():
@@ -370,7 +363,7 @@ class CampaignAnalysis:
             kinds=kinds,
             path=path,
             features=cell.features or graph.features(graph.shortest_paths(kinds > 0)),
-            network=cell.network or graph.network.features(kinds > 0),
+            network=cell.network or graph.network_features(kinds > 0),
         )
 
 

@@ -190,14 +190,11 @@ class PreferentialPath:
 def contacts_on_path(
     graph: ContactGraph, bonded: ArrayLike, weights: ContactWeights, at_most: float = np.inf
 ) -> tuple[int, int]:
-    """Count the sand contacts and the cemented ones on the shortest path that is found first.
+    """Count the sand contacts and the cemented ones, of different weights, on the shortest path that is found first.
 
     A path of length `at_most` is known, so grains further away are not visited. Errors are those of
     `ShortestPaths.search`, which takes twice as long.
     """
-    if weights.bond == weights.hertz:  # the length alone does not determine the counts
-        path = ShortestPaths.search(graph, bonded, weights).first()
-        return path.hertz_contacts, path.bonded_contacts
     lengths = graph.matrix(bonded, weights)
     limit = at_most * (1.0 + _RELATIVE_TIE)  # the sums of both paths are rounded
     distance, onward, _ = dijkstra(

@@ -7,8 +7,6 @@ content each variable is divided by its scatter there; otherwise contents with l
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +19,9 @@ from calcidem.analysis.intervals import BOOTSTRAP_SEED, Interval
 
 _ROUND_OFF = 1e-12
 """Relative size below which variation and differences of coefficients are round-off."""
+
+_RATIOS = np.linspace(0.01, 0.99, 99)
+"""Compared ratios of contact weights."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,80 +58,13 @@ def correlate(table: xr.Dataset) -> Correlations:
     return Correlations(*(_correlation_matrix(parts, names) for parts in (pooled, groups)))
 
 
-def correlate_by_content(table: xr.Dataset, target: str) -> xr.Dataset:
-    """Correlate the variables of a table with a positive target variable at each content.
-
-    Table and errors are as for `correlate`; also `ValueError` if the table lacks the target. Intervals of a variable
-    hold at all contents simultaneously with a probability of 95 %. Returns along (variable, content), without the
-    target: ``n``, ``pearson``, ``pearson_log`` with the logarithm of the target, ``spearman``, its interval ``low`` and
-    ``high`` and its ``p``, and ``p_corrected`` for all variables and contents. NaN for constant variables or fewer than
-    four samples; a coefficient of 1 has no interval.
-
-    The p of up to eight samples is exact, that of more by Student's t. Intervals by Fisher's z with the variance of
-    Bonett and Wright (2000, doi:10.1007/BF02294183), each at level 1 - 0.05 / contents (Bonferroni). The
-    correction of p controls the false discovery rate (Benjamini and Hochberg 1995).
-    """
-    names, values = _complete_values(table)
-    place = names.index(target)
-    others = [number for number in range(len(names)) if number != place]
-    found = np.full((4, len(others), values.shape[1]), np.nan)
-    counts = np.isfinite(values[..., 0]).sum(axis=0)
-    scattered = 0
-    for column in np.flatnonzero(counts > 3).tolist():
-        group = values[np.isfinite(values[:, column, 0]), column]
-        varied: NDArray[np.bool_] = np.asarray(np.isfinite(_standardised(group)).all(axis=0))
-        if not varied[place]:
-            continue
-        scattered += 1
-        y = group[:, place]
-        for row, number in enumerate(others):
-            if varied[number]:
-                x = group[:, number]
-                linear, logarithmic = (stats.pearsonr(x, other).statistic for other in (y, np.log(y)))
-                found[:4, row, column] = linear, logarithmic, *_rank_correlation(x, y)
-    pearson, logarithm, spearman, p = found[:4]
-    level = 0.95
-    normal = float(stats.norm.ppf(1 - (1 - level) / (2 * max(scattered, 1))))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        half = normal * np.sqrt((1 + spearman**2 / 2) / (counts - 3))
-        z = np.where(np.abs(spearman) < 1.0 - _ROUND_OFF, np.arctanh(spearman), np.nan)
-        low, high = np.tanh(z - half), np.tanh(z + half)
-    corrected = np.full_like(p, np.nan)
-    if np.isfinite(p).any():
-        corrected[np.isfinite(p)] = stats.false_discovery_control(p[np.isfinite(p)])
-    both = ("variable", "content")
-    numbers = {"pearson": pearson, "pearson_log": logarithm, "spearman": spearman, "low": low, "high": high}
-    numbers |= {"p": p, "p_corrected": corrected}
-    return xr.Dataset(
-        {name: (both, array) for name, array in numbers.items()} | {"n": ("content", counts)},
-        coords={"variable": [names[number] for number in others], "content": table["content"]},
-        attrs={"level": level},
-    )
-
-
-def _rank_correlation(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[float, float]:
-    """Spearman's coefficient of two variables (n,) and its two-sided p."""
-    found = stats.spearmanr(x, y)
-    if len(x) > 8:  # samples; below, the t distribution gives a p far too small
-        return float(found.statistic), float(found.pvalue)
-    first, second = (stats.rankdata(values) - 0.5 * (len(x) + 1) for values in (x, y))
-    sums = first[_orders(len(x))] @ second
-    return float(found.statistic), float(np.mean(np.abs(sums) > abs(first @ second) - 1e-9))
-
-
-@lru_cache
-def _orders(count: int) -> NDArray[np.int8]:
-    """All orders of some samples, (count!, count)."""
-    return np.array(list(permutations(range(count))), dtype=np.int8)
-
-
 def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     """Test which variables of a table correlate with the target variable within one content.
 
-    Table and errors are as for `correlate_by_content`. Returns along variable, without the target: ``pearson`` of
-    `correlate` within one content, its 95 % interval ``pearson_low`` and ``pearson_high``, its two-sided ``p``, and
-    ``p_corrected``, the probability that the largest of all coefficients is as large by chance. NaN for constant
-    variables; where an order of the seeds gives a coefficient of 1, there is no interval.
+    Table and errors are as for `correlate`; also `ValueError` if the table lacks the target. Returns along variable,
+    without the target: ``pearson`` of `correlate` within one content, its 95 % interval ``pearson_low`` and
+    ``pearson_high``, its two-sided ``p``, and ``p_corrected``, the probability that the largest of all
+    coefficients is as large by chance. NaN for constant variables; where an order of the seeds gives a coefficient of 1, there is no interval.
 
     Intervals are those of Fisher's z, with its standard deviation over the permutations: between seeds that share
     effects it is larger than that of as many independent samples.
@@ -257,35 +191,26 @@ class PathEnvelope:
 
     lines: tuple[_PathLine, ...]
     """Paths that are shortest at some ratio, in order of the ratio: N_LPB falls and N_h grows from each to the next."""
-    low: float
-    high: float
-    """Range of ratios of the envelope."""
 
     def connectivity(self, ratio: ArrayLike) -> NDArray[np.float64]:
-        """Return C_d for omega_h = 1 and these omega_LPB, any shape; `ValueError` outside of `low` and `high`."""
+        """Return C_d for omega_h = 1 and these omega_LPB within `_RATIOS`, any shape."""
         ratios = np.asarray(ratio, dtype=np.float64)
-        if ratios.size and not (self.low <= ratios.min() and ratios.max() <= self.high):
-            raise ValueError(
-                f"ratio spans {ratios.min()} to {ratios.max()}, the envelope {self.low} to {self.high}; "
-                "find the envelope over a wider range"
-            )
         hertz, bond = np.array(self.lines, dtype=np.float64).T
         lengths: NDArray[np.float64] = (hertz + ratios[..., None] * bond).min(axis=-1)
         return lengths
 
 
-def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, high: float = 0.99) -> PathEnvelope:
-    """Return the envelope of one sample with cemented contacts ``bonded`` (m,), for 0 < low < high <= 1.
+def path_envelope(graph: ContactGraph, bonded: ArrayLike) -> PathEnvelope:
+    """Return the envelope of one sample with cemented contacts ``bonded`` (m,).
 
-    `ValueError` for another range, or if no chain of contacts joins transmitter and receiver.
+    `ValueError` if no chain of contacts joins transmitter and receiver.
 
     Eisner and Severance (1976), doi:10.1145/321978.321982: find the shortest paths at both ends of the range and
     intersect their lines, then search at the intersection. A shorter path there is a new line, and both halves are
     treated alike; otherwise the intersection is a corner. k lines take at most about 2 k searches, and their comparison
     needs only integers.
     """
-    if not 0 < low < high <= 1:
-        raise ValueError(f"low = {low} and high = {high}; they must satisfy 0 < low < high <= 1")
+    low, high = float(_RATIOS[0]), float(_RATIOS[-1])
     mask = np.asarray(bonded, dtype=np.bool_)
 
     def shortest(ratio: float, known: _PathLine | None = None) -> _PathLine:
@@ -308,7 +233,7 @@ def path_envelope(graph: ContactGraph, bonded: ArrayLike, low: float = 0.01, hig
     last = shortest(high)
     first = shortest(low, last)
     found = list(dict.fromkeys([first, *between(first, last), last]))
-    return PathEnvelope(_strictly_shortest(found, low, high), low, high)
+    return PathEnvelope(_strictly_shortest(found, low, high))
 
 
 def _strictly_shortest(found: list[_PathLine], low: float, high: float) -> tuple[_PathLine, ...]:
@@ -344,30 +269,18 @@ class RatioScan:
     best_correlation: float
     """Coefficient at the best ratio."""
     best_ratio_interval: Interval
-    """Bootstrap interval of the best ratio, by default at 95 %."""
+    """Bootstrap interval of the best ratio, 95 %."""
 
 
-def scan_ratio(
-    envelopes: Sequence[PathEnvelope],
-    vs: ArrayLike,
-    seed: ArrayLike,
-    *,
-    ratios: ArrayLike | None = None,
-    level: float = 0.95,
-    replicates: int = 2000,
-) -> RatioScan:
+def scan_ratio(envelopes: Sequence[PathEnvelope], vs: ArrayLike, seed: ArrayLike) -> RatioScan:
     """Scan the weight ratio, with a new search for the shortest path of every sample at every ratio.
 
-    `ValueError` if shapes disagree, fewer than three samples have a velocity, or no ratio has a correlation.
+    `ValueError` if fewer than three samples have a velocity, or no ratio has a correlation.
 
     Parameters
     ----------
     envelopes, vs, seed
         For every sample its shortest path for all ratios, its velocity in m/s (NaN if missing), and its seed.
-    ratios
-        Ratios to compare, shape (k,), ascending, at least two, below 1; 0.01 to 0.99 by default.
-    level, replicates
-        Level of the interval, and number of bootstrap replicates.
 
     Notes
     -----
@@ -378,16 +291,10 @@ def scan_ratio(
     independent (Davison and Hinkley 1997, section 3.8).
     """
     velocity, seeds = np.asarray(vs, dtype=np.float64), np.asarray(seed)
-    grid = np.linspace(0.01, 0.99, 99) if ratios is None else np.asarray(ratios, dtype=np.float64)
-    if velocity.ndim != 1 or not len(envelopes) == velocity.size == seeds.size:
-        raise ValueError(
-            f"got {len(envelopes)} envelopes, vs of shape {velocity.shape} and seed of shape {seeds.shape}; "
-            "give one of each for every sample"
-        )
     known = np.isfinite(velocity)
     if known.sum() < 3:  # two always lie on a line
         raise ValueError(f"only {known.sum()} samples have a velocity; a correlation needs at least three")
-    lengths = np.stack([envelope.connectivity(grid) for envelope, use in zip(envelopes, known, strict=True) if use])
+    lengths = np.stack([envelope.connectivity(_RATIOS) for envelope, use in zip(envelopes, known, strict=True) if use])
     sums = _sums_by_seed(lengths, velocity[known], seeds[known])
     seed_count = sums.shape[0]
     correlation = _correlate_sums(np.ones((1, seed_count)), sums)[0]
@@ -395,16 +302,16 @@ def scan_ratio(
         raise ValueError("no ratio has a correlation: all samples have the same path or the same velocity")
     best = int(_first_best(correlation[None])[0])
     generator = np.random.default_rng(BOOTSTRAP_SEED)
-    draws = generator.multinomial(seed_count, np.full(seed_count, 1 / seed_count), size=replicates)
+    draws = generator.multinomial(seed_count, np.full(seed_count, 1 / seed_count), size=2000)
     drawn = _correlate_sums(draws.astype(np.float64), sums)
     # A replicate with a single seed may have no correlation; it is left out.
     usable = drawn[~np.isnan(drawn).all(axis=1)]
-    best_ratios = grid[_first_best(usable)]
-    low, high = np.quantile(best_ratios, [(1 - level) / 2, (1 + level) / 2])
+    best_ratios = _RATIOS[_first_best(usable)]
+    low, high = np.quantile(best_ratios, [0.025, 0.975])
     return RatioScan(
-        ratios=grid,
+        ratios=_RATIOS,
         correlation=correlation,
-        best_ratio=float(grid[best]),
+        best_ratio=float(_RATIOS[best]),
         best_correlation=float(correlation[best]),
         best_ratio_interval=Interval(float(low), float(high)),
     )

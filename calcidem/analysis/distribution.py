@@ -100,12 +100,7 @@ class Distribution:
     standard_deviation_interval: Interval
     """Confidence interval of the standard deviation, see `Interval.of_standard_deviation`."""
     prediction_interval: Interval
-    prediction_interval_ordered: Interval
-    """Interval for one new sample, for normal values and without this assumption from the ordered values."""
-    normal_fit_largest_distance: float
-    """Largest distance between the sample's cumulative distribution and the normal one with its mean and deviation
-    (Kolmogorov's statistic, between 0 and 1).
-    """
+    """Interval for one new sample, for normal values."""
 
     @classmethod
     def of_sample(cls, values: ArrayLike, level: float = 0.95) -> Self:
@@ -136,10 +131,6 @@ class Distribution:
             mean_interval=Interval.of_mean(sample, level),
             standard_deviation_interval=Interval.of_standard_deviation(sample, level),
             prediction_interval=Interval.of_prediction(sample, level),
-            prediction_interval_ordered=Interval.of_ordered_prediction(sample, level),
-            normal_fit_largest_distance=(
-                float(stats.kstest(sample, stats.norm(centre, deviation).cdf).statistic) if varied else math.nan
-            ),
         )
 
     def normal_density(self, values: ArrayLike) -> NDArray[np.float64]:

@@ -143,10 +143,6 @@ def leave_one_seed_out(connectivity: ArrayLike, vs: ArrayLike, seed: ArrayLike) 
     """
     x, y = np.asarray(connectivity, dtype=np.float64), np.asarray(vs, dtype=np.float64)
     seeds = np.asarray(seed)
-    if not x.shape == y.shape == seeds.shape:
-        raise ValueError(
-            f"connectivity {x.shape}, vs {y.shape} and seed {seeds.shape} differ in shape; make them equal"
-        )
     known = np.isfinite(x) & np.isfinite(y)
     x, y, seeds = x[known], y[known], seeds[known]
     predicted, low, high = np.empty_like(y), np.empty_like(y), np.empty_like(y)

@@ -5,7 +5,6 @@ docstring names its assumption. If an interval is undefined (too few values) bot
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Self
@@ -46,7 +45,7 @@ class Interval:
     @classmethod
     def of_mean(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
         """Return the confidence interval of the mean by Student's t, exact for normal values."""
-        return cls._around_mean(values, level, lambda n: 1 / n)
+        return cls._around_mean(values, level, 1.0)
 
     @classmethod
     def of_velocity(cls, vs: float, error: float, level: float = 0.95) -> Self:
@@ -73,30 +72,14 @@ class Interval:
 
         It is mean -/+ t s sqrt(1 + 1/n) with the quantile t of Student's distribution with n - 1 degrees of freedom.
         """
-        return cls._around_mean(values, level, lambda n: 1 + 1 / n)
+        return cls._around_mean(values, level, math.sqrt(1 + values.size))
 
     @classmethod
-    def of_ordered_prediction(cls, values: NDArray[np.float64], level: float = 0.95) -> Self:
-        """Return a distribution-free prediction interval for one new value, with a probability of at least `level`.
-
-        A new value falls between the j-th smallest and the j-th largest of n with probability (n + 1 - 2 j) / (n + 1).
-        The largest j that reaches `level` is used (Wilks 1941, doi:10.1214/aoms/1177731788). Undefined below n = 2 / (1
-        - level) - 1 (39 values for 95 %).
-        """
-        n = values.size
-        rank = math.floor((1 - level) * (n + 1) / 2 + 1e-9)  # 0.05 * 40 / 2 must give 1 despite round-off
-        if rank < 1:
+    def _around_mean(cls, values: NDArray[np.float64], level: float, factor: float) -> Self:
+        """Interval of the mean, wider by a factor."""
+        if values.size <= 1:
             return cls(math.nan, math.nan)
-        ordered = np.sort(values)
-        return cls(float(ordered[rank - 1]), float(ordered[n - rank]))
-
-    @classmethod
-    def _around_mean(cls, values: NDArray[np.float64], level: float, variance: Callable[[int], float]) -> Self:
-        """Student's t interval around the mean, with a variance relative to that of the values."""
-        n = values.size
-        if n <= 1:
-            return cls(math.nan, math.nan)
-        half = _student_quantile(n - 1, (1 + level) / 2) * float(standard_deviation(values)) * math.sqrt(variance(n))
+        half = factor * mean_half_width(float(standard_deviation(values)), values.size, level)
         centre = mean(values)
         return cls(centre - half, centre + half)
 
@@ -273,7 +256,7 @@ def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, 
 
 def mean_half_width(deviation: float, n: int, level: float) -> float:
     """Half-width of the interval of the mean of n samples, in the unit of the deviation."""
-    return float(scipy.stats.t.ppf((1 + level) / 2, n - 1)) * deviation / math.sqrt(n)
+    return _student_quantile(n - 1, (1 + level) / 2) * deviation / math.sqrt(n)
 
 
 def finite_values(values: ArrayLike) -> NDArray[np.float64]:

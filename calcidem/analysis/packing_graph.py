@@ -5,7 +5,7 @@ receiver, and packages may add features of their own.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import entry_points
 from inspect import getdoc
@@ -43,12 +43,29 @@ those of the paper.
 """
 
 
-@dataclass(frozen=True, eq=False)
-class ContactNetwork:
-    """Contacts of a packing with what their features need; the cement of a sample is an argument."""
+def _factorise(matrix: Any, order: Literal["NATURAL", "MMD_AT_PLUS_A"]) -> Any:  # noqa: ANN401 - types of SciPy
+    """LU factors of a symmetric matrix in an order of elimination; its columns have few entries, so they go singly."""
+    return splu(matrix, permc_spec=order, diag_pivot_thresh=0.0, panel_size=1, options={"SymmetricMode": True})
 
+
+def _mean(values: ArrayLike, weight: ArrayLike) -> float | None:
+    """Weighted mean; None if nothing has a weight."""
+    factors = np.asarray(weight, dtype=np.float64)
+    return float(np.average(np.asarray(values, dtype=np.float64), weights=factors)) if factors.any() else None
+
+
+@dataclass(frozen=True, eq=False)
+class PackingGraph:
+    """Contacts of a packing, and the data that turn its paths into features."""
+
+    packing: PackingRecord
+    """The disks."""
     graph: ContactGraph
-    """Contacts (m, 2) of N grains."""
+    """Contacts, and grains at transmitter and receiver."""
+    weights: ContactWeights
+    """Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains."""
+    straight: float
+    """Contacts of a straight row of grains of the median diameter by count, from wall to wall: L / d50 - 1."""
     energy: NDArray[np.float64]
     """(m,) energy of the wave at each contact, 0 in the damped layers."""
     strong: NDArray[np.bool_]
@@ -58,8 +75,51 @@ class ContactNetwork:
     side: NDArray[np.int8]
     """(N,) -1 for grains that touch the transmitter's wall, 1 for the receiver's, 0 for all others."""
 
-    def features(self, bonded: NDArray[np.bool_]) -> NetworkFeatures:
-        """Features of the sample with these cemented contacts (m,)."""
+    @cached_property
+    def _keys(self) -> NDArray[np.int64]:
+        """Numbers of the contacts for fast lookup by patterns."""
+        return _contact_keys(self.graph.pairs, self.graph.grain_count)
+
+    def kinds(self, cement: CementPattern) -> NDArray[np.uint8]:
+        """Return 0 (sand), 1 (P) or 2 (C) for each contact of the graph, shape (m,).
+
+        `ValueError` if the pattern cements two grains that do not touch.
+        """
+        kinds = np.zeros(self.graph.contact_count, dtype=np.uint8)
+        kinds[self._rows(cement.contacts)] = cement.kind
+        return kinds
+
+    def path(self, bonded: NDArray[np.bool_], known: tuple[int, ...] = ()) -> PreferentialPath:
+        """Return the preferential path of a sample with these cemented contacts (m,); known grains save the search.
+
+        `ValueError` if no chain of contacts joins transmitter and receiver.
+        """
+        if not known:
+            return self.shortest_paths(bonded).first()
+        flags = bonded[self._rows(np.array(list(pairwise(known))))]
+        return PreferentialPath(known, tuple(flags.tolist()))
+
+    def shortest_paths(self, bonded: NDArray[np.bool_]) -> ShortestPaths:
+        """Search the shortest paths of one sample; argument and errors as for `path`."""
+        return ShortestPaths.search(self.graph, bonded, self.weights)
+
+    def features(self, paths: ShortestPaths) -> PathFeatures:
+        """Return the features of the shortest paths of one sample, of at least one contact."""
+        path, longest = paths.first(), paths.mean_longest_bonded_run()
+        contacts, c_d = len(path.bonded), connectivity(path.hertz_contacts, path.bonded_contacts, self.weights)
+        return PathFeatures(
+            path_contacts=contacts,
+            path_hertz_contacts=path.hertz_contacts,
+            path_bonded_contacts=path.bonded_contacts,
+            path_bonded_fraction=path.bonded_contacts / contacts,
+            path_longest_bonded_run_fraction=longest / contacts,
+            path_longest_bonded_run=longest,
+            path_connectivity=c_d,
+            path_normalized_connectivity=normalized_connectivity(c_d, self.weights, self.straight),
+        )
+
+    def network_features(self, bonded: NDArray[np.bool_]) -> NetworkFeatures:
+        """Return the features of the cement of one sample as a network; cemented contacts (m,)."""
         first, second = self.graph.pairs[bonded].T
         count = self.graph.grain_count
         cement = sparse.coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
@@ -122,96 +182,6 @@ class ContactNetwork:
             free = free[np.argsort(_factorise(pattern[free][:, free].tocsc(), "MMD_AT_PLUS_A").perm_c)]
         return free, places[free][:, free].tocsc(), places[free][:, self.side > 0]
 
-
-def _factorise(matrix: Any, order: Literal["NATURAL", "MMD_AT_PLUS_A"]) -> Any:  # noqa: ANN401 - types of SciPy
-    """LU factors of a symmetric matrix in an order of elimination; its columns have few entries, so they go singly."""
-    return splu(matrix, permc_spec=order, diag_pivot_thresh=0.0, panel_size=1, options={"SymmetricMode": True})
-
-
-def contact_network(packing: PackingRecord, graph: ContactGraph, boundary_thickness: float) -> ContactNetwork:
-    """Network of the contacts of a packing whose layers at floor and lid, so thick (m), are damped."""
-    first, second = graph.pairs.T
-    branch = np.column_stack([packing.x[second] - packing.x[first], packing.y[second] - packing.y[first]])
-    length = np.hypot(*branch.T)
-    middle = 0.5 * (packing.y[first] + packing.y[second]) - 0.5 * packing.height
-    across = middle / (packing.height - 2.0 * boundary_thickness)
-    overlap = np.maximum(packing.radius[first] + packing.radius[second] - length, 0.0)
-    radius = packing.radius[first] * packing.radius[second] / (packing.radius[first] + packing.radius[second])
-    force = np.sqrt(radius) * overlap**1.5  # Hertz, up to a common factor
-    side = (packing.width - packing.x < packing.radius).astype(np.int8) - (packing.x < packing.radius).astype(np.int8)
-    return ContactNetwork(
-        graph=graph,
-        energy=np.where(np.abs(across) < 0.5, np.cos(np.pi * across) ** 2, 0.0),
-        strong=force > force.mean(),
-        cosine=(branch[:, 0] ** 2 - branch[:, 1] ** 2) / length**2,
-        side=side,
-    )
-
-
-def _mean(values: ArrayLike, weight: ArrayLike) -> float | None:
-    """Weighted mean; None if nothing has a weight."""
-    factors = np.asarray(weight, dtype=np.float64)
-    return float(np.average(np.asarray(values, dtype=np.float64), weights=factors)) if factors.any() else None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PackingGraph:
-    """Contacts of a packing, and the data that turn its paths into features."""
-
-    packing: PackingRecord
-    """The disks."""
-    graph: ContactGraph
-    """Contacts, and grains at transmitter and receiver."""
-    weights: ContactWeights
-    """Weights by their physical meaning (Eq. 8 of the paper), from the coordination number of all grains."""
-    straight: float
-    """Contacts of a straight row of grains of the median diameter by count, from wall to wall: L / d50 - 1."""
-    network: ContactNetwork
-    """The contacts with what features of the cement as a network need."""
-    _keys: NDArray[np.int64] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        """Number the contacts for fast lookup by patterns."""
-        object.__setattr__(self, "_keys", _contact_keys(self.graph.pairs, self.graph.grain_count))
-
-    def kinds(self, cement: CementPattern) -> NDArray[np.uint8]:
-        """Return 0 (sand), 1 (P) or 2 (C) for each contact of the graph, shape (m,).
-
-        `ValueError` if the pattern cements two grains that do not touch.
-        """
-        kinds = np.zeros(self.graph.contact_count, dtype=np.uint8)
-        kinds[self._rows(cement.contacts)] = cement.kind
-        return kinds
-
-    def path(self, bonded: NDArray[np.bool_], known: tuple[int, ...] = ()) -> PreferentialPath:
-        """Return the preferential path of a sample with these cemented contacts (m,); known grains save the search.
-
-        `ValueError` if no chain of contacts joins transmitter and receiver.
-        """
-        if not known:
-            return self.shortest_paths(bonded).first()
-        flags = bonded[self._rows(np.array(list(pairwise(known))))]
-        return PreferentialPath(known, tuple(flags.tolist()))
-
-    def shortest_paths(self, bonded: NDArray[np.bool_]) -> ShortestPaths:
-        """Search the shortest paths of one sample; argument and errors as for `path`."""
-        return ShortestPaths.search(self.graph, bonded, self.weights)
-
-    def features(self, paths: ShortestPaths) -> PathFeatures:
-        """Return the features of the shortest paths of one sample, of at least one contact."""
-        path, longest = paths.first(), paths.mean_longest_bonded_run()
-        contacts, c_d = len(path.bonded), connectivity(path.hertz_contacts, path.bonded_contacts, self.weights)
-        return PathFeatures(
-            path_contacts=contacts,
-            path_hertz_contacts=path.hertz_contacts,
-            path_bonded_contacts=path.bonded_contacts,
-            path_bonded_fraction=path.bonded_contacts / contacts,
-            path_longest_bonded_run_fraction=longest / contacts,
-            path_longest_bonded_run=longest,
-            path_connectivity=c_d,
-            path_normalized_connectivity=normalized_connectivity(c_d, self.weights, self.straight),
-        )
-
     def _rows(self, pairs: NDArray[np.integer]) -> NDArray[np.int64]:
         """Find the row of each pair in the sorted contacts."""
         wanted = _contact_keys(np.asarray(pairs, dtype=np.int64).reshape(-1, 2), self.graph.grain_count)
@@ -255,18 +225,30 @@ def packing_graph(
     pairs = np.sort(near.astype(np.int64).reshape(-1, 2), axis=1)
     distance = np.linalg.norm(centres[pairs[:, 1]] - centres[pairs[:, 0]], axis=1)
     touching = pairs[distance < packing.radius[pairs].sum(axis=1)]
+    at_transmitter, at_receiver = packing.x < packing.radius, packing.width - packing.x < packing.radius
     graph = ContactGraph(
         grain_count=packing.radius.size,
         pairs=touching[np.lexsort((touching[:, 1], touching[:, 0]))],
-        transmitter=np.flatnonzero((packing.x < packing.radius) & (off_centre < transmitter_half_width)),
-        receiver=np.flatnonzero((packing.width - packing.x < packing.radius) & (off_centre < receiver_half_width)),
+        transmitter=np.flatnonzero(at_transmitter & (off_centre < transmitter_half_width)),
+        receiver=np.flatnonzero(at_receiver & (off_centre < receiver_half_width)),
     )
+    first, second = graph.pairs.T
+    branch = np.column_stack([packing.x[second] - packing.x[first], packing.y[second] - packing.y[first]])
+    length = np.hypot(*branch.T)
+    middle = 0.5 * (packing.y[first] + packing.y[second]) - 0.5 * packing.height
+    across = middle / (packing.height - 2.0 * boundary_thickness)
+    overlap = packing.radius[first] + packing.radius[second] - length
+    radius = packing.radius[first] * packing.radius[second] / (packing.radius[first] + packing.radius[second])
+    force = np.sqrt(radius) * overlap**1.5  # Hertz, up to a common factor
     return PackingGraph(
         packing=packing,
         graph=graph,
         weights=ContactWeights.from_coordination_number(graph.coordination_number),
         straight=packing.width / (2 * float(np.median(packing.radius))) - 1,
-        network=contact_network(packing, graph, boundary_thickness),
+        energy=np.where(np.abs(across) < 0.5, np.cos(np.pi * across) ** 2, 0.0),
+        strong=force > force.mean(),
+        cosine=(branch[:, 0] ** 2 - branch[:, 1] ** 2) / length**2,
+        side=at_receiver.astype(np.int8) - at_transmitter,
     )
 
 

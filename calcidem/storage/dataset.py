@@ -44,39 +44,25 @@ def as_matrices(
     return matrices
 
 
-def cell_matrices(store: Store, names: Sequence[str]) -> "dict[str, xr.DataArray]":
-    """Arrange quantities of the store's campaign (`QUANTITY_BY_NAME`, neither seed nor content), with CF attributes.
-
-    Each is along (seed, content), both ascending, with the values of `as_matrices`. `QueryError` for an unknown
-    quantity.
-    """
-    import xarray as xr  # noqa: PLC0415 - see above
-
-    columns = store.table((*INDEX_NAMES, *names))
-    attributes = {name: QUANTITY_BY_NAME[name].attributes() for name in (*INDEX_NAMES, *names)}
-    coordinates = {name: xr.Variable((name,), np.unique(columns[name]), attributes[name]) for name in INDEX_NAMES}
-    matrices = as_matrices(columns, names, *(coordinate.to_numpy() for coordinate in coordinates.values()))
-    return {
-        name: xr.DataArray(matrix, coordinates, INDEX_NAMES, name, attributes[name])
-        for name, matrix in matrices.items()
-    }
-
-
 def campaign_dataset(store: Store, names: Sequence[str] | None = None) -> "xr.Dataset":
-    """Return `cell_matrices` of every cell, by default all, with CF attributes and the provenance of the campaign.
+    """Arrange quantities (`QUANTITY_BY_NAME`, by default all) of every cell along (seed, content), both ascending.
 
-    ``status`` is a CF flag variable. `UnknownCampaignError` if no cell is planned, `QueryError` for an unknown
-    quantity.
+    The values are those of `as_matrices`, with CF attributes and the provenance of the campaign. ``status`` is a CF
+    flag variable. `UnknownCampaignError` if no cell is planned, `QueryError` for an unknown quantity.
     """
     import xarray as xr  # noqa: PLC0415 - see above
 
-    wanted = QUANTITY_BY_NAME if names is None else names
-    matrices = cell_matrices(store, [name for name in wanted if name not in INDEX_NAMES])
-    if not any(matrix.size for matrix in matrices.values()):
+    wanted = [name for name in (QUANTITY_BY_NAME if names is None else names) if name not in INDEX_NAMES]
+    columns = store.table((*INDEX_NAMES, *wanted))
+    if not columns["seed"].size:
         raise UnknownCampaignError(
             f"Campaign '{store.record.name}' has no cells.", "Plan some seeds and contents first."
         )
-    return xr.Dataset(matrices, attrs=campaign_attributes(store))
+    attributes = {name: QUANTITY_BY_NAME[name].attributes() for name in (*INDEX_NAMES, *wanted)}
+    coordinates = {name: (name, np.unique(columns[name]), attributes[name]) for name in INDEX_NAMES}
+    matrices = as_matrices(columns, wanted, *(values for _, values, _ in coordinates.values()))
+    variables = {name: (INDEX_NAMES, matrix, attributes[name]) for name, matrix in matrices.items()}
+    return xr.Dataset(variables, coordinates, campaign_attributes(store))
 
 
 def campaign_attributes(store: Store) -> dict[str, Any]:

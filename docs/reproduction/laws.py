@@ -4,6 +4,8 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
+import xarray as xr
+from scipy import stats
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit, correlation_tests, correlations
 from calcidem.analysis.measured import published_study
@@ -25,10 +27,42 @@ def main() -> None:
         print_laws(analysis)
 
 
+def correlate_by_content(table: xr.Dataset) -> xr.Dataset:
+    """Correlate the features of a table with Vs at each content of at least ten samples; NaN for constant features.
+
+    Intervals of Spearman's coefficient with the variance of Bonett and Wright (2000, doi:10.1007/BF02294183) hold at
+    all contents together (Bonferroni); p for all features and contents is corrected (Benjamini and Hochberg 1995).
+    """
+    names = [name for name in table.data_vars if name != "vs"]
+    shape = (len(names), table.sizes["content"])
+    found = {name: np.full(shape, np.nan) for name in ("pearson", "pearson_log", "spearman", "p", "n")}
+    for column, content in enumerate(table["content"].to_numpy()):
+        samples = table.sel(content=content).dropna("seed")
+        vs = samples["vs"].to_numpy()
+        for row, values in enumerate(samples[name].to_numpy() for name in names):
+            if len(vs) >= 10 and np.ptp(values) > 1e-12 * np.abs(values).max():
+                rank = stats.spearmanr(values, vs)
+                linear, logarithmic = (stats.pearsonr(values, y).statistic for y in (vs, np.log(vs)))
+                here = linear, logarithmic, rank.statistic, rank.pvalue, len(vs)
+                for name, number in zip(found, here, strict=True):
+                    found[name][row, column] = number
+    p, spearman, known = found["p"], found["spearman"], np.isfinite(found["p"])
+    found["p_corrected"] = np.full(shape, np.nan)
+    found["p_corrected"][known] = stats.false_discovery_control(p[known])
+    normal = stats.norm.ppf(1 - 0.05 / (2 * known.any(axis=0).sum()))
+    half = normal * np.sqrt((1 + spearman**2 / 2) / (found["n"] - 3))
+    found["low"], found["high"] = np.tanh(np.arctanh(spearman) - half), np.tanh(np.arctanh(spearman) + half)
+    both = ("variable", "content")
+    return xr.Dataset(
+        {name: (both, numbers) for name, numbers in found.items()},
+        coords={"variable": names, "content": table["content"]},
+    )
+
+
 def print_features(analysis: CampaignAnalysis) -> None:
     """Print coefficients over all contents and within one."""
     matrices, tests = correlations(analysis.table), correlation_tests(analysis.table)
-    by_content = analysis.content_correlations
+    by_content = correlate_by_content(analysis.table)
     logarithm = analysis.table.assign(log_vs=np.log(analysis.table["vs"]))
     of_all = "Pearson", "with log Vs", "Spearman"
     show_header("feature", *of_all, "within: Spearman", "p, corrected", "contents")
@@ -53,7 +87,7 @@ def print_features(analysis: CampaignAnalysis) -> None:
 
 def print_contents(analysis: CampaignAnalysis) -> None:
     """Print how C_d,n goes with Vs at each content."""
-    found = analysis.content_correlations.sel(variable=C_DN)
+    found = correlate_by_content(analysis.table).sel(variable=C_DN)
     show_header("%", "Pearson", "with log Vs", "Spearman (95 % for all contents)", "p", "p, corrected")
     for content in found["content"].to_numpy()[np.isfinite(found["spearman"].to_numpy())]:
         row = found.sel(content=content)

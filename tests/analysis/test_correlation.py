@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.correlation import correlate, correlate_by_content, seed_permutation_test
+from calcidem.analysis.correlation import correlate, seed_permutation_test
 
 
 def table(**variables: NDArray[np.float64]) -> xr.Dataset:
@@ -63,28 +63,6 @@ def test_within_is_the_mean_of_all_contents_whatever_their_scatter() -> None:
         assert pair(found, name) == pytest.approx(expected)
     low = np.tanh(np.arctanh(pair(found, "pearson")) - stats.norm.ppf(0.975) / np.sqrt(24 - 2 - 3))
     assert pair(found, "pearson_low") == pytest.approx(low)
-
-
-def test_each_content_has_scipys_coefficients_and_corrected_p() -> None:
-    """Pearson with y and log y, Spearman and p, corrected over contents and variables; none without scatter."""
-    generator = np.random.default_rng(4)
-    x = generator.normal(size=(40, 3))
-    y = np.exp(0.5 * x + generator.normal(size=(40, 3)))
-    y[:, 0] = 2.0
-    found = correlate_by_content(table(x=x, y=y, z=generator.normal(size=(40, 3))), "y")
-    assert np.isnan(found[["spearman", "p_corrected", "low"]].sel(content=0.0).to_array("number")).all()
-    here = found.sel(variable="x", content=2.0)
-    rank = stats.spearmanr(x[:, 2], y[:, 2])
-    assert float(here["spearman"]) == pytest.approx(rank.statistic)
-    assert float(here["pearson"]) == pytest.approx(stats.pearsonr(x[:, 2], y[:, 2]).statistic)
-    assert float(here["pearson_log"]) == pytest.approx(stats.pearsonr(x[:, 2], np.log(y[:, 2])).statistic)
-    p = found["p"].to_numpy()[:, 1:]
-    np.testing.assert_allclose(found["p_corrected"].to_numpy()[:, 1:].ravel(), stats.false_discovery_control(p.ravel()))
-    # Two contents scatter: each interval has 97.5 %.
-    half = stats.norm.ppf(1 - 0.05 / 4) * np.sqrt((1 + rank.statistic**2 / 2) / 37)
-    assert float(here["low"]) == pytest.approx(np.tanh(np.arctanh(rank.statistic) - half))
-    with pytest.raises(ValueError, match="'w' is not in list"):
-        correlate_by_content(table(x=x, y=y), "w")
 
 
 @pytest.mark.slow
@@ -232,37 +210,3 @@ def test_a_content_at_which_a_variable_is_constant_says_nothing_about_it() -> No
         assert pair(found, name) == pytest.approx(pair(only, name), rel=1e-12)
     tested = seed_permutation_test(table(x=x, y=y, z=y + generator.normal(size=y.shape)), "y")
     assert float(tested["pearson"].sel(variable="x")) == pytest.approx(pair(only, "pearson"), rel=1e-12)
-
-
-@pytest.mark.parametrize("count", [4, 5, 8])
-def test_few_samples_have_exact_p(count: int) -> None:
-    """Of all orders; a perfect one of four samples is found by chance in 2 of 24, and has no interval."""
-    generator = np.random.default_rng(7)
-    values = {name: generator.normal(size=(count, 1)) for name in "xy"}
-    values["w"] = np.exp(values["y"])
-    values["y"] += 10.0
-    found = correlate_by_content(table(**values), "y")
-    exact = (
-        stats.permutation_test(
-            (values["x"][:, 0],),
-            lambda x: stats.spearmanr(x, values["y"][:, 0]).statistic,
-            permutation_type="pairings",
-            n_resamples=50_000,
-            vectorized=False,
-        )
-        if count < 8
-        else None
-    )
-    if exact is not None:
-        assert float(found["p"].sel(variable="x")[0]) == pytest.approx(exact.pvalue)
-    assert float(found["p"].sel(variable="w")[0]) == pytest.approx(2.0 / math.factorial(count))
-    assert np.isnan(found["low"].sel(variable="w")).all()
-
-
-@pytest.mark.parametrize("count", [4, 10])
-def test_noise_is_no_discovery(count: int) -> None:
-    """In a table of 8 features and 4 contents some corrected p is below 5 % in at most about so many of all tables."""
-    generator = np.random.default_rng(8)
-    tables = [table(**{name: np.exp(generator.normal(size=(count, 4))) for name in "abcdefghy"}) for _ in range(50)]
-    found = sum(bool((correlate_by_content(one, "y")["p_corrected"] < 0.05).any()) for one in tables)
-    assert found <= 7  # of a binomial with 5 %: more are found in 1 of 300 cases

@@ -1,6 +1,7 @@
 from collections import Counter
 from dataclasses import fields
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,8 @@ WEIGHTS = ContactWeights.from_ratio(0.5)
 
 def features_of(paths: ShortestPaths, graph: ContactGraph, straight: float) -> PathFeatures:
     """Give the features of paths of a graph, which need neither disks nor a network."""
-    return PackingGraph(None, graph, WEIGHTS, straight, None).features(paths)  # type: ignore[arg-type]
+    disks_and_network: Any = [None] * 5
+    return PackingGraph(disks_and_network[0], graph, WEIGHTS, straight, *disks_and_network[1:]).features(paths)
 
 
 def test_features_of_the_drawn_path(drawn_sample: tuple[ContactGraph, NDArray[np.bool_]]) -> None:

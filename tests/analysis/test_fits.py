@@ -176,5 +176,3 @@ def test_what_cannot_be_fitted_is_refused() -> None:
         fit_power_law(np.repeat([0.3, 0.6], 40), y)
     with pytest.raises(ValueError, match="one of each"):
         fit_power_law(x, y[1:])
-    with pytest.raises(ValueError, match="differ in shape"):
-        leave_one_seed_out(x, y, [1])

@@ -95,13 +95,6 @@ def test_prediction_interval_from_a_printed_quantile() -> None:
     assert Interval.of_prediction(SAMPLE).half_width == pytest.approx(half, rel=1e-3)
 
 
-def test_ordered_prediction_interval_takes_the_right_ranks() -> None:
-    """Of 39 values the extremes hold a new one with 95 %, of 79 the second from each end, of 38 none do."""
-    assert Interval.of_ordered_prediction(np.arange(39.0)) == Interval(0.0, 38.0)
-    assert Interval.of_ordered_prediction(np.arange(79.0)) == Interval(1.0, 77.0)
-    assert np.isnan(Interval.of_ordered_prediction(np.arange(38.0)).low)
-
-
 @pytest.mark.parametrize("n", [1, 2])
 def test_too_few_values_leave_intervals_undefined(n: int) -> None:
     """One value has no interval, two have."""
@@ -127,15 +120,6 @@ def test_prediction_interval_covers_as_promised(within_binomial: Callable[[int, 
     """Of 1000 intervals from 12 normal values each, 95 % hold a thirteenth."""
     samples = np.random.default_rng(3).normal(1000, 100, (1000, 13))
     hits = sum(Interval.of_prediction(sample[:-1]).contains(sample[-1]) for sample in samples)
-    assert within_binomial(hits, 1000, 0.95)
-
-
-def test_ordered_prediction_interval_covers_whatever_the_distribution(
-    within_binomial: Callable[[int, int, float], bool],
-) -> None:
-    """Of 1000 intervals from 39 values of a very skewed distribution each, 95 % hold a fortieth."""
-    samples = np.random.default_rng(4).exponential(1.0, (1000, 40))
-    hits = sum(Interval.of_ordered_prediction(sample[:-1]).contains(sample[-1]) for sample in samples)
     assert within_binomial(hits, 1000, 0.95)
 
 

@@ -35,7 +35,6 @@ def test_corner_of_a_detour() -> None:
     assert envelope.lines == (_PathLine(0, 6), _PathLine(3, 0))
     assert corners_of(envelope) == [0.5]
     np.testing.assert_allclose(envelope.connectivity([0.25, 0.5, 0.75]), [1.5, 3.0, 3.0])
-    assert path_envelope(*detour(3, 6), high=1.0).lines == envelope.lines  # up to weights that are equal
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -60,13 +59,13 @@ def test_random_samples_have_several_corners(random_sample: Callable[..., Sample
 @pytest.mark.parametrize("seed", range(6))
 def test_paths_take_over_in_order(seed: int, random_sample: Callable[..., Sample]) -> None:
     """Along the ratio, paths lose cemented and gain sand contacts, at ascending corners in the range."""
-    envelope = path_envelope(*random_sample(seed, 600, share=0.3), low=0.05, high=0.95)
+    envelope = path_envelope(*random_sample(seed, 600, share=0.3))
     corners = np.array(corners_of(envelope))
     hertz, bond = np.array(envelope.lines).T
     assert (np.diff(hertz) > 0).all()
     assert (np.diff(bond) < 0).all()
     assert (np.diff(corners) > 0).all()
-    assert ((corners > 0.05) & (corners < 0.95)).all()
+    assert ((corners > 0.01) & (corners < 0.99)).all()
 
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
@@ -90,17 +89,3 @@ def test_few_searches_are_needed(random_sample: Callable[..., Sample], monkeypat
     monkeypatch.setattr(module, "contacts_on_path", counted)
     envelope = path_envelope(*random_sample(1, 800, share=0.2))
     assert searches <= 2 * len(envelope.lines) + 1
-
-
-def test_ratios_outside_the_range_are_refused() -> None:
-    """The envelope says nothing about ratios it was not found for."""
-    envelope = path_envelope(*detour(3, 6), low=0.4, high=0.9)
-    with pytest.raises(ValueError, match="wider range"):
-        envelope.connectivity(0.3)
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 0.5), (0.5, 0.5), (0.5, 1.1)])
-def test_impossible_ranges_are_refused(low: float, high: float) -> None:
-    """The range lies within (0, 1] and is not empty."""
-    with pytest.raises(ValueError, match="0 < low < high <= 1"):
-        path_envelope(*detour(3, 6), low, high)

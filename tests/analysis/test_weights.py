@@ -24,7 +24,7 @@ def campaign(
     envelopes, velocity = [], []
     for _ in range(SEEDS * CONTENTS):
         hertz, bond = (int(count) for count in generator.integers(1, 30, size=2))
-        envelopes.append(PathEnvelope((_PathLine(hertz, bond),), 0.01, 0.99))
+        envelopes.append(PathEnvelope((_PathLine(hertz, bond),)))
         velocity.append(2500 - 40 * (hertz + true_ratio * bond) + generator.normal(0, noise))
     return envelopes, np.array(velocity), np.repeat(np.arange(SEEDS), CONTENTS)
 
@@ -47,7 +47,7 @@ def test_the_interval_holds_the_true_ratio_as_often_as_promised() -> None:
     hits = 0
     for trial in range(100):
         envelopes, velocity, seeds = campaign(0.6, 100.0, trial)
-        scan = scan_ratio(envelopes, velocity, seeds, replicates=400)
+        scan = scan_ratio(envelopes, velocity, seeds)
         hits += scan.best_ratio_interval.contains(0.6)
     assert 86 <= hits <= 100
 
@@ -55,9 +55,10 @@ def test_the_interval_holds_the_true_ratio_as_often_as_promised() -> None:
 def test_correlation_is_that_of_normalised_connectivity() -> None:
     """At each ratio the coefficient is SciPy's, between C_d,n itself and Vs."""
     envelopes, velocity, seeds = campaign(0.6, 100.0)
-    scan = scan_ratio(envelopes, velocity, seeds, ratios=[0.3, 0.83], replicates=10)
+    scan = scan_ratio(envelopes, velocity, seeds)
     straight = 0.1 / 2.56e-3 - 1
-    for ratio, found in zip(scan.ratios, scan.correlation, strict=True):
+    for place in (29, 82):
+        ratio, found = scan.ratios[place], scan.correlation[place]
         weights = ContactWeights.from_ratio(ratio)
         lengths = [float(envelope.connectivity(ratio)) for envelope in envelopes]
         c_dn = [normalized_connectivity(length, weights, straight) for length in lengths]
@@ -80,27 +81,21 @@ def test_more_noise_widens_the_interval() -> None:
     assert loud > 2 * quiet
 
 
-def test_an_interval_of_a_lower_level_lies_inside() -> None:
-    """Half of the replicates, a quarter on each side, lie within 95 % of them."""
-    half, most = (scan_ratio(*campaign(0.6, 200.0), level=level).best_ratio_interval for level in (0.5, 0.95))
-    assert most.low < half.low < half.high < most.high
-
-
 def test_samples_without_velocity_are_left_out_and_counted() -> None:
     """Gaps change nothing but the count, if the others are the same."""
     envelopes, velocity, seeds = campaign(0.6, 100.0)
     gaps = velocity.copy()
     gaps[::7] = np.nan
     known = np.isfinite(gaps)
-    scan = scan_ratio(envelopes, gaps, seeds, replicates=10)
+    scan = scan_ratio(envelopes, gaps, seeds)
     kept = [envelope for envelope, keep in zip(envelopes, known, strict=True) if keep]
-    expected = scan_ratio(kept, velocity[known], seeds[known], replicates=10)
+    expected = scan_ratio(kept, velocity[known], seeds[known])
     np.testing.assert_allclose(scan.correlation, expected.correlation)
 
 
 def test_a_true_ratio_beyond_the_scan_gives_its_edge() -> None:
     """If the true ratio lies beyond the scan, the best one is at its edge."""
-    assert scan_ratio(*campaign(0.6, 0.0), ratios=[0.1, 0.2, 0.3]).best_ratio in (0.1, 0.3)
+    assert scan_ratio(*campaign(1.5, 0.0)).best_ratio == pytest.approx(0.99)
 
 
 def test_the_smallest_of_a_plateau_is_best() -> None:
@@ -116,13 +111,11 @@ def test_samples_that_are_all_alike_are_refused() -> None:
         scan_ratio([envelopes[0]] * len(envelopes), velocity, seeds)
 
 
-def test_unequal_lengths_and_too_few_velocities_are_refused() -> None:
-    """There is one envelope, one velocity and one seed for every sample, and three velocities at least."""
+def test_too_few_velocities_are_refused() -> None:
+    """There are three at least."""
     envelopes, velocity, seeds = campaign(0.6, 100.0)
-    with pytest.raises(ValueError, match="one of each"):
-        scan_ratio(envelopes[1:], velocity, seeds)
     with pytest.raises(ValueError, match="at least three"):
         scan_ratio(envelopes, np.where(np.arange(velocity.size) < 2, velocity, np.nan), seeds)
     three = np.where(np.arange(velocity.size) % 4 == 0, velocity, np.nan)
     three[np.flatnonzero(np.isfinite(three))[3:]] = np.nan
-    assert np.isfinite(scan_ratio(envelopes, three, seeds, replicates=2).best_correlation)
+    assert np.isfinite(scan_ratio(envelopes, three, seeds).best_correlation)

@@ -108,13 +108,11 @@ def test_repeated_failure_gives_one_attempt(store: Store, records: "Records") ->
     assert store.attempt_counts([CellKey(1, 5.0)]) == {CellKey(1, 5.0): AttemptCount(1, 0)}
 
 
-def test_done_is_never_replaced_unless_told(store: Store, records: "Records") -> None:
-    """A done cell survives later outcomes, and gives way with replace_done."""
+def test_done_is_never_replaced(store: Store, records: "Records") -> None:
+    """A done cell survives later outcomes."""
     store.record_results([records.done(1, 5.0, vs=1000.0)])
     assert store.record_results([records.failed(1, 5.0, attempt=2), records.done(1, 5.0, vs=1.0, attempt=3)]) == 0
     assert next(store.results()).vs == 1000.0
-    assert store.record_results([records.done(1, 5.0, vs=1001.0, attempt=3)], replace_done=True) == 1
-    assert next(store.results()).vs == 1001.0
 
 
 def test_later_attempt_replaces_other_outcomes(store: Store, records: "Records") -> None:

@@ -228,7 +228,7 @@ def _describe_graph(
     There is no path if no chain of contacts joins transmitter and receiver.
     """
     bonded = packing.kinds(cement) > 0
-    network = packing.network.features(bonded)
+    network = packing.network_features(bonded)
     if network.network_gap_contacts is None:
         return None, None, network
     paths = packing.shortest_paths(bonded)

@@ -40,7 +40,7 @@ from calcidem.dem.sample.cement import CementCapacityError, CementKind
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import Experiment, wave_scene
 from calcidem.ends import CellStatus
-from calcidem.storage.dataset import campaign_dataset, cell_matrices
+from calcidem.storage.dataset import campaign_dataset
 from calcidem.storage.errors import QueryError, StoreError, UnknownCellError
 from calcidem.storage.files import write_atomically
 from calcidem.storage.records import (
@@ -171,7 +171,7 @@ class Campaign(Closable):
         >>> campaign.vs().sel(content=5.0).attrs["units"]
         'm s-1'
         """
-        return cell_matrices(self.store, ("vs",))["vs"]
+        return self.to_xarray(("vs",))["vs"]
 
     def vs_error(self) -> xr.DataArray:
         """Return the relative standard errors (seed, content) of the velocities, NaN where unknown.
@@ -179,7 +179,7 @@ class Campaign(Closable):
         They combine reading, simulation and pulse (`reading_error`, `numerical_error` and `pulse_effect` in
         `to_xarray`). The 95 % interval of a velocity extends 1.96 of them to either side.
         """
-        return cell_matrices(self.store, ("vs_error",))["vs_error"]
+        return self.to_xarray(("vs_error",))["vs_error"]
 
     def to_xarray(self, columns: Sequence[str] | None = None) -> xr.Dataset:
         """Return these quantities of every cell, by default all (`calcidem.storage.dataset.campaign_dataset`)."""
@@ -358,7 +358,7 @@ class Campaign(Closable):
         """
         if density is not None and not 100.0 <= density <= 2e4:  # kg/m^3, from foam to metal
             raise QueryError(f"density = {density:g} kg/m^3: is none of a soil.", "Give one such as 1659.")
-        found = cell_matrices(self.store, ("effective_vs", "pulse_effect"))
+        found = self.to_xarray(("effective_vs", "pulse_effect"))
         effect = found["pulse_effect"].max("seed")
         loud = effect[depends_on_pulse(effect.to_numpy())]
         if loud.size:
@@ -624,7 +624,7 @@ def predict_velocity(
     if pattern is not None and table.shape[1]:
         graph = analysis.graphs[0]
         try:
-            found = graph.network.features(graph.kinds(pattern) > 0).network_conductance or math.nan
+            found = graph.network_features(graph.kinds(pattern) > 0).network_conductance or math.nan
         except ValueError as error:
             raise QueryError(f"{error}.", "Give the contacts of a sample of this campaign.") from error
         features, known = np.array([math.log(found)]), table[others, 0]

@@ -297,7 +297,6 @@ def _write_files(
         "features": lambda analysis: analysis.table,
         "correlations_overall": lambda analysis: correlations(analysis.table).overall,
         "correlations_within_content": lambda analysis: correlations(analysis.table).within,
-        "correlations_by_content": lambda analysis: analysis.content_correlations,
     }
     files = [folder / f"{entry.name}.{ending}" for entry in chosen for ending in ("png", "svg", "pdf")]
     files += [*(folder / f"table_{name}.csv" for name in TABLES), *(folder / f"{name}.nc" for name in exact)]

@@ -7,7 +7,6 @@ no database is read.
 import asyncio
 import ipaddress
 import json
-import math
 import os
 import secrets
 import signal
@@ -43,7 +42,7 @@ from calcidem.app.report.cell_data import page_templates
 from calcidem.app.serve import PageAddress
 from calcidem.app.serve.feed import CampaignFeed, Event
 from calcidem.storage.errors import StoreError, UnknownCellError, hide_passwords
-from calcidem.storage.records import LARGEST_SEED, canonical_content, checked_seed
+from calcidem.storage.records import canonical_content, checked_seed
 from calcidem.sweep.ranks import die_with_parent
 
 
@@ -196,8 +195,6 @@ def _wanted(request: Request) -> tuple[int, float]:
         content = canonical_content(float(request.query_params["content"]))
     except (KeyError, ValueError, TypeError) as error:
         raise HTTPException(400) from error
-    if not math.isfinite(content) or seed > LARGEST_SEED:
-        raise HTTPException(400)
     return seed, content
 
 

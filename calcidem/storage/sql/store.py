@@ -58,8 +58,8 @@ class Store(StoreReader):
        nothing is. `together` makes one of several.
     4. Writing the same thing again changes nothing. A result is identified by its cell and the number of
        its attempt.
-    5. A done cell is kept unless `replace_done` is set. Any other outcome is replaced by one of
-       the same or a later attempt, and to a done one.
+    5. A done cell is kept. Any other outcome is replaced by one of the same or a later attempt, and by a
+       done one.
     6. A cell without an outcome is pending. Every outcome settles its cell; `retry` makes settled cells
        pending again and keeps their history.
     7. Attempts are counted from 1 for each cell over all runs, those whose worker was lost included. The
@@ -282,7 +282,7 @@ class Store(StoreReader):
         with self._writing() as connection:
             connection.execute(insert(PACKING).values(row | {"wall_stress": dict(packing.wall_stress)}))
 
-    def record_results(self, results: Iterable[CellResult], *, replace_done: bool = False) -> int:
+    def record_results(self, results: Iterable[CellResult]) -> int:
         """Store outcomes in one transaction (rules 4 and 5), and return their number; rule 5 excludes the others.
 
         `UnknownCellError` if a cell is not planned.
@@ -291,11 +291,7 @@ class Store(StoreReader):
         with self._writing() as connection:
             for batch in _distinct_batches(result.pack() for result in results):
                 known = self._known_cells(connection, [result.key for result in batch])
-                accepted = [
-                    (known[result.key].id, result)
-                    for result in batch
-                    if _gives_way(known[result.key], result, replace_done=replace_done)
-                ]
+                accepted = [(known[result.key].id, result) for result in batch if _gives_way(known[result.key], result)]
                 self._replace(connection, accepted, recorded)
                 stored += len(accepted)
         return stored
@@ -419,10 +415,10 @@ def _distinct_batches(results: Iterable[CellResult]) -> Iterator[list[CellResult
         yield list(batch.values())
 
 
-def _gives_way(known: Row[*tuple[Any, ...]], result: CellResult, *, replace_done: bool) -> bool:
+def _gives_way(known: Row[*tuple[Any, ...]], result: CellResult) -> bool:
     """Rule 5 of the contract: whether the new outcome replaces the stored one."""
     if known.status == CellStatus.DONE:
-        return replace_done
+        return False
     return known.status is None or result.status is CellStatus.DONE or bool(result.attempt >= known.attempt)
 
 

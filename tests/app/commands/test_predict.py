@@ -44,7 +44,7 @@ def test_the_feature_is_the_stored_conductance(campaign: Campaign) -> None:
     cell, graph = campaign.cell(seed=2, content=5.0), campaign.analyse().graphs[0]
     assert cell.network is not None
     assert cell.cement is not None
-    again = graph.network.features(graph.kinds(cell.cement) > 0).network_conductance
+    again = graph.network_features(graph.kinds(cell.cement) > 0).network_conductance
     assert again == pytest.approx(cell.network.network_conductance, rel=1e-9)  # SuperLU's last bits are the processor's
 
 
