@@ -102,7 +102,9 @@ def test_a_rank_that_is_stopped_while_starting_is_not_waited_for(workshop: "Work
     assert workshop.leaves_no_process()
 
 
-@pytest.mark.parametrize(("how", "said"), [("kill -9 $$", "killed by SIGKILL"), ("exit 213", "returned 213")])
+@pytest.mark.parametrize(
+    ("how", "said"), [("kill -9 $$", "killed by SIGKILL"), pytest.param("exit 213", "returned 213", marks=FULL)]
+)
 def test_a_launcher_that_fails_is_started_twice(workshop: "Workshop", how: str, said: str) -> None:
     """Nothing has begun, so the run ends with 1, however many restarts are allowed; once more was worth a try."""
     launcher = workshop.folder / "launcher"
@@ -121,8 +123,8 @@ def test_a_launcher_that_fails_is_started_twice(workshop: "Workshop", how: str, 
     "variables",
     [
         {"OMPI_COMM_WORLD_SIZE": "3", "OMPI_COMM_WORLD_RANK": "0"},
-        {"PMI_SIZE": "3", "PMI_RANK": "0"},
-        {"SLURM_STEP_NUM_TASKS": "3", "SLURM_NTASKS": "3", "PMIX_RANK": "0"},
+        pytest.param({"PMI_SIZE": "3", "PMI_RANK": "0"}, marks=FULL),
+        pytest.param({"SLURM_STEP_NUM_TASKS": "3", "SLURM_NTASKS": "3", "PMIX_RANK": "0"}, marks=FULL),
     ],
 )
 def test_a_rank_that_mpi_leaves_alone_does_not_compute_the_campaign(
@@ -217,6 +219,7 @@ def test_a_run_that_comes_second_ends_with_1(workshop: "Workshop") -> None:
     assert workshop.wait(first).code == 0
 
 
+@FULL  # tests/sweep/test_faults.py has the rule, the fault matrix the start after a death
 def test_a_cell_that_kills_each_worker_is_quarantined_and_the_others_go_on(
     workshop: "Workshop", expected: "Cells"
 ) -> None:

@@ -37,7 +37,7 @@ TOOLS = ("pytest", "pytest-xdist", "hypothesis")
 
 BITS = "tests/dem/test_portable_bits.py"
 TESTS = (
-    *("tests/dem/test_impact.py", "tests/dem/test_lanes.py", "tests/dem/test_without_jit.py"),
+    *("tests/dem/test_bonds.py", "tests/dem/test_lanes.py", "tests/dem/test_without_jit.py"),
     "tests/dem/test_vectorised.py",
     *("tests/storage/test_contract.py", "tests/storage/test_schema.py", "tests/app/test_command_line.py"),
     *("tests/analysis/test_distribution.py", "tests/analysis/test_intervals.py"),

@@ -39,12 +39,12 @@ def part_with_velocity(own: OwnSand, seeds: int) -> float:
     return sum(cell.vs is not None for cells in found for cell in cells) / (seeds * len(found))
 
 
-@pytest.mark.slow
+@pytest.mark.full  # two kernels of presets, a packing and some samples each
 @pytest.mark.parametrize(
     "own",
     [
-        pytest.param(("0.1mm", "1MPa", "carbonate"), marks=pytest.mark.full),  # some seconds each
-        pytest.param(("5mm", "20kPa", "quartz"), marks=pytest.mark.full),
+        ("0.1mm", "1MPa", "carbonate"),
+        ("5mm", "20kPa", "quartz"),
         ("0.1mm,0.3mm,0.9mm", "1bar", "glass"),
     ],
 )

