@@ -8,7 +8,12 @@ from places import CHECKOUT
 
 SENTINELS = [
     ("analysis/intervals.py", "np.sqrt((n - 1) / scipy", "np.sqrt((n - 2) / scipy", "analysis/test_intervals.py"),
-    ("analysis/measured.py", "(y[-1] - y[0]) / (x[-1]", "(y[-1] + y[0]) / (x[-1]", "analysis/test_stages.py"),
+    (
+        "analysis/measured.py",
+        "standard_deviation / math.sqrt(vs",
+        "standard_deviation * math.sqrt(vs",
+        "analysis/test_measured.py",
+    ),
     ("analysis/distribution.py", "float(own / reference)", "float(own * reference)", "analysis/test_sensitivity.py"),
     ("analysis/correlation.py", ") / np.sqrt(variance_x", ") * np.sqrt(variance_x", "analysis/test_weights.py"),
     ("analysis/fits.py", "np.array([-half, 0.0", "np.array([half, 0.0", "analysis/test_predictor.py"),

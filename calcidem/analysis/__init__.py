@@ -10,5 +10,5 @@ simulates, so the same code serves a campaign, a published table and other data.
 - `campaign_analysis`: all products of a campaign;
 - `correlation`: Pearson and Spearman, over all contents, within one and at each; the best ratio of the contact weights;
 - `fits`: Vs = a C^b + c with intervals, leave-one-seed-out error; Vs of samples that were not simulated;
-- `measured`: comparison with laboratory velocities; `published`: the reproduced study's tables and stages of growth.
+- `measured`: comparison with laboratory velocities; `published`: the reproduced study's tables.
 """

@@ -27,9 +27,7 @@ from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, 
 from calcidem.analysis.measured import (
     PublishedLaw,
     PublishedVelocity,
-    StageGrowth,
     Target,
-    growth_by_stage,
     published_study,
 )
 from calcidem.analysis.packing_graph import (
@@ -159,12 +157,6 @@ class CampaignAnalysis:
     def budgets(self) -> tuple[ErrorBudget, ...]:
         """Errors of the velocities of each content, in the order of `distributions`."""
         return tuple(error_budget(self.cells.sel(content=row.content)) for row in self.distributions)
-
-    @cached_property
-    def stages(self) -> tuple[StageGrowth, ...]:
-        """Growth of mean Vs in the four stages."""
-        contents = [row.content for row in self.distributions]
-        return growth_by_stage(contents, [row.vs.mean for row in self.distributions])
 
     @cached_property
     def graphs(self) -> tuple[PackingGraph, ...]:

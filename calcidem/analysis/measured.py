@@ -15,7 +15,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from calcidem.analysis.contact_graph import ContactWeights
 from calcidem.analysis.distribution import ContentDistribution
@@ -147,11 +146,6 @@ def is_covered(row: Target, lowest: float, highest: float) -> bool:
     return lowest - 1e-6 <= row.content <= highest + 1e-6
 
 
-STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 9.0)}
-"""First and last content of each stage, percent, whose end points give the printed growth rates. The text of the paper
-has other bounds (0.66, 2.55 and 6 %), which do not give these rates; see docs/reproduction/published_check.py.
-"""
-
 PUBLISHED_KEYS = {
     "packing.width": "box_width",
     "packing.height": "box_height",
@@ -171,46 +165,6 @@ PUBLISHED_KEYS = {
     "wave.band_friction": "wall_friction",
 }
 """Published parameter of each configuration key."""
-
-
-@dataclass(frozen=True, slots=True)
-class StageGrowth:
-    """Growth of mean Vs within one stage."""
-
-    stage: str
-    """Roman numeral, as in the paper."""
-    contents: tuple[float, ...]
-    """Contents of the campaign in this range, in percent."""
-    end_point_slope: float
-    """Difference of the means at the last and first content over the difference of content, in m/s per percent: the
-    paper's rate.
-    """
-    least_squares_slope: float
-    """Slope of the regression line through all means, in m/s per percent. Both are NaN with fewer than two contents."""
-
-
-def growth_by_stage(
-    content: ArrayLike, mean_vs: ArrayLike, stages: Mapping[str, tuple[float, float]] = STAGES
-) -> tuple[StageGrowth, ...]:
-    """Return the growth rate of each stage from contents (%) and mean velocities (m/s), both (k,), without NaN."""
-    contents, means = np.asarray(content, dtype=np.float64), np.asarray(mean_vs, dtype=np.float64)
-    order = np.argsort(contents)
-    contents, means = contents[order], means[order]
-    growth = []
-    for stage, (low, high) in stages.items():
-        # Contents are parsed from decimal text; a difference in the last bit must not exclude one.
-        inside = (contents >= low - 1e-9) & (contents <= high + 1e-9) & np.isfinite(means)
-        x, y = contents[inside], means[inside]
-        enough = x.size > 1
-        growth.append(
-            StageGrowth(
-                stage=stage,
-                contents=tuple(x.tolist()),
-                end_point_slope=float((y[-1] - y[0]) / (x[-1] - x[0])) if enough else math.nan,
-                least_squares_slope=float(np.polyfit(x, y, 1)[0]) if enough else math.nan,
-            )
-        )
-    return tuple(growth)
 
 
 @dataclass(frozen=True, slots=True)

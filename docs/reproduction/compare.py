@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Callable
 
 import numpy as np
+from published_check import growth_by_stage
 from scipy.interpolate import PchipInterpolator, make_interp_spline
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
@@ -122,7 +123,9 @@ def print_baseline(rows: list[Row]) -> None:
 def print_rates(analysis: CampaignAnalysis) -> None:
     """Print the growth of the four stages."""
     print("\n| stage | rate, m/s per % | published |", "|---|---|---|", sep="\n")
-    for growth, printed in zip(analysis.stages, published_study().stages, strict=True):
+    rows = analysis.distributions
+    found = growth_by_stage([row.content for row in rows], [row.vs.mean for row in rows])
+    for growth, printed in zip(found, published_study().stages, strict=True):
         print(f"| {printed.name} | {growth.end_point_slope:.0f} | {printed.rate:.0f} |")
 
 

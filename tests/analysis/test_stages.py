@@ -1,9 +1,13 @@
 import itertools
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calcidem.analysis.measured import STAGES, growth_by_stage
+sys.path.append(str(Path(__file__).parents[2] / "docs" / "reproduction"))
+
+from published_check import STAGES, growth_by_stage
 
 
 def test_slopes_of_a_drawn_curve() -> None:

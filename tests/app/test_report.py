@@ -30,7 +30,7 @@ from calcidem.app.report.sections import (
     _published_table,
     make_or_explain,
 )
-from calcidem.app.report.tables import Table, _growth_table, _outcome_table, _velocity_table, probability
+from calcidem.app.report.tables import Table, _outcome_table, _velocity_table, probability
 from calcidem.app.studies.sensitivity import run_studies
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
@@ -154,7 +154,6 @@ def test_another_sand_is_not_held_beside_the_paper(page: str, small_database: Pa
         analysis = campaign.analyse()
         assert _parameter_table(campaign.config) is None
         assert _published_table(analysis) is None
-        assert _growth_table(analysis) is None
 
 
 def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:

@@ -286,7 +286,7 @@ PAGE_SECTIONS = (
         "velocities",
         "Shear-wave velocity",
         ("vs_range", "histograms"),
-        ("velocities", "measured", "meaning", "outcomes", "growth"),
+        ("velocities", "measured", "meaning", "outcomes"),
     ),
     SectionPlan("samples", "Samples and measurement", ("samples", "measurement", "signals", "methods", "dispersion")),
     SectionPlan(

@@ -1,4 +1,4 @@
-"""Tables of results: velocities, outcomes, growth, features, laws, numerical error and run time."""
+"""Tables of results: velocities, outcomes, features, laws, numerical error and run time."""
 
 import math
 from collections import Counter
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlation_tests, correlations
 from calcidem.analysis.intervals import Interval
-from calcidem.analysis.measured import published_study
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES, describe_feature
 from calcidem.analysis.velocity import (
     FEWEST_WAVELENGTHS,
@@ -171,31 +170,6 @@ def count_reasons(
     return [(*key, sorted(where[key]), count) for key, count in found.most_common(20)]
 
 
-def _growth_table(analysis: CampaignAnalysis) -> Table | None:
-    """Growth of the mean in the four published stages; None for other sands, or if no stage has two contents."""
-    if not published_study().has_sand_of(analysis.config):
-        return None
-    published = {stage.name: stage.rate for stage in published_study().stages}
-    rows = tuple(
-        {
-            "stage": growth.stage,
-            "contents (%)": f"{growth.contents[0]:g} to {growth.contents[-1]:g}",
-            "end points": decimal(growth.end_point_slope, 1),
-            "least squares": decimal(growth.least_squares_slope, 1),
-            "published": decimal(published[growth.stage], 1),
-        }
-        for growth in analysis.stages
-        if len(growth.contents) > 1
-    )
-    if not rows:
-        return None
-    return Table.of(
-        "Growth of mean Vs in the four stages, in m/s per percent: slope between the end points (as published), "
-        "slope of the straight line through all means, and the published slope.",
-        rows,
-    )
-
-
 def _own_table(analysis: CampaignAnalysis) -> Table | None:
     """Features of other packages, and their correlation with Vs; None without any."""
     if not analysis.features:
@@ -343,7 +317,6 @@ RESULT_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "velocities": _velocity_table,
     "meaning": _meaning_table,
     "outcomes": _outcome_table,
-    "growth": _growth_table,
     "features": lambda analysis: _correlation_table("the preferential path", FEATURES, analysis.table),
     "network_features": lambda analysis: _correlation_table(
         "the cement as a network", NETWORK_FEATURES, analysis.network_table
