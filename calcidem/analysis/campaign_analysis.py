@@ -146,17 +146,12 @@ class CampaignAnalysis:
     @cached_property
     def distributions(self) -> tuple[ContentDistribution, ...]:
         """Distribution of Vs at each content."""
-        return describe_contents(self.vs, self.status, error=self.cells["vs_error"])
+        return describe_contents(self.cells)
 
     @cached_property
     def budget(self) -> ErrorBudget:
         """Errors of all velocities."""
         return error_budget(self.cells)
-
-    @cached_property
-    def budgets(self) -> tuple[ErrorBudget, ...]:
-        """Errors of the velocities of each content, in the order of `distributions`."""
-        return tuple(error_budget(self.cells.sel(content=row.content)) for row in self.distributions)
 
     @cached_property
     def graphs(self) -> tuple[PackingGraph, ...]:

@@ -64,7 +64,8 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     Table and errors are as for `correlate`; also `ValueError` if the table lacks the target. Returns along variable,
     without the target: ``pearson`` of `correlate` within one content, its 95 % interval ``pearson_low`` and
     ``pearson_high``, its two-sided ``p``, and ``p_corrected``, the probability that the largest of all
-    coefficients is as large by chance. NaN for constant variables; where an order of the seeds gives a coefficient of 1, there is no interval.
+    coefficients is as large by chance. NaN for constant variables; where an order of the seeds gives a coefficient of
+    1, there is no interval.
 
     Intervals are those of Fisher's z, with its standard deviation over the permutations: between seeds that share
     effects it is larger than that of as many independent samples.

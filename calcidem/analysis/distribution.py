@@ -24,7 +24,7 @@ from calcidem.analysis.intervals import (
     mean_half_width,
     standard_deviation,
 )
-from calcidem.analysis.velocity import are_samples, error_budget
+from calcidem.analysis.velocity import ErrorBudget, are_samples, error_budget
 from calcidem.ends import CellStatus
 from calcidem.storage.records import NOT_PLANNED, STATUS_CODES
 
@@ -150,28 +150,23 @@ class ContentDistribution:
     """Number of cells computed without a usable velocity."""
     vs: Distribution
     """Distribution of the measured velocities, in m/s."""
+    budget: ErrorBudget
+    """Errors of these velocities."""
 
 
-def describe_contents(
-    vs: xr.DataArray, status: xr.DataArray | None = None, level: float = 0.95, error: xr.DataArray | None = None
-) -> tuple[ContentDistribution, ...]:
+def describe_contents(cells: xr.Dataset, level: float = 0.95) -> tuple[ContentDistribution, ...]:
     """Describe the velocities of the distinct samples at every content of a campaign, and count the cells without one.
 
     A cell that was not computed yet carries no information about Vs. A failed cell may, since the arrival of slow
-    samples is hard to pick. The two are therefore never added. Without cement all seeds are one sample and count once.
+    samples is hard to pick. The two are therefore never added. Without cement all seeds are one sample and count once;
+    the error of its velocity gives its interval.
 
-    The arguments are along (seed, content), else `ValueError`: Vs in m/s, NaN if missing; the outcome as text, which is
-    "done" if Vs is a number, "" if the cell is not computed yet, `NOT_PLANNED` if it will not be, and else the name of
-    the failure; and the relative standard error of Vs. That of the one sample without cement gives its interval.
-    Without ``status`` every NaN counts as not computed.
+    The cells have `BUDGET_QUANTITIES` and the status (`STATUS_CODES`) along seed and content, else `ValueError`.
     """
-    columns = vs.transpose("content", "seed").to_numpy()
-    outcomes = np.where(np.isfinite(columns), "done", "")
-    if status is not None:
-        outcomes = status.transpose("content", "seed").to_numpy()
-    errors = np.full_like(columns, np.nan) if error is None else error.transpose("content", "seed").to_numpy()
-    contents, found = vs["content"].to_numpy().tolist(), []
-    for content, column, outcome, error_there in zip(contents, columns, outcomes, errors, strict=True):
+    found = []
+    for content in cells["content"].to_numpy().tolist():
+        here = cells.sel(content=content).transpose("seed")
+        column, outcome = here["vs"].to_numpy(), name_outcomes(here["status"]).to_numpy()
         counted = are_samples(column, content)
         described = Distribution.of_sample(column[counted], level)
         missing = int(np.sum(outcome == ""))
@@ -180,16 +175,16 @@ def describe_contents(
             failed = int(failed > 0 and not counted.any())
             missing = int(missing > 0 and not failed and not counted.any())
             if counted.any():
-                interval = Interval.of_velocity(described.mean, float(error_there[counted][0]), level)
+                interval = Interval.of_velocity(described.mean, float(here["vs_error"][counted][0]), level)
                 described = replace(described, mean_interval=interval)
-        found.append(ContentDistribution(content, missing, failed, described))
+        found.append(ContentDistribution(content, missing, failed, described, error_budget(here)))
     return tuple(found)
 
 
 def tabulate(distributions: tuple[ContentDistribution, ...]) -> xr.Dataset:
-    """Arrange distributions of contents as a table: a variable with units for each number of `Distribution`.
+    """Arrange distributions of contents as a table: a variable with units for each number.
 
-    Intervals have a further dimension `bound`.
+    Errors of the velocities are those of `ErrorBudget`. Intervals have a further dimension `bound`.
     """
     table = xr.Dataset(coords={"content": [row.content for row in distributions], "bound": ["low", "high"]})
     table["content"].attrs = {"units": "%", "long_name": "calcite content by sand mass"}
@@ -203,26 +198,17 @@ def tabulate(distributions: tuple[ContentDistribution, ...]) -> xr.Dataset:
             table[name] = "content", values
         units = "m/s" if name.startswith(("mean", "standard_deviation", "prediction")) else "1"
         table[name].attrs = {"units": units, "long_name": name.replace("_", " ")}
+    median = "median relative standard error of vs"
+    for name, part, units, meaning in (
+        ("vs_error", "total", "1", median),
+        ("reading_error", "reading", "1", f"{median} by the reading"),
+        ("numerical_error", "numerical", "1", f"{median} by the simulation"),
+        ("pulse_effect", "pulse", "1", f"{median} by the pulse"),
+        ("reading_scatter", "scatter", "m/s", "root mean square of the reading errors"),
+    ):
+        values = [getattr(row.budget, part) for row in distributions]
+        table[name] = "content", values, {"units": units, "long_name": meaning}
     return table
-
-
-def budget_dataset(cells: xr.Dataset) -> xr.Dataset:
-    """Arrange the error budgets of the contents of a campaign along content."""
-    budgets = [error_budget(cells.sel(content=content)) for content in cells["content"]]
-    named = {
-        "vs_error": ("1", "median relative standard error of vs", [one.total for one in budgets]),
-        "reading_error": ("1", "median relative standard error of vs by the reading", [one.reading for one in budgets]),
-        "numerical_error": (
-            *("1", "median relative standard error of vs by the simulation"),
-            [one.numerical for one in budgets],
-        ),
-        "reading_scatter": ("m/s", "root mean square of the reading errors", [one.scatter for one in budgets]),
-        "pulse_effect": ("1", "median relative standard error of vs by the pulse", [one.pulse for one in budgets]),
-    }
-    return xr.Dataset(
-        {name: ("content", values, {"units": unit, "long_name": text}) for name, (unit, text, values) in named.items()},
-        coords={"content": cells["content"]},
-    )
 
 
 def narrowing(values: ArrayLike, counts: Sequence[int]) -> xr.Dataset:

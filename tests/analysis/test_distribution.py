@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 import xarray as xr
+from campaign_cells import campaign_cells
 from scipy import stats
 
-from calcidem.analysis.distribution import Distribution, describe_contents, name_outcomes, tabulate
+from calcidem.analysis.distribution import Distribution, describe_contents, tabulate
 from calcidem.app.report.tables import count_reasons
-from calcidem.storage.records import NOT_PLANNED, STATUS_CODES
+from calcidem.storage.records import NOT_PLANNED
 
 
 def matrix(values: list[list[float]], contents: list[float]) -> xr.DataArray:
@@ -42,7 +43,7 @@ def test_outcomes_are_counted_apart() -> None:
     nan = float("nan")
     vs = matrix([[200.0, nan], [210.0, nan], [nan, 900.0]], [0.11, 5.0])
     status = vs.copy(data=np.array([["done", "no_arrival"], ["done", "unstable"], ["", "done"]]))
-    rows = describe_contents(vs, status)
+    rows = describe_contents(campaign_cells(vs, status))
     assert [(row.content, row.vs.n, row.missing, row.failed) for row in rows] == [
         (0.11, 2, 1, 0),
         (5.0, 1, 0, 2),
@@ -54,10 +55,17 @@ def test_seeds_that_a_content_does_not_get_are_no_gaps() -> None:
     nan = float("nan")
     vs = matrix([[200.0, 800.0], [210.0, 900.0], [nan, 850.0], [nan, nan]], [0.11, 5.0])
     codes = [["done", "done"], ["done", "done"], [NOT_PLANNED, "done"], [NOT_PLANNED, "pending"]]
-    status = name_outcomes(vs.copy(data=np.vectorize(STATUS_CODES.__getitem__)(codes)))
-    rows = describe_contents(vs, status)
+    status = vs.copy(data=np.array(codes))
+    rows = describe_contents(campaign_cells(vs, status))
     assert [(row.vs.n, row.missing, row.failed) for row in rows] == [(2, 0, 0), (3, 1, 0)]
-    assert count_reasons(status.to_numpy().ravel(), np.full(8, ""), np.tile([0.11, 5.0], 4)) == []
+    assert (
+        count_reasons(
+            np.char.replace(status.to_numpy().astype(str), "pending", "").astype(object).ravel(),
+            np.full(8, ""),
+            np.tile([0.11, 5.0], 4),
+        )
+        == []
+    )
 
 
 @pytest.mark.parametrize(
@@ -71,14 +79,16 @@ def test_seeds_that_a_content_does_not_get_are_no_gaps() -> None:
 def test_without_cement_all_seeds_are_one_cell(outcomes: list[str], counts: tuple[int, int, int]) -> None:
     """The best outcome of any seed counts, once; other contents count each seed."""
     vs = matrix([[200.0 if each == "done" else float("nan")] * 2 for each in outcomes], [0.0, 0.05])
-    rows = describe_contents(vs, vs.copy(data=np.array([[each, each] for each in outcomes])))
+    rows = describe_contents(campaign_cells(vs, vs.copy(data=np.array([[each, each] for each in outcomes]))))
     of_seeds = outcomes.count("done"), outcomes.count(""), outcomes.count("unstable")
     assert [(row.vs.n, row.missing, row.failed) for row in rows] == [counts, of_seeds]
 
 
-def test_without_status_every_gap_counts_as_not_computed() -> None:
-    """With no outcomes at hand nothing is called a failure, and a second seed without cement is no gap."""
-    rows = describe_contents(matrix([[200.0, 210.0, float("nan")], [200.0, 220.0, 900.0]], [0.0, 0.11, 5.0]))
+def test_gaps_count_as_not_computed() -> None:
+    """A cell on its way is no failure, and a second seed without cement is no gap."""
+    rows = describe_contents(
+        campaign_cells(matrix([[200.0, 210.0, float("nan")], [200.0, 220.0, 900.0]], [0.0, 0.11, 5.0]))
+    )
     assert [row.missing for row in rows] == [0, 0, 1]
     assert [row.failed for row in rows] == [0, 0, 0]
 
@@ -87,7 +97,7 @@ def test_malformed_matrices_are_refused() -> None:
     """Foreign dimensions and missing values are refused."""
     vs = matrix([[200.0, 300.0]], [0.11, 5.0])
     with pytest.raises(ValueError, match="seed"):
-        describe_contents(vs.rename(seed="run"))
+        describe_contents(campaign_cells(vs.rename(seed="run")))
     with pytest.raises(ValueError, match="finite"):
         Distribution.of_sample([1.0, float("nan")])
 
@@ -95,12 +105,12 @@ def test_malformed_matrices_are_refused() -> None:
 def test_dimension_order_does_not_matter() -> None:
     """A matrix given as (content, seed) is described like its transpose."""
     vs = matrix([[200.0, 900.0], [220.0, 950.0], [230.0, 990.0]], [0.11, 5.0])
-    assert repr(describe_contents(vs)) == repr(describe_contents(vs.T))
+    assert repr(describe_contents(campaign_cells(vs))) == repr(describe_contents(campaign_cells(vs.T)))
 
 
 def test_a_content_without_any_velocity_is_described_by_nan() -> None:
     """A column of nothing but gaps gives n = 0 and NaN, and does not disturb the others."""
-    rows = describe_contents(matrix([[200.0, float("nan")], [220.0, float("nan")]], [0.11, 5.0]))
+    rows = describe_contents(campaign_cells(matrix([[200.0, float("nan")], [220.0, float("nan")]], [0.11, 5.0])))
     assert rows[0].vs.mean == pytest.approx(210.0)
     assert rows[1].vs.n == 0
     assert np.isnan([rows[1].vs.mean, rows[1].vs.standard_deviation, rows[1].vs.skewness]).all()
@@ -117,7 +127,7 @@ def test_the_uncemented_sample_has_no_scatter() -> None:
 def test_the_table_holds_the_records() -> None:
     """The table has each record's numbers at its content, intervals as bounds, and units."""
     vs = matrix(np.random.default_rng(3).normal(800, 90, (12, 2)).tolist(), [3.17, 4.0])
-    rows = describe_contents(vs)
+    rows = describe_contents(campaign_cells(vs))
     table = tabulate(rows)
     for row in rows:
         column = table.sel(content=row.content)

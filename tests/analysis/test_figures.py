@@ -13,6 +13,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 import xarray as xr
+from campaign_cells import campaign_cells
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
@@ -133,7 +134,7 @@ def test_the_range_shows_bands_of_many_samples_and_dots_of_few(seeds: int) -> No
     names = {"vs": vs, "vs_error": np.full_like(vs, 0.1), "pulse_effect": np.zeros_like(vs)}
     coords = {"seed": np.arange(seeds), "content": contents}
     cells = xr.Dataset({name: (("seed", "content"), values) for name, values in names.items()}, coords)
-    rows = describe_contents(cells["vs"], error=cells["vs_error"])
+    rows = describe_contents(campaign_cells(cells["vs"], error=cells["vs_error"]))
     assert (rows[0].vs.n, rows[1].vs.n) == (1, seeds)
     assert rows[0].vs.mean_interval.half_width == pytest.approx(0.196 * 200.0, rel=1e-3)
     figure = draw_range(cells, rows)

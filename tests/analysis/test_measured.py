@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from campaign_cells import campaign_cells
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.distribution import describe_contents
@@ -23,7 +24,7 @@ VS = xr.DataArray(
 def test_misfits_are_those_counted_by_hand() -> None:
     """At the campaign's content, between two of them, and outside, where nothing is said."""
     measured = (Target(4.0, 500.0), Target(2.0, 200.0, 20.0, 3), Target(1.0, 210.0))
-    first, second = misfits(describe_contents(VS), measured)
+    first, second = misfits(describe_contents(campaign_cells(VS)), measured)
     assert (first.mean, first.interpolated, second.mean, second.interpolated) == (200.0, False, 250.0, True)
     assert first.difference == pytest.approx(-10.0 / 210.0)
     assert first.standard_errors == pytest.approx(-10.0 / (10.0 / np.sqrt(3.0)))
@@ -31,7 +32,7 @@ def test_misfits_are_those_counted_by_hand() -> None:
     assert second.standard_errors == pytest.approx(50.0 / np.sqrt((10.0**2 + 20.0**2) / 3.0))
     assert second.deviation_ratio == pytest.approx(0.5)
     assert second.difference == pytest.approx(0.25)
-    assert misfits(describe_contents(VS * np.nan), measured) == ()
+    assert misfits(describe_contents(campaign_cells(VS * np.nan)), measured) == ()
 
 
 def test_specimens_of_nearly_one_content_are_joined() -> None:
@@ -50,13 +51,13 @@ def test_specimens_of_nearly_one_content_are_joined() -> None:
 
 def test_specimens_are_compared_with_the_interval_of_new_samples() -> None:
     """Each at its own content; the error of one specimen is the campaign's scatter."""
-    low, high = (row.vs.prediction_interval for row in describe_contents(VS))
+    low, high = (row.vs.prediction_interval for row in describe_contents(campaign_cells(VS)))
     edge = 0.5 * (low.high + high.high)  # at 2 %, between the contents
     rows = [Target(2.0, edge - 0.1, samples=1), Target(2.0, edge + 0.1, samples=1), Target(3.0, 300.0, samples=1)]
-    first, second = misfits(describe_contents(VS), rows)
+    first, second = misfits(describe_contents(campaign_cells(VS)), rows)
     assert (first.outside, first.compared, first.measured.samples) == (1, 2, 2)
     assert (second.outside, second.compared) == (0, 1)
-    (one,) = misfits(describe_contents(VS), [Target(3.0, 310.0, samples=1)])
+    (one,) = misfits(describe_contents(campaign_cells(VS)), [Target(3.0, 310.0, samples=1)])
     assert one.standard_errors == pytest.approx(-10.0 / np.hypot(10.0 / np.sqrt(3.0), 10.0))
 
 
@@ -64,7 +65,7 @@ def test_the_sample_without_cement_is_compared_with_its_error() -> None:
     """All seeds are one sample at 0 %: the error of its velocity is that of the difference, and no scatter is shown."""
     vs = xr.DataArray([[200.0, 290.0], [200.0, 310.0]], {"seed": [1, 2], "content": [0.0, 2.0]}, ("seed", "content"))
     rows = [Target(0.0, 230.0, samples=1), Target(0.5, 225.0, 20.0, 5)]
-    first, second = misfits(describe_contents(vs, error=0.05 * vs / vs), rows)
+    first, second = misfits(describe_contents(campaign_cells(vs, error=0.05 * vs / vs)), rows)
     assert first.standard_errors == pytest.approx(-30.0 / 10.0, rel=0.02)
     assert (first.outside, first.compared) == (1, 1)
     assert np.isnan(first.standard_deviation)
@@ -94,7 +95,7 @@ def test_points_beyond_both_panels_are_in_the_second() -> None:
     )
     cells = xr.Dataset({"vs": vs, "vs_error": 0.0 * vs + 0.01, "pulse_effect": 0.0 * vs})
     measured = (Target(0.2, 480.0, samples=1), Target(20.0, 2900.0, samples=1))
-    low, high = velocities.draw_range(cells, describe_contents(vs), measured=measured).axes
+    low, high = velocities.draw_range(cells, describe_contents(campaign_cells(vs)), measured=measured).axes
     assert low.get_xlim()[1] < 1.0
     assert low.get_ylim()[1] > 480.0
     assert (high.get_xlim()[1] > 20.0, high.get_ylim()[1] > 2900.0) == (True, True)
@@ -159,6 +160,8 @@ def test_a_content_with_one_velocity_has_no_scatter_to_compare_with() -> None:
         {"seed": [1, 2], "content": [1.0, 2.0, 3.0]},
         ("seed", "content"),
     )
-    beside, at = misfits(describe_contents(vs), [Target(1.5, 245.0, 20.0, 5), Target(3.0, 400.0, 20.0, 5)])
+    beside, at = misfits(
+        describe_contents(campaign_cells(vs)), [Target(1.5, 245.0, 20.0, 5), Target(3.0, 400.0, 20.0, 5)]
+    )
     assert np.isnan([beside.standard_deviation, beside.deviation_ratio]).all()
     assert at.deviation_ratio == pytest.approx(np.sqrt(200.0) / 20.0)

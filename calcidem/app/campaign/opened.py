@@ -21,7 +21,7 @@ import pandas as pd
 import xarray as xr
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, dispersion_of_cells
-from calcidem.analysis.distribution import budget_dataset, describe_contents, name_outcomes, tabulate
+from calcidem.analysis.distribution import describe_contents, tabulate
 from calcidem.analysis.fits import FEWEST_ROWS, Prediction, VelocityPredictor, check_samples
 from calcidem.analysis.intervals import Interval
 from calcidem.analysis.packing_graph import Feature, PackingGraph, installed_features
@@ -340,8 +340,7 @@ class Campaign(Closable):
         """
         # In a large campaign these are a small part of the data of `to_xarray`.
         cells = self.to_xarray((*BUDGET_QUANTITIES, "status"))
-        described = tabulate(describe_contents(cells["vs"], name_outcomes(cells["status"]), level, cells["vs_error"]))
-        return described.assign(budget_dataset(cells).data_vars)
+        return tabulate(describe_contents(cells, level))
 
     def small_strain_modulus(self, density: float | None = None) -> xr.DataArray:
         """Return the shear moduli G0 = rho c^2 (Eq. 1) of the effective velocities along (seed, content) in Pa.

@@ -84,8 +84,7 @@ def predict_command(
     chosen = [known for known in checks if content is None or np.isclose(known, content)]
     if layout is Format.TABLE:
         _tell_checks(checks, alone, chosen, content)
-        of_contents = zip(analysis.distributions, analysis.budgets, strict=True)
-        if loud := sum(budget.loud for row, budget in of_contents if row.content in chosen):
+        if loud := sum(row.budget.loud for row in analysis.distributions if row.content in chosen):
             say(pulse_remark(loud))
         return
     rows: list[dict[str, Any]] = [

@@ -71,7 +71,7 @@ def _velocity_table(analysis: CampaignAnalysis) -> Table:
             "n": str(row.vs.n),
             "mean (m/s)": with_bounds(row.vs.mean, row.vs.mean_interval),
             "standard deviation (m/s)": with_bounds(row.vs.standard_deviation, row.vs.standard_deviation_interval, 1),
-            "reading error (m/s)": decimal(budget.scatter, 1),
+            "reading error (m/s)": decimal(row.budget.scatter, 1),
             "95 % of new samples (m/s)": bounds(row.vs.prediction_interval),
             "skewness": decimal(row.vs.skewness, 2),
             "kurtosis": decimal(row.vs.kurtosis, 2),
@@ -79,7 +79,7 @@ def _velocity_table(analysis: CampaignAnalysis) -> Table:
             "missing": str(row.missing),
             "failed": str(row.failed),
         }
-        for row, budget in zip(analysis.distributions, analysis.budgets, strict=True)
+        for row in analysis.distributions
     ]
     return Table.of(
         "Shear-wave velocity at each content. Brackets hold 95 % intervals for further seeds of the same packing: of "
@@ -99,11 +99,11 @@ def _meaning_table(analysis: CampaignAnalysis) -> Table:
     """Quantities of the velocities: modulus, wavelengths, calcite and, where computed, static speed."""
     static = bool(np.isfinite(analysis.cells["static_speed"]).any())
     rows, near = [], []
-    for place, (row, budget) in enumerate(zip(analysis.distributions, analysis.budgets, strict=True)):
+    for place, row in enumerate(analysis.distributions):
         column = analysis.distinct.sel(content=row.content)
         if median_known(column["wavelengths_on_path"]) < FEWEST_WAVELENGTHS:
             near.append(place)
-        modulus = math.nan if budget.loud else small_strain_modulus(float(column["effective_vs"].mean())) / 1e6
+        modulus = math.nan if row.budget.loud else small_strain_modulus(float(column["effective_vs"].mean())) / 1e6
         ratio = median_known(column["effective_vs"] / column["static_speed"])
         of_long_waves = {
             "static speed (m/s)": decimal(median_known(column["static_speed"])),
@@ -247,7 +247,7 @@ def _law_table(analysis: CampaignAnalysis) -> Table:
 def _cost_table(analysis: CampaignAnalysis) -> Table:
     """Numerical and statistical errors, and run times."""
     rows = []
-    for row, budget in zip(analysis.distributions, analysis.budgets, strict=True):
+    for row in analysis.distributions:
         column = analysis.distinct.sel(content=row.content)
         laws = np.unique(analysis.cells["law"].sel(content=row.content).astype(str))
         relative = 100 * row.vs.standard_deviation / (row.vs.mean * math.sqrt(row.vs.n)) if row.vs.n > 1 else math.nan
@@ -259,10 +259,10 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
                 "time step (ns)": significant(1e9 * median_known(column["time_step"])),
                 "step / limit": decimal(median_known(column["time_step"] / column["stability_limit"]), 2),
                 "steps": decimal(median_known(column["steps"])),
-                "standard error of Vs (%)": significant(100 * budget.total, 2),
-                "of it reading (%)": significant(100 * budget.reading, 2),
-                "of it simulation (%)": significant(100 * budget.numerical, 2),
-                "of it pulse (%)": significant(100 * budget.pulse, 2),
+                "standard error of Vs (%)": significant(100 * row.budget.total, 2),
+                "of it reading (%)": significant(100 * row.budget.reading, 2),
+                "of it simulation (%)": significant(100 * row.budget.numerical, 2),
+                "of it pulse (%)": significant(100 * row.budget.pulse, 2),
                 "standard error of the mean (%)": decimal(relative, 2),
                 "time for a cell (s)": significant(median_known(column["seconds"])),
             }
@@ -283,10 +283,10 @@ def _two_velocities_table(analysis: CampaignAnalysis) -> Table | None:
     if not bool((cells["vs"] * cells["effective_vs"]).notnull().any()):
         return None
     rows, loud = [], set()
-    for place, (row, budget) in enumerate(zip(analysis.distributions, analysis.budgets, strict=True)):
+    for place, row in enumerate(analysis.distributions):
         column = analysis.distinct.sel(content=row.content)
         effective = column["effective_vs"]
-        if budget.loud:
+        if row.budget.loud:
             loud.add(place)
         rows.append(
             {
@@ -298,7 +298,7 @@ def _two_velocities_table(analysis: CampaignAnalysis) -> Table | None:
                 "by the side (%)": significant(100 * median_known(column["side_error"]), 2),
                 "vs above it (%)": significant(100 * (median_known(column["vs"] / effective) - 1.0), 2),
                 "of it bias (%)": significant(100 * median_known(column["vs_bias"]), 2),
-                "effect of the pulse (%)": significant(100 * budget.pulse, 2),
+                "effect of the pulse (%)": significant(100 * row.budget.pulse, 2),
             }
         )
     return Table.of(
