@@ -5,10 +5,12 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 
+from calcidem.dem.engine.fields import quote
 from calcidem.dem.kernels.layout import Flags, Floats, Integers
 from calcidem.dem.sample.compaction import FARTHEST, FEWEST_DISKS, refuse_deep_overlaps, write_disks_csv
 from calcidem.dem.sample.packing import (
@@ -113,7 +115,8 @@ def _recognise(lines: list[str], file: Path) -> Callable[[Path, list[str], int |
         raise PackingFileError(f"{file} is empty; give a file with disks")
     if head.strip().isdecimal() and re.search(r"\bProperties=", "".join(lines[1:2])):
         return _read_xyz
-    return _read_yade if re.match(r"#\s*format\s", head) else None
+    comments = list(takewhile(lambda line: line[:1] == "#" or not line.strip(), lines))
+    return None if _find_line(comments, r"#\s*format\s") is None else _read_yade
 
 
 def _find_line(lines: list[str], pattern: str) -> int | None:
@@ -135,23 +138,23 @@ def _read_data(file: Path, lines: list[str], _timestep: int | None) -> _Rows:
         if words:
             entries.append((number, words))
     named = re.match(r"\s*Atoms\s*#\s*(\S+)", lines[begin])
-    style, count = named[1] if named else "sphere", len(entries[0][1]) if entries else 0
+    style, count = named[1] if named else "", len(entries[0][1]) if entries else 0
     columns = {  # of the atom styles with sizes (manual, command read_data)
         "sphere": ("id", "type", "diameter", "density", "x", "y", "z"),
         "bpm/sphere": ("id", "molecule", "type", "diameter", "density", "x", "y", "z"),
     }.get(style, ())
     if not entries or count not in {len(columns), len(columns) + 3}:  # with or without image flags
         raise PackingFileError(
-            f"{file}, line {begin + 1}: '{lines[begin].strip()}' with {count} columns has no sizes of disks; write it "
-            "with atom_style sphere or bpm/sphere, or write a dump with the columns id type x y z radius"
+            f"{file}, line {begin + 1}: '{lines[begin].strip()}' with {count} columns has no sizes of disks; name its "
+            "style, as in 'Atoms # sphere', write it with atom_style sphere or bpm/sphere, or write a dump with the "
+            "columns id type x y z radius"
         )
     _refuse_missing(file, lines[_find_line(lines, r"\s*\d+\s+atoms\b") or 0], entries)
-    said = "" if named else "; no atom style is named, and sphere taken"
     bounds = [_find_line(lines[:begin], rf".*\b{axis}lo\s+{axis}hi") for axis in "xyz"]
     box = None
     if None not in bounds:
         box = np.array([[float(word) for word in lines[index or 0].split()[:2]] for index in bounds])
-    evidence = f"line {begin + 1} is '{lines[begin].strip()}'{said}"
+    evidence = f"line {begin + 1} is '{lines[begin].strip()}'"
     unit = _unit_of_style(r"units\s*=\s*(\w+)", lines[0])
     return _Rows("LAMMPS data file", evidence, columns, entries, box, unit)
 
@@ -174,7 +177,9 @@ def _read_dump(file: Path, lines: list[str], timestep: int | None) -> _Rows:
         raise PackingFileError(f"{file}, line {items['BOX'] + 1}: the box is tilted; give disks in a rectangular box")
     box = np.array([[float(word) for word in line.split()[:2]] for line in lines[items["BOX"] + 1 : items["BOX"] + 4]])
     entries = [
-        (number, line.split()) for number, line in enumerate(lines[items["ATOMS"] + 1 : end], items["ATOMS"] + 2)
+        (number, line.split())
+        for number, line in enumerate(lines[items["ATOMS"] + 1 : end], items["ATOMS"] + 2)
+        if line.strip()
     ]
     _refuse_missing(file, lines[items["NUMBER"] + 1], entries)
     evidence = f"line 1 is '{lines[0].strip()}'; timestep {steps[chosen]}, one of {len(steps)}"
@@ -412,7 +417,7 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
     if unit is None and not found.unit and kept.any():
         _question_unit(source, 2.0 * float(radius[kept].mean()))
     bounds = None if found.rows.box is None else found.rows.box[axes[:2]] * factor
-    given = None if walls is None else factor * np.asarray(walls, dtype=float).reshape(2, 2)
+    given = None if walls is None else factor * _walls_of(walls)
     if given is None and bounds is not None:
         across = (np.abs(place[:, :2] - bounds.mean(axis=1)) + (1.0 - LARGEST_OVERLAP) * radius[:, None])[kept]
         for side, axis in enumerate("xyz"[number] for number in axes[:2]):
@@ -438,6 +443,7 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
     strange = judge_porosity(1.0 - float(np.pi * np.sum(radius**2)) / (width * height), radius)
     if strange and strange[0].refused:
         raise PackingFileError(f"{source}: {strange[0].text}")
+    remarks += [f"Check the {fault.text}." for fault in strange]
     with write_atomically(out) as temporary:
         write_disks_csv(x, y, radius, temporary)
     return ImportedPacking(
@@ -457,6 +463,16 @@ def import_packing(  # noqa: PLR0913 - what a file does not say, each by keyword
         mean_overlap=float(overlap.mean()) if len(pairs) else 0.0,
         largest_overlap=float(overlap.max(initial=0.0)),
     )
+
+
+def _walls_of(walls: Sequence[float]) -> Floats:
+    """Given walls [[left, right], [floor, lid]], in the source's unit."""
+    given = np.asarray(walls, dtype=float)
+    if given.shape != (4,) or not (np.isfinite(given).all() and given[0] < given[1] and given[2] < given[3]):
+        raise PackingFileError(
+            f"walls = {quote(list(walls))}: give four finite numbers, left, right, floor and lid, each pair ascending"
+        )
+    return given.reshape(2, 2)
 
 
 def _metres(found: ForeignDisks, unit: str | None) -> tuple[float, list[str]]:
@@ -545,8 +561,6 @@ def _choose_disks(
 def _box_of(place: Floats, radius: Floats, bounds: Floats | None, given: Floats | None) -> tuple[Floats, str]:
     """Walls [[left, right], [floor, lid]] in m, and their origin."""
     if given is not None:
-        if not (np.diff(given) > 0.0).all():
-            raise PackingFileError("walls have to be left, right, floor and lid, each pair from low to high")
         return given, "walls as given"
     if not len(radius):
         return np.zeros((2, 2)), ""

@@ -102,7 +102,7 @@ WRONG = {
         "[wave]\nreceiver_half_width = 1e-4\n",
         ("wave.receiver_half_width = 0.0001", "give at least the smallest radius, 0.00106 m"),
     ),
-    "impossible porosity": ("[packing]\nporosity = 0.9\n", ("packing.porosity = 0.9", "between 0.1 and 0.5")),
+    "impossible porosity": ("[packing]\nporosity = 0.9\n", ("packing.porosity = 0.9", "between 0.1 and 0.35")),
     "negative packing seed": ("[packing]\nseed = -1\n", ("packing.seed = -1", "give a whole number of 0 or more")),
     "text for a number": (
         '[sand]\nfriction = "high"\n',

@@ -101,7 +101,7 @@ FILES: dict[str, tuple[str, Callable[[], str | bytes]]] = {
         "LAMMPS data file",
         lambda: data_file("bpm/sphere", "id", "molecule", "type", "diameter", "density", "x", "y", "z"),
     ),
-    "dump": ("LAMMPS dump", lambda: dump("id", "type", "x", "y", "z", "radius")),
+    "dump": ("LAMMPS dump", lambda: dump("id", "type", "x", "y", "z", "radius") + "\n \n"),
     "scaled dump": ("LAMMPS dump", lambda: dump("id", "xs", "ys", "diameter", "radius")),
     "YADE": (
         "YADE text export",
@@ -110,7 +110,7 @@ FILES: dict[str, tuple[str, Callable[[], str | bytes]]] = {
     "YADE with materials": (
         "YADE text export",
         lambda: (
-            "#format id_x_y_z_r_matId\n# a comment\n"
+            "# a comment\n#format id_x_y_z_r_matId\n# another\n"
             + lines_of([(i, x, y, 0.0, r, 0) for i, (x, y, r) in enumerate(LATTICE.tolist())], "\t")
         ),
     ),
@@ -224,11 +224,14 @@ SPREAD = "x,y,z,radius\n" + lines_of(np.insert(LATTICE, 2, LATTICE[:, 1], axis=1
         (spreadsheet(), {"unit": "m"}, ("unit = 'm'", "its own unit, mm", "leave unit out")),
         ("x y r\n" + lines_of(LATTICE), {"plane": "xx"}, ("plane = 'xx'", "xz")),
         ("x y r\n" + lines_of(LATTICE), {"types": ["1"]}, ("type = '1'", "its types are none")),
-        ("x y r\n" + lines_of(LATTICE), {"walls": (1, 0, 0, 1)}, ("walls", "low to high")),
+        ("x y r\n" + lines_of(LATTICE), {"walls": (1, 0, 0, 1)}, ("walls = [1, 0, 0, 1]", "ascending")),
+        ("x y r\n" + lines_of(LATTICE), {"walls": (0, 1, 0)}, ("walls = [0, 1, 0]", "four finite")),
+        ("x y r\n" + lines_of(LATTICE), {"walls": (0, float("inf"), 0, 1)}, ("walls = [0", "four finite")),
         (SPREAD, {}, ("no layer in the chosen plane", "with plane")),
         (FILES["dump"][1](), {"timestep": 7}, ("timestep = 7", "0, 5000")),
         (FILES["dump"][1]().replace("ff ff pp", "xy xz yz pp pp pp"), {}, ("line 122", "tilted")),
         (FILES["data"][1]().replace("sphere", "atomic"), {}, ("'Atoms # atomic'", "atom_style sphere")),
+        (FILES["data"][1]().replace(" # sphere", ""), {}, ("'Atoms'", "name its style, as in 'Atoms # sphere'")),
         (FILES["data"][1]().replace("zhi\n", "zhi\n0.1 0 0 xy xz yz\n"), {}, ("tilted",)),
     ],
 )
@@ -314,6 +317,7 @@ def test_strange_sizes_are_remarked(tmp_path: Path) -> None:
     ):
         bring(tmp_path, metres)
     assert "Few disks touch" in str(bring(tmp_path, "x y r\n" + lines_of(LATTICE * (1.0, 1.0, 0.5))))
+    assert "is above 0.3" in str(bring(tmp_path, "x y r\n" + lines_of(LATTICE * (1.0, 1.0, 0.5))))
 
 
 CAMPAIGN = """

@@ -34,6 +34,7 @@ from calcidem.app.config.checks import _tightest_seed, check_against_packing
 from calcidem.app.config.presets import preset_packings, preset_text
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, PackingDraw, RunOptions
+from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import station_disks
 from calcidem.dem.wave.static_speed import static_speed
@@ -231,7 +232,11 @@ def test_a_stored_packing_is_refused_under_another_key(store: Store) -> None:
             lambda p: replace(p, preload=replace(p.preload, pairs=p.preload.pairs[1:], shear=p.preload.shear[1:])),
             "pairs are said to touch",
         ),
-        (lambda p: replace(p, preload=replace(p.preload, pairs=p.preload.pairs + len(p.x))), "out of bounds"),
+        (lambda p: replace(p, preload=replace(p.preload, pairs=p.preload.pairs + len(p.x))), "does not exist"),
+        (
+            lambda p: replace(p, preload=Preload(np.vstack([p.pairs, p.pairs[:1]]), np.append(p.preload.shear, 5.0))),
+            "listed twice",
+        ),
         (lambda p: replace(p, preload=replace(p.preload, shear=p.preload.shear * np.inf)), "not finite"),
     ],
 )

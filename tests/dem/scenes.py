@@ -16,7 +16,7 @@ SOFT = Sand(shear_modulus=1.0e9)  # a soft material makes overlaps, and so what 
 # and GROUPED are those that `choose_features` gives to such scenes, SERVO is that of small packings.
 HERTZ = Features(search=True, midpoint=True)
 SERVO = Features(search=True, servo=True, loads=False)
-ACCOUNT = Features(bonds=True, search=True, account=True)
+ACCOUNT = Features(bonds=True, breakage=True, search=True, account=True)
 BONDED = Features(bonds=True, breakage=True, search=True, midpoint=True)
 GROUPED = Features(bonds=True, linear_group=True, breakage=True, search=True, midpoint=True)
 LINEAR = Features(linear=True, bonds=True, linear_group=True, slip=False, rescaling=False)

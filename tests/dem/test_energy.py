@@ -50,6 +50,15 @@ def test_energy_balances_with_bonds_the_better_the_smaller_the_step() -> None:
     assert fine < coarse / 8.0
 
 
+def test_energy_balances_where_bonds_break() -> None:
+    """What a breaking bond loses is what it had stored and the work of its last step, also if that step is long."""
+    weak = replace(SOFT_CEMENT, linear_modulus=0.0, tensile_strength=3e4, cohesion=3e4)
+    scene = jumble(4, 16, share_bonded=1.0, cement=weak)
+    broken = advance(start(scene, features=ACCOUNT, velocity=throw(scene, 7)[0]), 300)
+    assert np.count_nonzero(contact_forces(broken).bonded) < 0.1 * len(scene.bonds.pairs)
+    assert worst_balance(scene, ACCOUNT) < 1e-4
+
+
 def pressed_pair(rescaling: bool) -> State:
     """Two held disks about to be pressed together, slid, taken apart and slid back by whoever holds them."""
     scene = pair_scene(

@@ -82,6 +82,21 @@ def just_touching(folder: Path) -> tuple[Path, PackingRule]:
     return file, replace(RULE, width=radius * (2.0 * columns + 1.0), most_steps=10_000)
 
 
+def test_loose_disks_are_compressed_and_a_single_one_far_above_is_named(tmp_path: Path) -> None:
+    """The lid may come down as far as the disks are loose; it would travel long to bring down a single one."""
+    file, rule = just_touching(tmp_path)
+    x, y, radius, lines, _ = _read_disks(file)
+    loose = np.column_stack([1.15 * x, 1.3 * y, radius])
+    np.savetxt(file, loose, delimiter=",", header="x,y,radius", comments="", fmt="%.17g")
+    rule = replace(rule, width=1.15 * rule.width, most_steps=200_000)
+    packed = packing_from_csv(file, SAND, rule)
+    assert packed.height < 0.8 * (loose[:, 1] + radius).max()
+    with file.open("a", encoding="utf-8") as stream:
+        stream.write("5e-3,0.08,1e-3\n")
+    with pytest.raises(PackingFileError, match=rf"line {lines[-1] + 1}: with the lid on this disk"):
+        packing_from_csv(file, SAND, rule)
+
+
 def test_disks_that_just_touch_come_to_rest_soon(tmp_path: Path) -> None:
     """Without an overlap to choose a step by they bear the lid after some thousand steps, moved by some overlaps."""
     file, rule = just_touching(tmp_path)

@@ -20,7 +20,14 @@ from rich.table import Column
 from rich.text import Text
 
 from calcidem.analysis.intervals import Interval
-from calcidem.analysis.velocity import BUDGET_QUANTITIES, ErrorBudget, are_samples, error_budget
+from calcidem.analysis.velocity import (
+    BUDGET_QUANTITIES,
+    NOTE_QUANTITIES,
+    ErrorBudget,
+    are_samples,
+    error_budget,
+    notes_on,
+)
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError, hide_passwords
 from calcidem.storage.records import CellKey, RunRecord
@@ -33,7 +40,7 @@ from calcidem.wording import duration, listening, pluralize, printable, tell
 if TYPE_CHECKING:
     from calcidem.dem.sample.packing import PackingStage  # which readers do not need
 
-STATUS_QUANTITIES = ("seed", "content", "status", "seconds", *BUDGET_QUANTITIES)
+STATUS_QUANTITIES = tuple(dict.fromkeys(("seed", "seconds", *BUDGET_QUANTITIES, *NOTE_QUANTITIES)))
 """Quantities of each cell that the status needs."""
 
 _TROUBLES = (
@@ -109,6 +116,8 @@ class CampaignStatus:
     """Number of cells by status."""
     budget: ErrorBudget
     """Errors of all velocities."""
+    notes: tuple[str, ...]
+    """Advice, see `calcidem.analysis.velocity.notes_on`."""
     troubles: tuple[Trouble, ...]
     """Cells that failed, were repeated, or needed half the step."""
     last_run: RunRecord | None
@@ -147,6 +156,7 @@ class CampaignStatus:
             "numerical_error": self.budget.numerical,
             "seconds_left": self.seconds_left,
             "workers": self.workers,
+            "notes": self.notes,
             "contents": [
                 {
                     "content": one.content,
@@ -193,6 +203,7 @@ class CampaignStatus:
             contents=statuses,
             counts=counts,
             budget=error_budget(columns),
+            notes=tuple(notes_on(columns)),
             troubles=troubles,
             last_run=last,
             run_number=number,

@@ -3,7 +3,7 @@
 import math
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +12,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from calcidem.analysis.intervals import is_in_doubt
-from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, SOIL_DENSITY, are_samples, median_known, small_strain_modulus
+from calcidem.analysis.velocity import SOIL_DENSITY, are_samples, median_known, small_strain_modulus
 from calcidem.app.campaign.status import (
     FEWEST_TO_PLAN,
     STATUS_QUANTITIES,
@@ -131,47 +130,32 @@ def packing_lines(packing: "Packing") -> Iterator[str]:
 
 def _vs_table(store: Store, selection: Selection) -> Table:
     """Table of Vs against content for selected cells of the store's campaign."""
-    columns = store.table((*STATUS_QUANTITIES, "effective_vs", "wavelengths_on_path", "broken_bonds"), selection)
+    columns = store.table((*STATUS_QUANTITIES, "effective_vs"), selection)
     found = CampaignStatus.of(store, columns, ())
     velocities = ("mean m/s", "sd m/s", "reading m/s", "effective mean m/s", "effective sd m/s")
     table = make_table("Shear-wave velocity", numbers=("content %", "done", *velocities, "G0 MPa", "L/lambda"))
     if has_others := any(one.counts.keys() - {CellStatus.DONE} for one in found.contents):
         table.add_column("other cells")
-    marks, is_near = [], False
     counted, also_counted = (are_samples(columns[name], columns["content"]) for name in ("vs", "effective_vs"))
     for one in found.contents:
         here = (columns["content"] == one.content) & counted
-        marks.append(_marks_of(one.counts, one.budget.loud))
-        median = median_known(columns["wavelengths_on_path"][here])
-        is_near |= (near := median < FEWEST_WAVELENGTHS)
         effective = columns["effective_vs"][(columns["content"] == one.content) & also_counted].astype(float)
         mean = float(effective.mean()) if effective.size else np.nan
         deviation = float(effective.std(ddof=1)) if effective.size > 1 else np.nan
         others = [status for status in CellStatus if status in one.counts and status != CellStatus.DONE]
         table.add_row(
             f"{one.content:g}",
-            f"{one.counts.get(CellStatus.DONE, 0)}/{len(one.statuses)}{marks[-1]}",
+            f"{one.counts.get(CellStatus.DONE, 0)}/{len(one.statuses)}",
             *map(number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
             number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, ".4g"),
-            number(median, ".2f") + (" *" if near else ""),
+            number(median_known(columns["wavelengths_on_path"][here]), ".2f"),
             *([", ".join(f"{one.counts[status]} {status.words}" for status in others)] if has_others else ()),
         )
-    remarks = [
-        (
-            f"standard error of Vs: {found.budget}; reading: sd of Vs by reading errors alone; effective: Vs of the "
-            f"wave that fits all stations; G0: from its mean, for a soil of {SOIL_DENSITY:g} kg/m3"
-        )
-    ]
-    if is_near:
-        remarks.append(f"* fewer than {FEWEST_WAVELENGTHS:g} wavelengths between transmitter and receiver: near field")
-    remarks += _remarks_on(marks, found.budget.loud)
-    if count := int(np.count_nonzero(columns["broken_bonds"] > 0)):
-        remarks.append(
-            f"the pulse broke bonds in {pluralize(count, 'cell')}: 'calcidem query DB --where \"broken_bonds > 0\"'"
-        )
-    if any(found.counts.get(status) for status in UNREAD):
-        remarks.append("'calcidem status DB' has reasons and remedies of cells without velocity")
-    table.caption = "\n".join(remarks)
+    meaning = (
+        f"standard error of Vs: {found.budget}; reading: sd of Vs by reading errors alone; effective: Vs of the "
+        f"wave that fits all stations; G0: from its mean, for a soil of {SOIL_DENSITY:g} kg/m3"
+    )
+    table.caption = "\n".join((meaning, *found.notes))
     return table
 
 
@@ -202,8 +186,7 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
     if per_character > 1:
         legend.append(f"{_PARTLY_DONE} partly done   one character for {per_character} seeds")
     parts += [_matrix_table(status, columns, per_character), legend]
-    marks = [_marks_of(content.counts, content.budget.loud) for content in status.contents]
-    parts += [Text(f"  {remark}") for remark in _remarks_on(marks, status.budget.loud)]
+    parts += [Text(f"  {note}") for note in status.notes]
     if status.counts.get(CellStatus.DONE):
         parts.append(Text(f"  standard error of Vs: {status.budget}"))
     if half_width is not None:
@@ -262,10 +245,7 @@ def _matrix_table(status: CampaignStatus, columns: int, per_character: int) -> W
         row: list[str | Text] = [
             f"{content.content:g}",
             symbols,
-            (
-                f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}"
-                f"{_marks_of(content.counts, content.budget.loud)}"
-            ),
+            f"{content.counts.get(CellStatus.DONE, 0)}/{len(content.statuses)}",
             number(content.mean),
             f"+- {half:.1f}" if math.isfinite(half := content.interval.half_width) else "-",
             number(content.deviation),
@@ -344,24 +324,6 @@ def status_as_json(status: CampaignStatus, half_width: float | None = None) -> d
             for trouble in status.troubles
         ],
     }
-
-
-def _marks_of(counts: Mapping[CellStatus, int], loud: int) -> str:
-    """Marks beside the number of cells of a content, if failed ones may bias the mean, or the pulse changes them.
-
-    `calcidem.analysis.intervals.is_in_doubt` explains the first; ``loud`` is the number of cells with the second.
-    """
-    done = counts.get(CellStatus.DONE, 0)
-    failed = sum(counts.values()) - done - counts.get(CellStatus.PENDING, 0)
-    return f"{' !' if is_in_doubt(done, failed) else ''}{' ~' if loud else ''}"
-
-
-def _remarks_on(marks: Iterable[str], loud: int) -> Iterator[str]:
-    """Meaning of these marks, and how to find the cells."""
-    if any("!" in mark for mark in marks):
-        yield "! possible selection bias: cells without velocity may shift the mean by more than its standard error"
-    if loud:
-        yield f"~ {pulse_remark(loud)}"
 
 
 def pulse_remark(loud: int) -> str:

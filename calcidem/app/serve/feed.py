@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.analysis.velocity import BUDGET_QUANTITIES, NOTE_QUANTITIES, notes_on
+from calcidem.analysis.velocity import BUDGET_QUANTITIES, NOTE_QUANTITIES
 from calcidem.app.campaign.packing import with_patterns
 from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
 from calcidem.app.report.cell_data import (
@@ -233,8 +233,7 @@ class CampaignFeed:
             if self._store is not None and self._columns is not None:
                 with suppress(StoreError):  # the next refresh reports it
                     found = CampaignStatus.of(self._store, self._columns.rows(STATUS_QUANTITIES), ())
-                    notes = notes_on(self._columns.rows(NOTE_QUANTITIES))
-                    told |= {"name": found.name, "reasons": self._reasons(self._columns), "notes": notes}
+                    told |= {"name": found.name, "reasons": self._reasons(self._columns)}
                     known = found.to_json()
             self._told = known | told
             return "status", self._told

@@ -268,7 +268,7 @@ def net_forces(state: State, lane: int = 0, ahead: State | None = None) -> Float
 
 
 def unbalanced_ratio(state: State, lane: int = 0) -> float:
-    """Sum of the net forces on the disks over the sum of their contact forces (PFC 'mech-ratio-average')."""
+    """Sum of the net forces on the disks over that of their contact forces (PFC 'mech-ratio-average'); 0 without."""
     _refuse_linear(state)
     ahead = look_undamped(state)
     net, contacts = net_forces(state, lane, ahead), contact_forces(state, lane, ahead)

@@ -170,8 +170,9 @@ class Wall:
         )  # rounding of a hand-typed unit vector
         require(self.friction >= 0.0, "friction", self.friction, "give a coefficient of 0 or more")
         require(self.span[0] < self.span[1], "span", self.span, "give (lower, upper) with lower < upper")
-        if self.servo_force is not None:
-            require(bool(np.isfinite(self.servo_force)), "servo_force", self.servo_force, "give a finite force in N/m")
+        if self.servo_force is not None:  # a contact with a wall can only press
+            is_pressing = bool(0.0 < self.servo_force < np.inf)
+            require(is_pressing, "servo_force", self.servo_force, "give a positive force in N/m")
         require(0.0 < self.servo_speed < np.inf, "servo_speed", self.servo_speed, "give a positive speed in m/s")
         require(0.0 < self.servo_gain <= 1.0, "servo_gain", self.servo_gain, "give a part in (0, 1]")
 

@@ -351,9 +351,11 @@ def _bond_forces(
     lanes = features.width
     intact = mask_of_bits(scalar(pairs.intact, (pair,)), lanes)
     force = pairs.bond_force
-    normal = load(force, (row(pair, NORMAL),), lanes) + moved.approach * constant(features, pairs.bond, (pair, NORMAL))
-    shear = load(force, (row(pair, SHEAR),), lanes) - moved.slide * constant(features, pairs.bond, (pair, SHEAR))
-    moment = load(force, (row(pair, MOMENT),), lanes) - moved.twist * constant(features, pairs.bond, (pair, MOMENT))
+    old_normal = load(force, (row(pair, NORMAL),), lanes)
+    old_shear, old_moment = load(force, (row(pair, SHEAR),), lanes), load(force, (row(pair, MOMENT),), lanes)
+    normal = old_normal + moved.approach * constant(features, pairs.bond, (pair, NORMAL))
+    shear = old_shear - moved.slide * constant(features, pairs.bond, (pair, SHEAR))
+    moment = old_moment - moved.twist * constant(features, pairs.bond, (pair, MOMENT))
     if features.breakage:
         broken = bond_fails(
             normal,
@@ -365,7 +367,8 @@ def _bond_forces(
             bending=constant(features, pairs.strength, (pair, BENDING)),
         )
         if features.account:
-            _add_breakage_loss(features, pair, intact & broken, (normal, shear, moment), overlap, pairs, watch)
+            bond = (old_normal * normal, old_shear * shear, old_moment * moment)
+            _add_breakage_loss(features, pair, intact & broken, bond, (overlap, moved.approach), pairs, watch)
         intact = intact & ~broken
         pairs.intact[pair] = bits_of_mask(intact)
     normal = select(intact, normal, 0.0)
@@ -383,17 +386,24 @@ def _add_breakage_loss(
     pair: int,
     broken: Vector,
     bond: tuple[Vector, Vector, Vector],
-    overlap: Vector,
+    contact: tuple[Vector, Vector],
     pairs: Pairs,
     watch: Watch,
 ) -> None:
-    """Add the energy of a breaking bond to the account, minus that of the sand's contact that replaces it."""
-    lost = bond[0] * bond[0] / constant(features, pairs.bond, (pair, NORMAL))
-    lost = lost + bond[1] * bond[1] / constant(features, pairs.bond, (pair, SHEAR))
-    lost = 0.5 * (lost + bond[2] * bond[2] / constant(features, pairs.bond, (pair, MOMENT)))
+    """Add the energy of a breaking bond to the account, minus that of the sand's contact that replaces it.
+
+    ``bond`` has the products of the forces before and after the increment, ``contact`` overlap and approach. The bond
+    had ``F_old^2 / 2 k``. In the step in which it breaks its force falls from ``F_old`` to zero instead of rising to
+    ``F_new``, so the disks do the work ``F_old (F_new - F_old) / 2 k``; the sum is ``F_old F_new / 2 k``. Likewise the
+    force of the contact that replaces it rises from zero.
+    """
+    lost = bond[0] / constant(features, pairs.bond, (pair, NORMAL))
+    lost = lost + bond[1] / constant(features, pairs.bond, (pair, SHEAR))
+    lost = 0.5 * (lost + bond[2] / constant(features, pairs.bond, (pair, MOMENT)))
     if not features.linear_group:
+        overlap, approach = contact
         normal, _ = hertz_normal(overlap, constant(features, pairs.hertz, (pair,)))
-        lost = lost - 0.4 * normal * overlap
+        lost = lost - (0.4 * overlap - 0.5 * approach) * normal
     add_energy(features, CONTACT_LOSS, select(broken, lost, 0.0), watch)
 
 

@@ -254,6 +254,10 @@ def relax(
     )
     ratios: list[float] = []
     limit: Floats | None = None
+    # Loose disks of a file are compressed to a porosity of about 0.2, however high they were.
+    width, height = _size_of(scene)
+    at_rest = float(np.pi * np.sum(np.asarray(scene.radius) ** 2)) / (0.8 * width) if manner is OWN_DISKS else height
+    box = width, min(height, at_rest)
     cost.report(rule, ratios)
     while True:
         raise_if_stopped()
@@ -277,12 +281,13 @@ def relax(
                 return state
         elif ratio < rule.unbalanced_force_ratio and _stress_apart(state) < _STRESS_TOLERANCE:
             return state
-        if any(
-            abs(now / before - 1.0) > 0.2 for now, before in zip(_size_of(scene, state), _size_of(scene), strict=True)
-        ):
+        sizes = zip(_size_of(scene, state), box, (width, height), strict=True)
+        if any(now < 0.8 * least or now > 1.2 * most for now, least, most in sizes):
+            cures = "lateral_stress_ratio nearer to 1", "more friction_preparation", "porosity nearer to that at rest"
+            chosen = cures[rule.lateral_stress_ratio is None : 2 if manner is OWN_DISKS else 3]
             raise PackingError(
-                "the sample yields: a wall has moved by a fifth of the box under its stress; choose a "
-                "lateral_stress_ratio nearer to 1, more friction_preparation, or a porosity nearer to that at rest"
+                "the sample yields: a wall has moved by a fifth of the box under its stress; choose "
+                f"{' or '.join(chosen)}"
             )
 
 
@@ -496,7 +501,8 @@ def packing_from_csv(
     """
     x, y, radius, _ = checked_disks(file, rule.width)
     height = float(np.max(y + radius))
-    boxed = replace(rule, height=height)
+    sizes = 2.0 * float(radius.min()), 2.0 * float(radius.max())
+    boxed = replace(rule, height=height, diameter=sizes)
     slippery = replace(sand, friction=rule.friction_preparation)
     cost = Cost(watch=watch, expansion_step=1)
     scene = Scene(x, y, radius, slippery, box_walls(rule.width, height), damping=rule.damping)
@@ -521,6 +527,13 @@ def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Float
                 f"the {wall}; move the disks into 0 < x < {width:g} m, 0 < y, or change width"
             )
     refuse_deep_overlaps(file, lines, x, y, radius)
+    top = int(np.argmax(y + radius))
+    porosity = 1.0 - float(np.pi * np.sum(radius**2)) / (width * float(y[top] + radius[top]))
+    if porosity > 0.5:  # a gas, or a single disk far above the others
+        raise PackingFileError(
+            f"{file}, line {lines[top]}: with the lid on this disk, the highest, the porosity is {porosity:.2f}; leave "
+            "single disks far above the others out, give a smaller width, or disks closer together (at most 0.5)"
+        )
     return x, y, radius, digest
 
 

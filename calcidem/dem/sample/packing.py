@@ -31,6 +31,10 @@ class PackingFileError(PackingError):
     """File without a valid packing; the message names file, line and remedy."""
 
 
+LOOSEST = 0.35
+"""Largest porosity before the lid presses: disks at rest have about 0.2, and the lid moves by a fifth at most."""
+
+
 @checked
 @dataclass(frozen=True, slots=True)
 class PackingRule:
@@ -69,8 +73,8 @@ class PackingRule:
     )
     porosity: Annotated[
         float,
-        Interval(ge=0.1, le=0.5),  # between crystal and gas
-        "a number between 0.1 and 0.5, where two-dimensional packings lie",
+        Interval(ge=0.1, le=LOOSEST),  # between crystal and gas
+        f"a number between 0.1 and {LOOSEST}, where two-dimensional packings lie",
     ] = 0.192
     expansion_steps: Annotated[int, Interval(ge=1, le=100)] = 5
     friction_preparation: NotNegative = 0.2
@@ -327,8 +331,12 @@ def refuse_changed(packing: Packing) -> None:
         raise ValueError("a disk has no size or is not in the box")
     if not np.isfinite(shear).all():
         raise ValueError("a force is not finite")
+    if not ((pairs >= 0) & (pairs < count)).all():
+        raise ValueError("a pair has a disk that does not exist")
     touching, overlap = overlapping_pairs(x, y, radius)
     stated, found = (np.sort(listed, axis=1) @ [count, 1] for listed in (pairs, touching))
+    if len(np.unique(stated)) < contacts:
+        raise ValueError("a pair is listed twice")
     differ = np.stack(np.divmod(np.setxor1d(stated, found), count), axis=1)
     gap = radius[differ].sum(axis=1) - np.hypot(*(values[differ[:, 0]] - values[differ[:, 1]] for values in (x, y)))
     if (np.abs(gap) > 1e-12 * radius.max()).any():  # a disk just touches another, or not
