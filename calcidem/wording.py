@@ -5,9 +5,14 @@ A sentence is a record of the logger ``calcidem``, and a terminal is one of its 
 
 import logging
 import math
+import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from typing import IO, TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 ABSENT = "\N{EN DASH}"
 
@@ -135,3 +140,14 @@ def listening(write: Callable[[str], object], *, with_advice: bool = True, least
 def printable(text: object) -> str:
     """Text with control characters, except line feed and tab, as escapes, so that it cannot control a terminal."""
     return str(text).translate(_ESCAPES)
+
+
+def survive_closing(console: "Console") -> None:
+    """Let a program go on where the reader of its console has ended; what follows goes nowhere."""
+    console.on_broken_pipe = lambda: send_nowhere(console.file)  # type: ignore[method-assign]  # rich would exit
+
+
+def send_nowhere(stream: IO[str]) -> None:
+    """Let what is written to a stream without a reader go nowhere."""
+    with suppress(OSError, ValueError):  # a stream without a file has no reader
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

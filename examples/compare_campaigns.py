@@ -8,6 +8,7 @@ has a narrower 95 % interval than the difference of the means of all samples (We
 """
 
 import argparse
+import sys
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -30,7 +31,7 @@ def half_width(*samples: np.ndarray) -> float:
     parts = np.array([values.var(ddof=1) / values.size for values in samples])
     if not parts.sum() > 0.0:
         return float(parts.sum())
-    freedom = parts.sum() ** 2 / sum(part**2 / (values.size - 1) for part, values in zip(parts, samples, strict=True))
+    freedom = parts.sum() ** 2 / sum(part**2 / (one.size - 1) for part, one in zip(parts, samples, strict=True))
     return float(stats.t.ppf(0.975, freedom) * np.sqrt(parts.sum()))
 
 
@@ -74,6 +75,8 @@ def main() -> None:
     options = parser.parse_args()
     with calcidem.open_campaign(options.one) as one, calcidem.open_campaign(options.other) as other:
         table = compare(one, other)
+        if table.empty:
+            sys.exit("There is no content with cement at which both campaigns have two velocities.")
         print(table.round(1).to_string(), *map(str, differing(one, other).items()), sep="\n")
         draw(table, (options.one, options.other)).savefig(options.figure)
 

@@ -22,6 +22,8 @@ def compute(client: Client, config: str, parts: int) -> None:
 
 def main() -> None:
     """Make the packing, compute all parts, and merge them."""
+    if len(sys.argv) < 4:
+        sys.exit(f"Give a configuration, a database and a number of parts:\n{__doc__}")
     config, out, parts = sys.argv[1], sys.argv[2], int(sys.argv[3])
     subprocess.run(["calcidem", "run", config, "--packing-only"], check=True)
     if len(sys.argv) > 4:  # a folder of a server was given

@@ -7,6 +7,7 @@ residual in the full fit over one minus its leverage (Allen 1974). A feature is 
 of the content alone. `campaign.predict` uses the shares of cemented contacts at the receiver's height and of all.
 """
 
+import argparse
 import sys
 
 import numpy as np
@@ -30,8 +31,15 @@ def left_out_errors(features: np.ndarray, vs: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Print the errors with each set of features."""
-    database, content = sys.argv[1], float(sys.argv[2])
-    with calcidem.open_campaign(database) as campaign:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("database")
+    parser.add_argument("content", type=float, help="percent")
+    options = parser.parse_args()
+    content = options.content
+    with calcidem.open_campaign(options.database) as campaign:
+        known = [c for c in campaign.vs().content.values.tolist() if c > 0.0]  # without cement there is one sample
+        if content not in known:
+            sys.exit(f"content = {content:g} %: give one of {', '.join(f'{c:g}' for c in known)}")
         vs = campaign.vs().sel(content=content).dropna("seed")
         own = np.array([own_features(campaign, seed, content) for seed in vs.seed.values.tolist()])
         names = ["path_normalized_connectivity", "path_bonded_fraction"]

@@ -134,10 +134,10 @@ def _replace_netcdf(path: str | os.PathLike[str], campaign_hash: str | None) -> 
         except (OSError, RuntimeError) as error:
             free = shutil.disk_usage(temporary.parent).free
             problem = f"{path} could not be written ({error}); its disk has {free / 1e6:.3g} MB left."
-            if isinstance(error, PermissionError) and temporary.exists():  # netCDF4 was imported before calcidem
-                cure = "Its file system has no locks: set HDF5_USE_FILE_LOCKING=FALSE before Python starts"
-            elif free < 1e8:  # bytes
+            if free < 1e8:  # bytes
                 cure = "Free some space or write to another disk"
+            elif isinstance(error, PermissionError) and temporary.exists():  # netCDF4 was imported before calcidem
+                cure = "Its file system has no locks: set HDF5_USE_FILE_LOCKING=FALSE before Python starts"
             else:
                 cure = "Check your quota and the permissions of the folder, or write to another disk"
             raise DiskError(problem, f"{cure}; the former file and the database are unchanged.") from error

@@ -206,11 +206,18 @@ class _Master:
         self._schedule, self._sink, self._progress = schedule, sink, progress
         self._stop_request, self._more = stop_request, more
         self._next_heartbeat = 0.0
+        self._error: BaseException | None = None
 
     def has_to_end(self) -> bool:
-        """Send a heartbeat while this process computes; return whether it has to end at once."""
-        self._beat()
-        return self._stop_request.hurry()
+        """Send a heartbeat while this process computes; return whether it has to end at once.
+
+        An error of the heartbeat is none of the batch: it drops the batch, and ends the sweep after it.
+        """
+        try:
+            self._beat()
+        except (Exception, SystemExit) as error:  # noqa: BLE001 - raised again
+            self._error = error
+        return self._error is not None or self._stop_request.hurry()
 
     def run(self, workers: Workers[CellT]) -> SweepEnd:
         """Have the batches computed and store their outcomes.
@@ -234,6 +241,8 @@ class _Master:
         while True:
             level = self._stop_request.level  # taken first, so that the last round includes everything
             outcomes = workers.poll(wait=0.02 if workers.running else 0.0)  # s, in which a signal is noticed
+            if self._error is not None:
+                raise self._error
             settled = [self._schedule.settle(outcome) for outcome in outcomes]
             final = [outcome for outcome in settled if outcome is not None]
             # Marks of batches that are computed again, too: their cells are in flight until then.
@@ -283,5 +292,5 @@ class _Master:
         elif is_over and since_drop > 1.0:  # s, in which the same signal usually reaches this process, too
             end = SweepState.STOPPED, "a worker was asked to end, and dropped its batches"
         elif workers.exhausted:
-            end = SweepState.CUT_OFF, f"{workers.exhausted}; run the same command again to continue"
+            end = SweepState.CUT_OFF, f"{workers.exhausted}; the same command or call continues"
         return end

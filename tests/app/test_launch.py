@@ -102,6 +102,20 @@ def test_a_rank_that_is_stopped_while_starting_is_not_waited_for(workshop: "Work
     assert workshop.leaves_no_process()
 
 
+def test_a_closed_terminal_costs_no_cell(workshop: "Workshop", expected: "Cells") -> None:
+    """Whoever reads the output ends before the ranks do: the campaign is computed all the same, with code 0."""
+    workshop.configure()
+    command = workshop.start("run", "c.toml", "--ranks", "2")
+    assert command.stdout is not None
+    assert command.stderr is not None
+    workshop.wait_for_cells(1)
+    command.stdout.close()
+    command.stderr.close()
+    assert command.wait(60.0) == 0
+    assert workshop.cells() == expected
+    assert workshop.leaves_no_process()
+
+
 @pytest.mark.parametrize(
     ("how", "said"), [("kill -9 $$", "killed by SIGKILL"), pytest.param("exit 213", "returned 213", marks=FULL)]
 )

@@ -12,7 +12,7 @@ import pytest
 
 from calcidem.ends import CellStatus
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, SweepState, plan_batches
+from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, Progress, SweepState, plan_batches
 
 if TYPE_CHECKING:
     from conftest import MemorySink
@@ -48,6 +48,34 @@ def wait(batch: Batch[int], raise_if_stopped: Callable[[], None]) -> Sequence[in
 
 
 BATCHES = (Batch((1, 2, 3)), Batch((6, 7, 8)), Batch((10,)))
+
+
+class Cancelled(Progress):
+    """Raises at the fifth heartbeat, two seconds after the first."""
+
+    def __init__(self, error: BaseException) -> None:
+        self.error, self.beats = error, 0
+
+    def on_heartbeat(self) -> None:
+        """Raise once."""
+        self.beats += 1
+        if self.beats == 5:
+            raise self.error
+
+
+@pytest.mark.parametrize("error", [RuntimeError("cancelled"), SystemExit(3), KeyboardInterrupt()])
+def test_an_error_of_the_display_ends_the_sweep_and_fails_no_cell(sink: "MemorySink", error: BaseException) -> None:
+    """Also within a batch of one cell: the batch is dropped, and the same call would compute it."""
+
+    def wait_longer(batch: Batch[int], raise_if_stopped: Callable[[], None]) -> Sequence[int]:
+        for _ in range(3):
+            wait(batch, raise_if_stopped)
+        return batch.cells
+
+    with pytest.raises(type(error)):
+        run_sweep(None, [Batch((cell,)) for cell in range(3)], wait_longer, sink, progress=Cancelled(error))
+    assert [outcome.batch.cells for outcome in sink.outcomes] == [(0,)]
+    assert sink.results() == {0: 0}
 
 
 def test_all_cells_are_computed_and_stored(sink: "MemorySink") -> None:

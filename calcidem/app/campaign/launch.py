@@ -46,7 +46,7 @@ from calcidem.sweep.schedule import (
     SweepInterrupted,
     SweepState,
 )
-from calcidem.wording import tell
+from calcidem.wording import send_nowhere, tell
 
 _MPIRUN_VARIABLE = "MPIRUN"
 """Variable that names the launcher, instead of the one next to Python or in the search path."""
@@ -95,9 +95,10 @@ class Launch:
                 with prepared_store(configuration, stop.raise_if_stopped, reporter.on_packing) as (_, packing):
                     view.begin(configuration, packing)
                 code = self._start_until_complete(mpirun, configuration, stop, display)
-                display.show(RunProgress(RunStage.WRITING, "tables and files"))
-                with read_campaign(configuration.database, configuration.campaign.name) as store:
-                    view.finish(store, configuration, code, in_haste=stop.hurry())
+                if code in {EXIT_COMPLETE, EXIT_RESUMABLE}:  # else the error is what remains to be read
+                    display.show(RunProgress(RunStage.WRITING, "tables and files"))
+                    with read_campaign(configuration.database, configuration.campaign.name) as store:
+                        view.finish(store, configuration, code, in_haste=stop.hurry())
             except SweepInterrupted:
                 tell("Ended by a signal before the ranks began; the same command starts again.")
                 return EXIT_RESUMABLE
@@ -118,8 +119,11 @@ class Launch:
             why = start.attend(stop, self.start_timeout)
             found = start.own_run()
             state = "" if found is None or found.exit_state is None else found.exit_state.partition(":")[0]
-            if state in {SweepState.COMPLETE, SweepState.STOPPED}:
-                return EXIT_COMPLETE if state == SweepState.COMPLETE else EXIT_RESUMABLE
+            if state == SweepState.COMPLETE:
+                return EXIT_COMPLETE
+            if state == SweepState.STOPPED:  # which the launcher calls an error
+                tell("The run has stopped as asked; the same command continues.")
+                return EXIT_RESUMABLE
             is_refused = start.code == 2 and not begun  # input, or a database that was removed
             is_of_another = start.code == EXIT_ERROR and found is not None and state == "" and start.is_held()
             if state == SweepState.ERROR or is_refused or is_of_another:  # rank 0 has said so
@@ -270,9 +274,11 @@ class _Start:
             if stream.isatty():
                 self._display.write(text)
             else:
-                with suppress(OSError):
+                try:
                     stream.write(f"{text}\n")
                     stream.flush()
+                except OSError:
+                    send_nowhere(stream)
 
     def _end(self) -> None:
         """End the launcher; its ranks end with it."""

@@ -207,6 +207,8 @@ def _describe_ranks(ranks: int) -> str:
             env={name: value for name, value in os.environ.items() if name not in LAUNCHER_VARIABLES},
             stdin=subprocess.DEVNULL,
         )
+    except subprocess.TimeoutExpired:
+        return f"Warning: --ranks {ranks}: they did not start within 120 s; {available_cores()} cores can be used."
     except (LaunchError, OSError, subprocess.SubprocessError) as error:
         written = [line for line in str(getattr(error, "stderr", None) or "").splitlines() if line.strip(" -")]
         return f"Warning: --ranks {ranks}: {written[-1].strip() if written else error}."

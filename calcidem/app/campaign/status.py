@@ -35,7 +35,7 @@ from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import launcher
 from calcidem.sweep.schedule import Batch, BatchOutcome, Progress, SweepEnd
-from calcidem.wording import duration, listening, pluralize, printable, tell
+from calcidem.wording import duration, listening, pluralize, printable, survive_closing, tell
 
 if TYPE_CHECKING:
     from calcidem.dem.sample.packing import PackingStage  # which readers do not need
@@ -407,6 +407,8 @@ class ProgressDisplay:
             ]
             self._bars = Bars(*columns, console=console, transient=True, refresh_per_second=4)
             self._task = self._bars.add_task("", total=None, text="", visible=False)
+        if console is not None:
+            survive_closing(console)
         self._listening = nullcontext() if console is None else listening(self._note, with_advice=with_advice)
         self._stage: RunStage | None = None
         self._began = self._next = time.monotonic()
@@ -507,7 +509,7 @@ class ProgressReporter(Progress):
         total = pluralize(sum(len(batch.cells) for batch in batches), "cell")
         where = pluralize(workers, "worker") if workers else "the workers of the executor"
         parts = f"{pluralize(len(batches), 'batch', 'batches')} on {where}"
-        tell(f"{total} in {parts}" if batches else "Nothing to compute: every cell has an outcome.")
+        tell(f"{total} in {parts}" if batches else "Nothing to compute: no cell of this run is pending.")
         self.show_cells(at_once=True)
 
     def on_outcome(self, outcome: BatchOutcome[Any, Any]) -> None:

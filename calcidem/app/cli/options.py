@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from calcidem.sweep.ranks import launcher
-from calcidem.wording import printable
+from calcidem.wording import printable, survive_closing
 
 IS_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
 """Whether only results and errors are written; each command sets it."""
@@ -46,6 +46,7 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import Progress
 
     console = Console(stderr=True)
+    survive_closing(console)
     with Progress(console=console, transient=True, disable=IS_QUIET.get() or not console.is_terminal) as progress:
         task = progress.add_task(title)
         yield lambda done, total: progress.update(task, completed=done, total=total)

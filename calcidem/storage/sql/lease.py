@@ -238,7 +238,7 @@ class Lease:
         """Return an error that names the present master."""
         if holder is None:
             return LeaseHeldError(
-                "The database is being written by another process on this machine.", "Wait until it has ended."
+                "The database is being written by another run on this machine.", "Wait until it has ended."
             )
         free = holder.heartbeat + STALE_AFTER
         return LeaseHeldError(
