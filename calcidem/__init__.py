@@ -21,41 +21,25 @@ from typing import TYPE_CHECKING
 from calcidem.version import __version__ as __version__
 
 if TYPE_CHECKING:
-    from calcidem import dem
-    from calcidem.app.campaign.opened import Campaign, load_paper_campaign, open_campaign
-    from calcidem.app.campaign.run import run
-    from calcidem.app.campaign.status import RunProgress, RunStage
-    from calcidem.app.config.presets import PRESETS, preset_text
-    from calcidem.app.config.reader import load_configuration
-    from calcidem.app.config.schema import Configuration, ConfigurationError
-    from calcidem.app.disks import import_packing
-    from calcidem.app.studies.laboratory_signal import read_signal
-    from calcidem.dem.sample.packing import PackingError
-    from calcidem.storage.errors import StoreError
-    from calcidem.sweep.schedule import LaunchError, WorkersLostError
-    from calcidem.wording import CampaignWarning
-
-__all__ = [
-    "PRESETS",
-    "Campaign",
-    "CampaignWarning",
-    "Configuration",
-    "ConfigurationError",
-    "LaunchError",
-    "PackingError",
-    "RunProgress",
-    "RunStage",
-    "StoreError",
-    "WorkersLostError",
-    "dem",
-    "import_packing",
-    "load_configuration",
-    "load_paper_campaign",
-    "open_campaign",
-    "preset_text",
-    "read_signal",
-    "run",
-]
+    from calcidem import dem as dem
+    from calcidem.app.campaign.opened import Campaign as Campaign
+    from calcidem.app.campaign.opened import load_paper_campaign as load_paper_campaign
+    from calcidem.app.campaign.opened import open_campaign as open_campaign
+    from calcidem.app.campaign.run import run as run
+    from calcidem.app.campaign.status import RunProgress as RunProgress
+    from calcidem.app.campaign.status import RunStage as RunStage
+    from calcidem.app.config.presets import PRESETS as PRESETS
+    from calcidem.app.config.presets import preset_text as preset_text
+    from calcidem.app.config.reader import load_configuration as load_configuration
+    from calcidem.app.config.schema import Configuration as Configuration
+    from calcidem.app.config.schema import ConfigurationError as ConfigurationError
+    from calcidem.app.disks import import_packing as import_packing
+    from calcidem.app.studies.laboratory_signal import read_signal as read_signal
+    from calcidem.dem.sample.packing import PackingError as PackingError
+    from calcidem.storage.errors import StoreError as StoreError
+    from calcidem.sweep.schedule import LaunchError as LaunchError
+    from calcidem.sweep.schedule import WorkersLostError as WorkersLostError
+    from calcidem.wording import CampaignWarning as CampaignWarning
 
 _HOMES = {
     "Campaign": "calcidem.app.campaign.opened",
@@ -77,6 +61,8 @@ _HOMES = {
     "read_signal": "calcidem.app.studies.laboratory_signal",
     "run": "calcidem.app.campaign.run",
 }
+
+__all__ = ["dem", *_HOMES]  # noqa: PLE0604 - names of a table
 
 
 def __getattr__(name: str) -> object:

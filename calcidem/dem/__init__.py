@@ -11,49 +11,29 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from calcidem.dem.engine.leapfrog import State
-    from calcidem.dem.engine.readout import (
-        ContactForces,
-        Energies,
-        WallForces,
-        contact_forces,
-        energies,
-        net_forces,
-        overlaps,
-        unbalanced_ratio,
-        wall_contacts,
-        wall_overlaps,
-        wall_reactions,
-    )
-    from calcidem.dem.engine.scene import Bonds, Cement, Preload, Sand, Scene, Wall
-    from calcidem.dem.engine.stability import critical_time_step
-    from calcidem.dem.engine.state import UnstableRunError, advance, choose_features, start
-
-__all__ = [
-    "Bonds",
-    "Cement",
-    "ContactForces",
-    "Energies",
-    "Preload",
-    "Sand",
-    "Scene",
-    "State",
-    "UnstableRunError",
-    "Wall",
-    "WallForces",
-    "advance",
-    "choose_features",
-    "contact_forces",
-    "critical_time_step",
-    "energies",
-    "net_forces",
-    "overlaps",
-    "start",
-    "unbalanced_ratio",
-    "wall_contacts",
-    "wall_overlaps",
-    "wall_reactions",
-]
+    from calcidem.dem.engine.leapfrog import State as State
+    from calcidem.dem.engine.readout import ContactForces as ContactForces
+    from calcidem.dem.engine.readout import Energies as Energies
+    from calcidem.dem.engine.readout import WallForces as WallForces
+    from calcidem.dem.engine.readout import contact_forces as contact_forces
+    from calcidem.dem.engine.readout import energies as energies
+    from calcidem.dem.engine.readout import net_forces as net_forces
+    from calcidem.dem.engine.readout import overlaps as overlaps
+    from calcidem.dem.engine.readout import unbalanced_ratio as unbalanced_ratio
+    from calcidem.dem.engine.readout import wall_contacts as wall_contacts
+    from calcidem.dem.engine.readout import wall_overlaps as wall_overlaps
+    from calcidem.dem.engine.readout import wall_reactions as wall_reactions
+    from calcidem.dem.engine.scene import Bonds as Bonds
+    from calcidem.dem.engine.scene import Cement as Cement
+    from calcidem.dem.engine.scene import Preload as Preload
+    from calcidem.dem.engine.scene import Sand as Sand
+    from calcidem.dem.engine.scene import Scene as Scene
+    from calcidem.dem.engine.scene import Wall as Wall
+    from calcidem.dem.engine.stability import critical_time_step as critical_time_step
+    from calcidem.dem.engine.state import UnstableRunError as UnstableRunError
+    from calcidem.dem.engine.state import advance as advance
+    from calcidem.dem.engine.state import choose_features as choose_features
+    from calcidem.dem.engine.state import start as start
 
 _MODULES = {
     name: f"calcidem.dem.engine.{module}"
@@ -67,6 +47,8 @@ _MODULES = {
     }.items()
     for name in names.split()
 }
+
+__all__ = [*_MODULES]  # noqa: PLE0604 - names of a table
 
 
 def __getattr__(name: str) -> object:

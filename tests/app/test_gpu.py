@@ -8,14 +8,14 @@ import pytest
 import calcidem
 from calcidem.app.config.reader import change_configuration
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.kernels.gpu import GpuError, refuse_missing_gpu
+from calcidem.dem.kernels.gpu import GpuError, gpu_card
 
 
 @pytest.fixture(autouse=True)
 def without_gpu() -> None:
     """Skip where there is one."""
     try:
-        refuse_missing_gpu()
+        gpu_card().refuse_missing()
     except GpuError:
         return
     pytest.skip("there is a GPU")

@@ -18,7 +18,7 @@ import numpy as np
 sys.path.insert(0, {folder!r})
 from scenes import BONDED, GROUPED, LINEAR, SOFT_CEMENT, jumble, throw
 
-from calcidem.dem.kernels.gpu import choose_gpu, gpu_steps
+from calcidem.dem.kernels.gpu import gpu_card
 from calcidem.dem.engine.leapfrog import no_recording, run_in_place
 from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.gpu import GpuError
@@ -56,10 +56,10 @@ def run(state, told, *kernel):
 COMPARE = """
 import calcidem.dem.kernels.gpu.card as card_module
 
-choose_gpu(0)
+gpu_card().choose(0)
 for features, precision, steps, skin, bytes_of_a_block in {cases}:
     card_module._shared_memory = lambda: bytes_of_a_block
-    kernel = gpu_steps()
+    kernel = gpu_card().GpuSteps()
     card, is_renewed = run(*begin(features, precision, steps, skin), kernel.advance)
     processor, _ = run(*begin(features, precision, steps, skin))
     print(json.dumps([card == processor, is_renewed, bool(np.abs(card[0]).max() > 0.0)]))
@@ -68,7 +68,7 @@ for features, precision, steps, skin, bytes_of_a_block in {cases}:
 PROVE = """
 import calcidem.dem.kernels.gpu.card as card
 
-print(run(*begin(BONDED, "float32", 4), gpu_steps()) == run(*begin(BONDED, "float32", 4)))
+print(run(*begin(BONDED, "float32", 4), gpu_card().GpuSteps()) == run(*begin(BONDED, "float32", 4)))
 correct = card._receive
 
 
@@ -80,7 +80,7 @@ def flip_a_bit(system, sent, names):
 card._receive = flip_a_bit
 card._proved.clear()
 try:
-    run(*begin(BONDED, "float32", 4), gpu_steps())
+    run(*begin(BONDED, "float32", 4), gpu_card().GpuSteps())
 except GpuError as error:
     print(error)
 """

@@ -40,12 +40,12 @@ CASES: list[tuple[Callable[[], object], str, str, str]] = [
     (lambda: Cement(tensile_strength=-5.0), "tensile_strength", "-5.0", "positive"),
     (lambda: Cement(cohesion=0.0), "cohesion", "0.0", "positive"),
     (lambda: Cement(friction_angle=90.0), "friction_angle", "90.0", "[0, 90)"),
-    (lambda: Wall((0.0, 0.0), (1.0, 1.0)), "normal", "(1.0, 1.0)", "length 1"),
-    (lambda: Wall((0.0, 0.0), (1.0, 0.0, 0.0)), "normal", "(1.0, 0.0, 0.0)", "two"),  # type: ignore[arg-type]
+    (lambda: Wall((0.0, 0.0), (1.0, 1.0)), "normal", "[1.0, 1.0]", "length 1"),
+    (lambda: Wall((0.0, 0.0), (1.0, 0.0, 0.0)), "normal", "[1.0, 0.0, 0.0]", "two"),  # type: ignore[arg-type]
     (lambda: Wall((NAN, 0.0), (1.0, 0.0)), "point", "nan", "finite"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), velocity=(0.0, np.inf)), "velocity", "inf", "finite"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), friction=-0.1), "friction", "-0.1", "0 or more"),
-    (lambda: Wall((0.0, 0.0), (1.0, 0.0), span=(1.0, 1.0)), "span", "(1.0, 1.0)", "lower < upper"),
+    (lambda: Wall((0.0, 0.0), (1.0, 0.0), span=(1.0, 1.0)), "span", "[1.0, 1.0]", "lower < upper"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_speed=0.0), "servo_speed", "0.0", "positive"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_speed=np.inf), "servo_speed", "inf", "positive"),
     (lambda: Wall((0.0, 0.0), (1.0, 0.0), servo_gain=1.5), "servo_gain", "1.5", "(0, 1]"),

@@ -17,7 +17,7 @@ from calcidem.analysis.velocity import median_diameter_by_mass, wavelengths
 from calcidem.app.campaign.packing import check_path, packing_record, pattern_of, stored_section
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.kernels.compiling import watch_compiling
-from calcidem.dem.kernels.gpu import choose_gpu
+from calcidem.dem.kernels.gpu import gpu_card
 from calcidem.dem.kernels.layout import Flags
 from calcidem.dem.sample.cement import GIVEN, CementOrdering, Pattern, content_of_contacts
 from calcidem.dem.sample.compaction import SettlingError
@@ -140,7 +140,7 @@ def _prepared_computation(
     if version != _VERSION:
         raise LaunchError(f"a worker has {_VERSION}, the program that stores the campaign has {version}")
     keep_freed_memory()
-    gpu = choose_gpu((own_rank() or 1) - 1) if configuration.run.gpu else 0  # rank 0 computes nothing
+    gpu = gpu_card().choose((own_rank() or 1) - 1) if configuration.run.gpu else 0  # rank 0 computes nothing
     compilations = kernel_compilations(configuration, packing)
     if sys.platform == "win32":  # each process for itself
         for compile_kernel in compilations:

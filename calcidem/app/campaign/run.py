@@ -31,7 +31,7 @@ from calcidem.app.campaign.status import (
 )
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.kernels.gpu import refuse_missing_gpu
+from calcidem.dem.kernels.gpu import gpu_card
 from calcidem.dem.sample.cement import GIVEN, Pattern
 from calcidem.dem.sample.packing import Packing, PackingStage
 from calcidem.ends import DECIDED_BY_PHYSICS, CellStatus
@@ -227,7 +227,7 @@ def prepared_store(
     `GpuError` if `run.gpu` asks for a GPU that is not here.
     """
     if configuration.run.gpu:
-        refuse_missing_gpu()
+        gpu_card().refuse_missing()
     if _exists(configuration.database):  # an empty one is refused for reading, and new for writing
         with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as stored:
             if choose_campaign(stored, configuration) and stored.packing_indices():

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from annotated_types import Interval, Unit
 from pydantic import AllowInfNan
 
-from calcidem.dem.engine.fields import NotNegative, Positive, checked, require
+from calcidem.dem.engine.fields import NotNegative, Positive, PositivePart, checked, quote, require
 from calcidem.dem.engine.portable import tangent_of_degrees
 from calcidem.dem.kernels.layout import Floats, Integers
 
@@ -125,6 +125,7 @@ Precision = Literal["float64", "float32"]
 Installation = Literal["preserve", "zero", "pfc_absolute"]
 
 
+@checked
 @dataclass(frozen=True, slots=True)
 class Wall:
     """Straight rigid wall through ``point``; ``normal`` points to the disks.
@@ -149,32 +150,20 @@ class Wall:
         is PFC's stability limit.
     """
 
-    point: tuple[float, float]
-    normal: tuple[float, float]
-    friction: float = 0.0
-    velocity: tuple[float, float] = (0.0, 0.0)
-    span: tuple[float, float] = (-np.inf, np.inf)
-    servo_force: float | None = None
-    servo_speed: float = 0.1
-    servo_gain: float = 0.5
+    point: Annotated[tuple[float, float], "two finite numbers, in m"]
+    normal: Annotated[tuple[float, float], "two finite numbers"]
+    friction: NotNegative = 0.0
+    velocity: Annotated[tuple[float, float], "two finite numbers, in m/s"] = (0.0, 0.0)
+    span: tuple[Annotated[float, AllowInfNan()], Annotated[float, AllowInfNan()]] = (-np.inf, np.inf)
+    servo_force: Annotated[Positive, Unit("N/m")] | None = None  # a contact with a wall can only press
+    servo_speed: Annotated[Positive, Unit("m/s")] = 0.1
+    servo_gain: PositivePart = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse normals that are not unit vectors, negative friction and empty spans."""
-        for name in ("point", "normal", "velocity"):
-            values = getattr(self, name)
-            require(
-                bool(np.all(np.isfinite(values))) and len(values) == 2, name, values, "give two finite numbers"
-            )  # a plane
-        require(
-            abs(np.hypot(*self.normal) - 1.0) < 1e-9, "normal", self.normal, "give a vector of length 1"
-        )  # rounding of a hand-typed unit vector
-        require(self.friction >= 0.0, "friction", self.friction, "give a coefficient of 0 or more")
-        require(self.span[0] < self.span[1], "span", self.span, "give (lower, upper) with lower < upper")
-        if self.servo_force is not None:  # a contact with a wall can only press
-            is_pressing = bool(0.0 < self.servo_force < np.inf)
-            require(is_pressing, "servo_force", self.servo_force, "give a positive force in N/m")
-        require(0.0 < self.servo_speed < np.inf, "servo_speed", self.servo_speed, "give a positive speed in m/s")
-        require(0.0 < self.servo_gain <= 1.0, "servo_gain", self.servo_gain, "give a part in (0, 1]")
+        """Refuse normals that are not unit vectors, and empty spans."""
+        is_unit = bool(abs(np.hypot(*self.normal) - 1.0) < 1e-9)  # rounding of a hand-typed vector
+        require(is_unit, "normal", quote(self.normal), "give a vector of length 1")
+        require(self.span[0] < self.span[1], "span", quote(self.span), "give (lower, upper) with lower < upper")
 
     def distance(self, x: Floats, y: Floats) -> Floats:
         """Distance of points from the wall, positive on the side of the disks, m."""

@@ -55,12 +55,6 @@ def advance_steps(features: Features, steps: int, time_step: Floats, system: Sys
     -------
     Steps done: fewer than ``steps`` when a disk has moved so far that the pair list must be renewed.
     """
-    return _take_steps(features, steps, time_step, system)
-
-
-@inline
-def _take_steps(features: Features, steps: int, time_step: Floats, system: System) -> int:
-    """Do the steps of `advance_steps`, some at a time."""
     dt = load(time_step, (0,), features.lanes)
     if features.bundled:  # noqa: SIM108 - known to the compiler; both sides have a type of their own
         pair_dt = fill_lanes(scalar(time_step, (0, 0)), features.width)

@@ -22,7 +22,7 @@ from calcidem.dem.engine.readout import look_undamped, net_forces, overlaps, wal
 from calcidem.dem.engine.scene import Bonds, Scene
 from calcidem.dem.engine.stability import critical_time_step, stiffest_contacts
 from calcidem.dem.engine.state import choose_features, start
-from calcidem.dem.kernels.gpu import gpu_steps
+from calcidem.dem.kernels.gpu import gpu_card
 from calcidem.dem.kernels.layout import XY, Features, Flags, Floats, Integers, Recording, X, Y
 from calcidem.dem.sample.cement import CementOrdering
 from calcidem.dem.sample.compaction import settle
@@ -275,7 +275,7 @@ def prepare_recorder(
         unbalanced_speed=speed,
         signs=np.array([*signs, *[1.0] * (lanes - len(signs))]),
         breakable=rule.most_broken_bonds,
-        kernel=gpu_steps() if experiment.gpu else None,
+        kernel=gpu_card().GpuSteps() if experiment.gpu else None,
     )
 
 
