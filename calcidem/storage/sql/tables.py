@@ -75,7 +75,12 @@ class _UtcDateTime(sa.TypeDecorator[datetime]):
 class _Checked(sa.TypeDecorator[Any]):
     """A value of one kind; SQLite keeps whatever a damaged file has in its place."""
 
-    kind: type
+    impl: TypeEngine[Any] | type[TypeEngine[Any]] = sa.Text
+    cache_ok = True
+
+    def __init__(self, kind: type, impl: TypeEngine[Any]) -> None:
+        super().__init__()
+        self.kind, self.impl = kind, impl
 
     def process_result_value(self, value: object, dialect: sa.Dialect) -> object:  # noqa: ARG002 - as above
         """Return the value; `DamagedStoreError` if it is of another kind."""
@@ -84,21 +89,9 @@ class _Checked(sa.TypeDecorator[Any]):
         raise DamagedStoreError(f"The database has {value!r} in the place of a {self.kind.__name__}.", DAMAGE_REMEDY)
 
 
-class _Text(_Checked):
-    """A text."""
-
-    kind, impl, cache_ok = str, sa.Text, True
-
-
-class _Whole(_Checked):
-    """A whole number."""
-
-    kind, impl, cache_ok = int, sa.BigInteger, True
-
-
-_TYPES: dict[Any, type[TypeEngine[Any]]] = {
-    str: _Text,
-    int: _Whole,
+_TYPES: dict[Any, type[TypeEngine[Any]] | TypeEngine[Any]] = {
+    str: _Checked(str, sa.Text()),
+    int: _Checked(int, sa.BigInteger()),
     float: sa.Double,
     bool: sa.Boolean,
     bytes: sa.LargeBinary,
