@@ -74,7 +74,8 @@ def test_variants_differ_from_the_base_in_what_they_say(tmp_path: Path) -> None:
 
 def test_a_variant_has_the_disks_of_its_base_and_the_cells_of_the_plan(tmp_path: Path) -> None:
     """A file of disks is beside the base; parts and further seeds of the base are none of the study's."""
-    path, disks = planned(tmp_path), "x,y,radius\n" + "".join(f"0.01,{0.001 + 0.002 * k},0.001\n" for k in range(20))
+    rows = (f"{0.00107 + 0.00214 * i},{0.001 + 0.002 * k},0.001\n" for i in range(14) for k in range(30))
+    path, disks = planned(tmp_path), "x,y,radius\n" + "".join(rows)
     (tmp_path / "own.csv").write_text(disks, encoding="utf-8")
     own = BASE.replace("height = 0.06", 'file = "own.csv"') + '[run]\npart = "1/2"\n'
     (tmp_path / "base.toml").write_text(own, encoding="utf-8")
