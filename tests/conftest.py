@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from calcidem.app.campaign.cells import cell_result
 from calcidem.app.campaign.packing import packing_from_bytes, packing_record
 from calcidem.app.config.schema import Calibration, CampaignPlan, Configuration, Excitation, FrequencyTable
 from calcidem.app.report.page import write_report
+from calcidem.dem.kernels import steps
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.measurement import measure
@@ -80,6 +82,27 @@ def _own_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Let one process of pytest-xdist compile a kernel, and the others wait and load it."""
+    place, alone = _shared_folder(tmp_path_factory), steps.advance_steps.compile
+
+    def compile_or_load(signature: object) -> object:
+        with (place / f"kernel-{sha256(str(signature).encode()).hexdigest()}").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            return alone(signature)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(steps.advance_steps, "compile", compile_or_load)
+        yield
+
+
+def _shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of all processes of pytest-xdist."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
 @pytest.fixture(autouse=True)
 def _own_surroundings(_own_session: None) -> Iterator[None]:
     """Let each test begin in an empty folder, with an empty home, and without signals that its caller ignores."""
@@ -115,9 +138,7 @@ def small_configuration() -> Configuration:
 @pytest.fixture(scope="session")
 def make_once(tmp_path_factory: pytest.TempPathFactory) -> MakeOnce:
     """Give a function that fills a folder in the first process of pytest-xdist that needs it."""
-    place = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        place = place.parent
+    place = _shared_folder(tmp_path_factory)
 
     def make(name: str, fill: Callable[[Path], object]) -> Path:
         finished, begun = place / name, place / f"{name}-begun"

@@ -330,7 +330,7 @@ def test_what_is_too_narrow_to_measure_is_refused(packing: Packing) -> None:
     """A wave needs three groups of disks far from the transmitter, and a static speed an inner part."""
     wave = replace(TINY.wave, receiver_half_width=0.008, boundary_thickness=0.001, listening_depth=0.005)
     refused = 0
-    for half in np.linspace(1.1e-3, 4e-3, 30).tolist():
+    for half in np.linspace(1.1e-3, 4e-3, 12).tolist():
         narrow = replace(wave, receiver_half_width=half)
         try:
             check_against_packing(replace(TINY, wave=narrow), packing)
