@@ -283,11 +283,14 @@ def relax(
             return state
         sizes = zip(_size_of(scene, state), box, (width, height), strict=True)
         if any(now < 0.8 * least or now > 1.2 * most for now, least, most in sizes):
-            cures = "lateral_stress_ratio nearer to 1", "more friction_preparation", "porosity nearer to that at rest"
-            chosen = cures[rule.lateral_stress_ratio is None : 2 if manner is OWN_DISKS else 3]
+            cures = ["more friction_preparation"]
+            if rule.lateral_stress_ratio is not None:
+                cures.append("a lateral_stress_ratio nearer to 1")
+            if manner is not OWN_DISKS:
+                cures.append("a porosity nearer to that at rest")
             raise PackingError(
                 "the sample yields: a wall has moved by a fifth of the box under its stress; choose "
-                f"{' or '.join(chosen)}"
+                f"{' or '.join(cures)}"
             )
 
 
