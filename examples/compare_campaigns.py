@@ -2,18 +2,16 @@
 
     python examples/compare_campaigns.py ONE.db OTHER.db FIGURE.png
 
-Intervals cover the seeds of one packing; a content without cement, where all seeds are one sample, is left out. The
-same seed places cement alike if both campaigns have the same packing, pattern and root_seed. Then the paired difference
-has a narrower 95 % interval than the difference of the means of all samples (Welch). It is empty for other packings.
+Intervals cover the seeds of one packing; without cement all seeds are one sample, and left out. The same seed places
+cement alike if packing, pattern and root_seed are the same. Then the paired difference has a narrower 95 % interval
+than that of the means of all samples (Welch). It is empty for other packings.
 """
 
 import argparse
-import sys
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from matplotlib.figure import Figure
 from scipy import stats
 
 import calcidem
@@ -22,15 +20,13 @@ import calcidem
 def differing(one: calcidem.Campaign, other: calcidem.Campaign) -> dict[str, tuple[object, object]]:
     """Values of the keys in which the physical configurations differ."""
     first, second = (pd.json_normalize(campaign.config).iloc[0].to_dict() for campaign in (one, other))
-    keys = sorted(first.keys() | second.keys())
-    return {key: (first.get(key), second.get(key)) for key in keys if str(first.get(key)) != str(second.get(key))}
+    both = {key: (first.get(key), second.get(key)) for key in sorted(first.keys() | second.keys())}
+    return {key: values for key, values in both.items() if str(values[0]) != str(values[1])}
 
 
 def half_width(*samples: np.ndarray) -> float:
     """Half the 95 % interval of the mean of a sample, or of the difference of two means (Welch 1947)."""
-    parts = np.array([values.var(ddof=1) / values.size for values in samples])
-    if not parts.sum() > 0.0:
-        return float(parts.sum())
+    parts = np.array([values.var(ddof=1) / values.size for values in samples]) + 1e-30  # also without any scatter
     freedom = parts.sum() ** 2 / sum(part**2 / (one.size - 1) for part, one in zip(parts, samples, strict=True))
     return float(stats.t.ppf(0.975, freedom) * np.sqrt(parts.sum()))
 
@@ -52,7 +48,7 @@ def compare(one: calcidem.Campaign, other: calcidem.Campaign) -> pd.DataFrame:
     return pd.DataFrame(rows).T.rename_axis("content, %")
 
 
-def draw(table: pd.DataFrame, names: tuple[str, str]) -> Figure:
+def draw(table: pd.DataFrame, names: tuple[str, str]) -> plt.Figure:
     """Means with standard deviations above, paired differences with their intervals below."""
     figure, (upper, lower) = plt.subplots(2, 1, sharex=True, layout="constrained")
     aside = 0.006 * np.ptp(table.index)
@@ -61,8 +57,7 @@ def draw(table: pd.DataFrame, names: tuple[str, str]) -> Figure:
     lower.errorbar(table.index, table["paired"], table["paired +-"], fmt="o", capsize=3)
     lower.axhline(0.0, color="grey", linewidth=0.8)
     upper.set_ylabel("$V_s$ (m/s), mean and sd")
-    lower.set_ylabel("paired difference (m/s)")
-    lower.set_xlabel("calcite content (%)")
+    lower.set(xlabel="calcite content (%)", ylabel="paired difference (m/s)")
     upper.legend()
     return figure
 
@@ -76,7 +71,7 @@ def main() -> None:
     with calcidem.open_campaign(options.one) as one, calcidem.open_campaign(options.other) as other:
         table = compare(one, other)
         if table.empty:
-            sys.exit("There is no content with cement at which both campaigns have two velocities.")
+            raise SystemExit("There is no content with cement at which both campaigns have two velocities.")
         print(table.round(1).to_string(), *map(str, differing(one, other).items()), sep="\n")
         draw(table, (options.one, options.other)).savefig(options.figure)
 
