@@ -26,9 +26,9 @@ def differing(one: calcidem.Campaign, other: calcidem.Campaign) -> dict[str, tup
 
 def half_width(*samples: np.ndarray) -> float:
     """Half the 95 % interval of the mean of a sample, or of the difference of two means (Welch 1947)."""
-    parts = np.array([values.var(ddof=1) / values.size for values in samples]) + 1e-30  # also without any scatter
-    freedom = parts.sum() ** 2 / sum(part**2 / (one.size - 1) for part, one in zip(parts, samples, strict=True))
-    return float(stats.t.ppf(0.975, freedom) * np.sqrt(parts.sum()))
+    parts = np.array([values.var(ddof=1) / values.size for values in samples])
+    squares = sum(part**2 / (one.size - 1) for part, one in zip(parts, samples, strict=True)) or 1.0  # of no scatter
+    return float(stats.t.ppf(0.975, max(1.0, parts.sum() ** 2 / squares)) * np.sqrt(parts.sum()))
 
 
 def compare(one: calcidem.Campaign, other: calcidem.Campaign) -> pd.DataFrame:
