@@ -8,7 +8,7 @@ simulates, so the same code serves a campaign, a published table and other data.
 - `contact_graph`: preferential path, C_d and C_d,n;
 - `packing_graph`: contact graph of a stored packing, the features of path and network;
 - `campaign_analysis`: all products of a campaign;
-- `correlation`: Pearson and Spearman, over all contents, within one and at each; the best ratio of the contact weights;
+- `correlation`: Pearson and Spearman, over all contents and within one; the best ratio of the contact weights;
 - `fits`: Vs = a C^b + c with intervals, leave-one-seed-out error; Vs of samples that were not simulated;
-- `measured`: comparison with laboratory velocities; `published`: the reproduced study's tables.
+- `measured`: comparison with laboratory velocities, and with the tables of the reproduced study.
 """

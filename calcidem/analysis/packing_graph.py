@@ -56,7 +56,7 @@ def _mean(values: ArrayLike, weight: ArrayLike) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class PackingGraph:
-    """Contacts of a packing, and the data that turn its paths into features."""
+    """Contacts of a packing, and what features of paths and of cement as a network need."""
 
     packing: PackingRecord
     """The disks."""
@@ -237,7 +237,7 @@ def packing_graph(
     length = np.hypot(*branch.T)
     middle = 0.5 * (packing.y[first] + packing.y[second]) - 0.5 * packing.height
     across = middle / (packing.height - 2.0 * boundary_thickness)
-    overlap = packing.radius[first] + packing.radius[second] - length
+    overlap = np.maximum(packing.radius[first] + packing.radius[second] - length, 0.0)  # below it by rounding
     radius = packing.radius[first] * packing.radius[second] / (packing.radius[first] + packing.radius[second])
     force = np.sqrt(radius) * overlap**1.5  # Hertz, up to a common factor
     return PackingGraph(

@@ -39,7 +39,7 @@ _NORMAL_KURTOSIS = 3.0
 
 STAGES = {"I": (0.11, 0.66), "II": (1.24, 3.17), "III": (4.0, 6.0), "IV": (7.0, 9.0)}
 """First and last content of each stage, percent, whose end points give the printed growth rates. The text of the paper
-has other bounds (0.66, 2.55 and 6 %), which do not give these rates
+has other bounds (0.66, 2.55 and 6 %), which do not give these rates.
 """
 
 

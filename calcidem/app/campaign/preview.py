@@ -12,6 +12,7 @@ from time import thread_time
 
 import numpy as np
 
+from calcidem.analysis.intervals import mean_half_width
 from calcidem.analysis.velocity import FEWEST_GRAINS
 from calcidem.app.campaign.identity import choose_campaign
 from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
@@ -120,8 +121,6 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
 
 def _expected_half_widths(store: Store, configuration: Configuration) -> dict[float, float]:
     """Half-width (m/s) of the mean's 95 % interval with all planned seeds, for contents with known scatter."""
-    from calcidem.analysis.intervals import mean_half_width  # noqa: PLC0415 - statistics of SciPy take half a second
-
     plan, columns = configuration.campaign, store.table(("content", "vs"))
     vs = {content: columns["vs"][columns["content"] == content].astype(float) for content in plan.contents}
     known = {content: values[np.isfinite(values)] for content, values in vs.items()}

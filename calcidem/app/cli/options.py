@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from calcidem.sweep.ranks import launcher
-from calcidem.wording import printable, survive_closing
+from calcidem.wording import printable
 
 IS_QUIET: ContextVar[bool] = ContextVar("quiet", default=False)
 """Whether only results and errors are written; each command sets it."""
@@ -46,7 +46,6 @@ def progress_bar(title: str) -> Iterator[Callable[[int, int], None]]:
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    survive_closing(console)
     with Progress(console=console, transient=True, disable=IS_QUIET.get() or not console.is_terminal) as progress:
         task = progress.add_task(title)
         yield lambda done, total: progress.update(task, completed=done, total=total)

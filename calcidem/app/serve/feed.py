@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError
 from calcidem.analysis.packing_graph import PackingGraph
-from calcidem.analysis.velocity import BUDGET_QUANTITIES, NOTE_QUANTITIES
 from calcidem.app.campaign.packing import with_patterns
 from calcidem.app.campaign.status import STATUS_QUANTITIES, CampaignStatus
 from calcidem.app.report.cell_data import (
@@ -341,7 +340,7 @@ class CampaignFeed:
         rows = store.table(("seed", "content", "status", "vs"))
         names = [name for name in QUANTITY_BY_NAME if name not in {"seed", "content"}]
         if len(rows["seed"]) > MOST_FULL_RECORDS:
-            names = [name for name in names if name in {*SHORT_RECORD, *BUDGET_QUANTITIES, *NOTE_QUANTITIES}]
+            names = [name for name in names if name in {*SHORT_RECORD, *STATUS_QUANTITIES}]
         self._columns = CellColumns.empty(rows, names)
         self._columns.put(rows)
         self._problem = ""

@@ -485,8 +485,8 @@ def packing_from_csv(
     The disks are checked and put into a box of the rule's width with the lid on the highest disk. They are relaxed
     under the lid's stress like the last stage of `calcidem.dem.sample.compaction.make_packing`. A file has no contact
     forces, and its positions balance another contact law at best. `PackingFileError` if the file cannot be read as
-    disks, or disks overlap or leave the box by more than a tenth of a radius; `PackingError` if they do not come to
-    rest.
+    disks, they overlap or leave the box by more than a tenth of a radius, or the box is half empty; `PackingError` if
+    they do not come to rest.
 
     Parameters
     ----------
@@ -513,7 +513,7 @@ def packing_from_csv(
 
 
 def checked_disks(file: Path, width: float | None = None) -> tuple[Floats, Floats, Floats, str]:
-    """Return x, y, radius (N,) of the disks in a file, and its SHA-256; refuse deep overlaps of disks and walls.
+    """Return x, y, radius (N,) of the disks in a file, and its SHA-256; refuse deep overlaps and boxes half empty.
 
     Without a width, m, the rightmost disk touches the right wall. `PackingFileError` names the line; `InputFileError`
     if the file cannot be read as text.

@@ -31,10 +31,6 @@ class PackingFileError(PackingError):
     """File without a valid packing; the message names file, line and remedy."""
 
 
-LOOSEST = 0.35
-"""Largest porosity before the lid presses: disks at rest have about 0.2, and the lid moves by a fifth at most."""
-
-
 @checked
 @dataclass(frozen=True, slots=True)
 class PackingRule:
@@ -73,8 +69,8 @@ class PackingRule:
     )
     porosity: Annotated[
         float,
-        Interval(ge=0.1, le=LOOSEST),  # between crystal and gas
-        f"a number between 0.1 and {LOOSEST}, where two-dimensional packings lie",
+        Interval(ge=0.1, le=0.35),  # of a crystal; at rest it is about 0.2, and the lid moves by a fifth at most
+        "a number between 0.1 and 0.35, from which the lid can press the disks together",
     ] = 0.192
     expansion_steps: Annotated[int, Interval(ge=1, le=100)] = 5
     friction_preparation: NotNegative = 0.2
