@@ -1,8 +1,9 @@
 """How often a reading of sections with a known delay is wrong, how often it refuses, and what its standard errors are worth.
 
-    python benchmarks/reading/judge.py [--drawn 65] [--lattices 1001 1150]
+    python benchmarks/reading/judge.py [--drawn 65] [--lattices 1001 1150] [--strips 1]
 
-Draws sections of a seed (sections.py), or computes those of some seeds (lattice_sections.py). *Wrong* is a velocity off
+Draws sections of a seed (sections.py), or computes those of some seeds: of lattices (lattice_sections.py), of elastic
+strips (strips.py). *Wrong* is a velocity off
 by more than 10 % and by more than twice its standard error, of all sections; *refused* is no velocity, of those that are
 readable (`Section.readable`). A reading that states no standard error is wrong beyond 10 %.
 """
@@ -16,6 +17,7 @@ import numpy as np
 from lattice_sections import sections_of_seed
 from section import Section
 from sections import drawn_sections
+from strips import strips_of_seed
 
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.wave import reading, section
@@ -206,6 +208,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--drawn", type=int, nargs="*", default=[], metavar="SEED")
     parser.add_argument("--lattices", type=int, nargs=2, metavar=("FIRST", "LAST"))
+    parser.add_argument("--strips", type=int, nargs="*", default=[], metavar="SEED")
     chosen = parser.parse_args()
     sets: dict[str, list[Section]] = {}
     if chosen.drawn:
@@ -213,6 +216,8 @@ def main() -> None:
     if chosen.lattices:
         first, last = chosen.lattices
         sets["lattices"] = [one for seed in range(first, last + 1) for one in sections_of_seed(seed)]
+    if chosen.strips:
+        sets["strips"] = [one for seed in chosen.strips for one in strips_of_seed(seed)]
     for name, sections in sets.items():
         print(f"\n{name}: {len(sections)} sections")
         for title, read in _READINGS:
