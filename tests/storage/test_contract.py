@@ -15,6 +15,7 @@ from calcidem.ends import CellStatus
 from calcidem.storage.errors import (
     CampaignMismatchError,
     InvalidRecordError,
+    LeaseHeldError,
     LeaseLostError,
     QueryError,
     ReadOnlyStoreError,
@@ -371,6 +372,19 @@ def test_lease_holder_is_known_to_readers(store: Store, open_here: Callable[...,
     assert dataclasses.replace(holder, machine="elsewhere", pid=2**22 + 1).may_live()
     store.release_lease()
     assert reader.lease_holder() is None
+
+
+def test_a_master_writes_together_and_nobody_beside_it(store: Store, open_here: Callable[..., Store]) -> None:
+    """Several writes become one transaction in the process that has the lease, elsewhere only after its release."""
+    other = open_here()
+    store.acquire_lease()
+    with pytest.raises(LeaseHeldError, match=f"process {os.getpid()}"), other.together():
+        pass
+    with store.together():
+        store.renew_lease()
+    store.release_lease()
+    with other.together():
+        pass
 
 
 def test_master_that_lost_its_lease_writes_nothing(store: Store, records: "Records") -> None:
