@@ -25,8 +25,8 @@ from calcidem.app.report.page import write_report
 from calcidem.dem.kernels import steps
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
+from calcidem.dem.wave.experiment import WaveRule
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.rule import WaveRule
 from calcidem.ends import CellStatus
 from calcidem.storage.records import CampaignRecord, CellKey, CellResult, RunRecord, canonical_json
 from calcidem.storage.sql.store import Store

@@ -21,9 +21,8 @@ from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.cement import CementCapacityError, CementRule
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.experiment import Experiment, WaveRule
 from calcidem.dem.wave.measurement import Measurement, measure
-from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.static_speed import static_speed
 from calcidem.storage.records import NORMAL_95
 

@@ -15,11 +15,11 @@ from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.assembly import lanes_of_bits
 from calcidem.dem.engine.leapfrog import run_in_place
+from calcidem.dem.engine.scene import Law
 from calcidem.dem.kernels.layout import NORMAL, OVERLAP, SHEAR, Floats, Recording, X, Y
 from calcidem.dem.wave.experiment import TRANSMITTER, Experiment
 from calcidem.dem.wave.propagation import Recorder, prepare_recorder
 from calcidem.dem.wave.reading import Reading, read_section
-from calcidem.dem.wave.rule import Law
 from calcidem.dem.wave.section import quantise
 
 ROOT = Path(__file__).resolve().parents[2]

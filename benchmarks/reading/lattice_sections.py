@@ -32,8 +32,7 @@ from calcidem.dem.engine.leapfrog import run_in_place
 from calcidem.dem.engine.scene import Bonds, Cement, Sand, Scene, Wall
 from calcidem.dem.engine.state import choose_features, start
 from calcidem.dem.kernels.layout import Flags, Floats, Integers, Recording
-from calcidem.dem.wave.rule import Pulse
-from calcidem.dem.wave.section import clamp_of_strip
+from calcidem.dem.wave.section import Pulse, clamp_of_strip
 
 KINDS = ("hexagonal", "square", "tilted", "jittered", "mixed", "patches")
 LANES = 8

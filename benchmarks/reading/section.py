@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calcidem.dem.kernels.layout import Flags, Floats
-from calcidem.dem.wave.rule import Pulse
+from calcidem.dem.wave.section import Pulse
 
 
 @dataclass(frozen=True, slots=True, eq=False)

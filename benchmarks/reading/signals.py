@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.rule import Pulse
+from calcidem.dem.wave.section import Pulse
 
 RANGES = tomllib.loads(Path(__file__).with_name("ranges.toml").read_text(encoding="utf-8"))
 KINDS = tuple(name for name, value in RANGES.items() if isinstance(value, dict) and name not in {"common", "stations"})

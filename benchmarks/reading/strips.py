@@ -15,8 +15,7 @@ import numpy as np
 from section import Section
 
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.rule import Pulse
-from calcidem.dem.wave.section import clamp_of_strip
+from calcidem.dem.wave.section import Pulse, clamp_of_strip
 
 WALLS = ("open", "smooth", "held at the receiver")
 LENGTH, HEIGHT = 0.1, 0.2  # m

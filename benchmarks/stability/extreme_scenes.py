@@ -14,13 +14,12 @@ import numpy as np
 
 from calcidem.app.studies.stability import Judgement, capacity, draw_latin, judge_scene, pressed_stiffness
 from calcidem.dem.engine.assembly import near_pairs
-from calcidem.dem.engine.scene import Cement, Preload, Sand, Scene
+from calcidem.dem.engine.scene import Cement, Law, Preload, Sand, Scene
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingReport, PackingRule
-from calcidem.dem.wave.experiment import Experiment, lane_bonds, wave_scene
+from calcidem.dem.wave.experiment import Experiment, WaveRule, cutoff_frequency, lane_bonds, wave_scene
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import Law, WaveRule, cutoff_frequency
 
 _RADIUS = 1.25e-3  # radius of the largest disks, m
 _DISKS_ACROSS, _DISKS_UP = 6, 10

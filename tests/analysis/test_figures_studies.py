@@ -14,7 +14,7 @@ from calcidem.app.campaign.packing import stored_packing
 from calcidem.app.config.schema import Configuration
 from calcidem.app.studies.sensitivity import _damping_study, _frequency_study, _pulse_frequency
 from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.rule import Pulse
+from calcidem.dem.wave.section import Pulse
 
 pytestmark = pytest.mark.slow
 

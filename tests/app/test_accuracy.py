@@ -29,10 +29,9 @@ from calcidem.app.studies.accuracy import (
 from calcidem.app.studies.study import Cells, StudyResult, at_common_times
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.experiment import Experiment, WaveRule
 from calcidem.dem.wave.propagation import prepare_recorder
 from calcidem.dem.wave.reading import smooth
-from calcidem.dem.wave.rule import WaveRule
 from calcidem.storage.errors import OutputRefusedError
 
 pytestmark = pytest.mark.slow

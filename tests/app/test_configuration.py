@@ -20,7 +20,7 @@ from calcidem.app.config.schema import SECTIONS, CampaignPlan, Configuration, Co
 from calcidem.dem.engine.fields import FieldError
 from calcidem.dem.engine.scene import Cement
 from calcidem.dem.sample.packing import PackingRule
-from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.experiment import WaveRule
 from calcidem.storage.records import canonical_hash
 
 if TYPE_CHECKING:

@@ -17,11 +17,10 @@ from calcidem.app.campaign import run
 from calcidem.app.campaign.cells import CellComputation, kernel_compilations
 from calcidem.app.campaign.status import ProgressDisplay, ProgressReporter
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.engine.scene import Installation
+from calcidem.dem.engine.scene import Installation, Law
 from calcidem.dem.kernels.layout import Features
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.rule import Law
 from calcidem.sweep.run import SweepState
 from calcidem.sweep.schedule import StopLevel, StopRequest
 

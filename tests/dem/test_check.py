@@ -9,16 +9,16 @@ from waves import DISTANCE, FREQUENCY, guided, section, silence
 
 from calcidem.app.campaign.cells import cell_result
 from calcidem.dem.engine import leapfrog
+from calcidem.dem.engine.scene import Law
 from calcidem.dem.kernels.layout import Features, Flags
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave import check, measurement
 from calcidem.dem.wave.check import Check, check_content, kernels_of, with_check
-from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.experiment import Experiment, WaveRule
 from calcidem.dem.wave.measurement import Measurement, interpret, measure
 from calcidem.dem.wave.propagation import prepare_recorder, send_waves
 from calcidem.dem.wave.reading import PickRule, Verdict
-from calcidem.dem.wave.rule import Law, WaveRule
 from calcidem.dem.wave.section import Section, fit_wave
 from calcidem.ends import CellStatus
 

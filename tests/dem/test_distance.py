@@ -11,9 +11,8 @@ from calcidem.app.campaign.packing import kept_packing
 from calcidem.app.config.reader import change_configuration
 from calcidem.dem.engine.assembly import near_pairs
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import Experiment, driven_disks
+from calcidem.dem.wave.experiment import Experiment, WaveRule, driven_disks
 from calcidem.dem.wave.measurement import measure
-from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.section import clamp_of_strip, fit_velocity
 from calcidem.dem.wave.static_speed import static_speed
 

@@ -5,17 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calcidem.dem.engine.scene import Sand
+from calcidem.dem.engine.scene import Law, Sand
 from calcidem.dem.engine.state import SAFETY
 from calcidem.dem.kernels.layout import Floats, Integers
 from calcidem.dem.sample.cement import CementRule, draw_cement
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.experiment import Experiment, domain_of, listening_disks, station_disks, wave_scene
+from calcidem.dem.wave.experiment import Experiment, WaveRule, domain_of, listening_disks, station_disks, wave_scene
 from calcidem.dem.wave.measurement import measure
 from calcidem.dem.wave.propagation import SAMPLES_PER_CHUNK, prepare_recorder
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import Law, WaveRule
 from calcidem.dem.wave.section import RESOLUTION, Counts
 from calcidem.ends import CellStatus
 

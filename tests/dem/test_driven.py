@@ -14,9 +14,8 @@ from calcidem.dem.engine.stability import critical_time_step
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import Features, Floats, Recording
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import driven_disks
+from calcidem.dem.wave.experiment import WaveRule, driven_disks
 from calcidem.dem.wave.propagation import broken_bonds, cheap_limit, problems_of
-from calcidem.dem.wave.rule import WaveRule
 
 COUNT, STEPS = 40, 300
 FULL_KINDS: list[tuple[Law, Precision]] = [("linear", "float32"), ("finite", "float64"), ("finite", "float32")]

@@ -9,9 +9,8 @@ from calcidem.dem.engine.scene import Sand, Scene
 from calcidem.dem.engine.state import start
 from calcidem.dem.sample.compaction import SettlingError, box_walls, make_packing, settle
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.experiment import Experiment, WaveRule
 from calcidem.dem.wave.propagation import prepare_recorder
-from calcidem.dem.wave.rule import WaveRule
 
 RULE = PackingRule(width=0.02, height=0.02, unbalanced_force_ratio=1e-3)
 

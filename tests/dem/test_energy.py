@@ -10,8 +10,7 @@ from calcidem.dem.engine.scene import Bonds, Cement, Preload, Sand, Scene, Wall
 from calcidem.dem.engine.state import advance, choose_features, start
 from calcidem.dem.kernels.layout import Features
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import wave_scene
-from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.experiment import WaveRule, wave_scene
 
 
 def imbalances(scene: Scene, features: Features, step: float, duration: float) -> tuple[float, float]:

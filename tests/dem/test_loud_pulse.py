@@ -13,10 +13,9 @@ from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.layout import Floats, X, Y
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import PackingRule
-from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.experiment import Experiment, WaveRule
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.propagation import Recorder, cheap_limit, prepare_recorder, problems_of, unbalanced_speed
-from calcidem.dem.wave.rule import WaveRule
 from calcidem.dem.wave.section import Section
 
 LOUD, CONTENT, FREQUENCY = 5.0, 1.0, 2.4e4

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.rule import EXCITATION, Pulse, cutoff_frequency
+from calcidem.dem.wave.experiment import EXCITATION, Experiment, cutoff_frequency
+from calcidem.dem.wave.section import Pulse
 
 AMPLITUDES = st.floats(1e-9, 10.0)
 FREQUENCIES = st.floats(100.0, 1e6)

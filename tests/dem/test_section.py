@@ -10,10 +10,9 @@ from scenes import RADIUS, bare_packing, hexagonal
 from waves import AMPLITUDE, FREQUENCY, section, total, wave
 
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import listening_disks, station_disks
+from calcidem.dem.wave.experiment import WaveRule, listening_disks, station_disks
 from calcidem.dem.wave.reading import Reading, read_section
-from calcidem.dem.wave.rule import Pulse, WaveRule
-from calcidem.dem.wave.section import RESOLUTION, quantise
+from calcidem.dem.wave.section import RESOLUTION, Pulse, quantise
 
 
 @given(st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=20), st.floats(1e-6, 10.0))

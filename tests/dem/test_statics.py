@@ -16,8 +16,7 @@ from calcidem.dem.engine.state import start
 from calcidem.dem.kernels.layout import Flags, Floats
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave import static_speed as static
-from calcidem.dem.wave.experiment import Experiment
-from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.experiment import Experiment, WaveRule
 from calcidem.dem.wave.static_speed import sheared_motion, sheared_triangles, static_speed
 
 

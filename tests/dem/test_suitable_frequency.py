@@ -5,8 +5,7 @@ import pytest
 
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing
-from calcidem.dem.wave.experiment import Experiment, suitable_frequency
-from calcidem.dem.wave.rule import WaveRule
+from calcidem.dem.wave.experiment import Experiment, WaveRule, suitable_frequency
 from calcidem.dem.wave.static_speed import static_speed
 
 WAVE = WaveRule(transmitter_half_width=0.01, receiver_half_width=0.012, boundary_thickness=0.012, listening_depth=0.006)

@@ -6,8 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.rule import Pulse
-from calcidem.dem.wave.section import Section, quantise
+from calcidem.dem.wave.section import Pulse, Section, quantise
 
 FREQUENCY, AMPLITUDE, DISTANCE = 5e3, 1e-3, 0.094
 PARTS = (*np.linspace(0.15, 0.9, 9).tolist(), 1.0)

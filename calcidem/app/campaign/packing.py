@@ -38,10 +38,9 @@ from calcidem.dem.sample.packing import (
     PackingStage,
     refuse_changed,
 )
-from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.experiment import Experiment, WaveRule, clamp_of_layers
 from calcidem.dem.wave.reading import PickRule, Reading, read_section
-from calcidem.dem.wave.rule import WaveRule
-from calcidem.dem.wave.section import RESOLUTION, Section, clamp_of_layers
+from calcidem.dem.wave.section import RESOLUTION, Section
 from calcidem.ends import Verdict
 from calcidem.input_file import MOST_BYTES, InputFileError, read_input
 from calcidem.storage.errors import DamagedStoreError, OutputRefusedError, StoreError

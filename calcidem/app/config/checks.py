@@ -14,7 +14,9 @@ from calcidem.dem.sample.cement import UnknownPatternError, find_pattern
 from calcidem.dem.sample.packing import Packing, expected_overlap, judge_disks, judge_stress
 from calcidem.dem.wave.experiment import (
     DEEPEST_LISTENING,
+    FEWEST_SAMPLES,
     Experiment,
+    cutoff_frequency,
     driven_disks,
     listening_disks,
     refuse_idle_bands,
@@ -22,7 +24,6 @@ from calcidem.dem.wave.experiment import (
 )
 from calcidem.dem.wave.propagation import refuse_unfit_pulse, refuse_unfit_samples
 from calcidem.dem.wave.reading import record_duration
-from calcidem.dem.wave.rule import FEWEST_SAMPLES, cutoff_frequency
 from calcidem.dem.wave.section import FEWEST_STATIONS, far_stations
 from calcidem.storage.errors import StoreError
 from calcidem.storage.sql.engine import Address

@@ -29,8 +29,7 @@ from calcidem.dem.engine.scene import Sand
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.compaction import checked_disks
 from calcidem.dem.sample.packing import PackingRule, expected_overlap
-from calcidem.dem.wave.experiment import WAVELENGTHS
-from calcidem.dem.wave.rule import cutoff_frequency
+from calcidem.dem.wave.experiment import WAVELENGTHS, cutoff_frequency
 from calcidem.input_file import UNITS, Table, parse_number, read_input, unit_in_name, value_of
 
 CALIBRATED = ("sand.wave_stiffness_factor", "pattern.p_share", "pattern.p_patch_diameter", "pattern.cluster_area")

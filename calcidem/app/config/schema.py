@@ -21,9 +21,8 @@ from calcidem.dem.engine.scene import Cement, Installation, Sand
 from calcidem.dem.kernels.layout import LANE_COUNTS
 from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.experiment import Experiment, suitable_frequency
+from calcidem.dem.wave.experiment import EXCITATION, Experiment, WaveRule, suitable_frequency
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import EXCITATION, WaveRule
 from calcidem.storage.errors import StoreError
 from calcidem.storage.records import LARGEST_SEED, CampaignRecord, canonical_content, canonical_hash, canonical_json
 

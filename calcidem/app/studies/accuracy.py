@@ -28,7 +28,7 @@ from calcidem.app.studies.study import (
 from calcidem.dem.wave.check import cheapest_law
 from calcidem.dem.wave.experiment import Experiment, domain_of
 from calcidem.dem.wave.measurement import Measurement
-from calcidem.dem.wave.rule import Pulse
+from calcidem.dem.wave.section import Pulse
 from calcidem.storage.records import NORMAL_95
 from calcidem.wording import pluralize
 

@@ -27,6 +27,7 @@ from calcidem.dem.kernels.layout import XY, Features, Flags, Floats, Integers, R
 from calcidem.dem.sample.cement import CementOrdering
 from calcidem.dem.sample.compaction import settle
 from calcidem.dem.wave.experiment import (
+    FEWEST_SAMPLES,
     TRANSMITTER,
     Experiment,
     driven_disks,
@@ -36,8 +37,7 @@ from calcidem.dem.wave.experiment import (
     wave_scene,
 )
 from calcidem.dem.wave.reading import is_settled, record_duration
-from calcidem.dem.wave.rule import FEWEST_SAMPLES, Pulse
-from calcidem.dem.wave.section import Counts, Section, quantise
+from calcidem.dem.wave.section import Counts, Pulse, Section, quantise
 
 SAMPLES_PER_CHUNK = 20  # samples between two checks of the section: half a period of the pulse
 

@@ -1,4 +1,4 @@
-"""Space-time section of a sample, and the damped plane wave in a strip fitted to it: the effective velocity.
+"""The pulse; the space-time section it leaves, and the damped wave in a strip fitted to it: the effective velocity.
 
 The section has the records of the receiver and of the stations on the path.
 
@@ -21,9 +21,8 @@ from typing import NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.dem.engine.portable import cosine_and_sine, exponential, parabola_vertex
+from calcidem.dem.engine.portable import cosine_and_sine, exponential, parabola_vertex, sine_of_turns
 from calcidem.dem.kernels.layout import Floats
-from calcidem.dem.wave.rule import Pulse, WaveRule
 
 RESOLUTION = 2.0**-20
 """Resolution of recorded velocities over the amplitude of the pulse: 1e-3 of the weakest accepted arrival."""
@@ -36,6 +35,33 @@ def quantise(velocity: Floats, amplitude: float) -> Counts:
     steps = np.rint(velocity / (amplitude * RESOLUTION))
     # Far above any wave, and half of what int32 holds.
     return np.where(np.abs(steps) < 2**30, steps, 2**30).astype(np.int32)
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """One period of ``v(t) = v0 (1 - cos 2 pi f t)``, then rest (paper, section 2.2.2)."""
+
+    amplitude: float
+    """v0, m/s; the peak velocity is twice this. The paper's 5 m/s is a shock at 5 kPa, not a small strain."""
+    frequency: float
+    """f, Hz."""
+
+    def __post_init__(self) -> None:
+        """Refuse a pulse without motion or without end."""
+        if not 0.0 < abs(self.amplitude) < np.inf:
+            raise ValueError(f"amplitude = {self.amplitude} m/s: give a finite velocity other than 0")
+        if not 0.0 < self.frequency < np.inf:
+            raise ValueError(f"frequency = {self.frequency} Hz: give a positive, finite frequency")
+
+    @property
+    def stroke(self) -> float:
+        """Displacement that remains after the pulse, v0 / f, m."""
+        return self.amplitude / self.frequency
+
+    def velocity(self, time: npt.ArrayLike) -> Floats:
+        """Return the velocity at times (s, any shape), m/s; zero before 0 and after one period."""
+        cycle = np.clip(self.frequency * np.asarray(time, dtype=float), 0.0, 1.0)
+        return np.asarray(self.amplitude * (2.0 * sine_of_turns(0.5 * cycle) ** 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,13 +184,6 @@ class StripWave(NamedTuple):
 def clamp_of_strip(height: float) -> float:
     """K of a strip of a height between clamped edges, both SI units."""
     return np.pi * P_OVER_S / height
-
-
-def clamp_of_layers(height: float, rule: WaveRule) -> float:
-    """K of a sample of a height, m, between its layers, 1/m; 0 without any: smooth walls hold nothing."""
-    if rule.boundary_thickness == 0.0 or rule.boundary_damping <= rule.damping:
-        return 0.0
-    return clamp_of_strip(height - 2.0 * rule.boundary_thickness)
 
 
 def far_stations(places: tuple[float, ...]) -> tuple[float, ...]:

@@ -19,14 +19,13 @@ import numpy.typing as npt
 from calcidem.app.campaign.packing import packing_from_bytes, packing_to_bytes
 from calcidem.app.config import presets
 from calcidem.app.config.reader import load_configuration
-from calcidem.dem.engine.scene import Sand
+from calcidem.dem.engine.scene import Law, Sand
 from calcidem.dem.sample.cement import CementRule, RandomPurpose, random_generator
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import Packing, PackingRule
-from calcidem.dem.wave.experiment import Experiment
+from calcidem.dem.wave.experiment import Experiment, WaveRule
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.reading import PickRule
-from calcidem.dem.wave.rule import Law, WaveRule
 from calcidem.ends import CellStatus
 
 SEEDS = (1, 2, 3)
