@@ -5,8 +5,7 @@ simulates, so the same code serves a campaign, a published table and other data.
 
 - `velocity`: errors of velocities, modulus and wavelengths, advice, phase velocity over frequency;
 - `distribution`: counts of cells, moments, normality and intervals of Vs at each content; `intervals`, seeds needed;
-- `contact_graph`: preferential path, C_d and C_d,n;
-- `packing_graph`: contact graph of a stored packing, the features of path and network;
+- `packing_graph`: contacts of a stored packing, preferential path, C_d and C_d,n, features of path and network;
 - `campaign_analysis`: all products of a campaign;
 - `correlation`: Pearson and Spearman, over all contents and within one; the best ratio of the contact weights;
 - `fits`: Vs = a C^b + c with intervals, leave-one-seed-out error; Vs of samples that were not simulated;

@@ -12,7 +12,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.analysis.contact_graph import ContactWeights, PreferentialPath, normalized_connectivity
 from calcidem.analysis.correlation import (
     Correlations,
     PathEnvelope,
@@ -33,9 +32,12 @@ from calcidem.analysis.measured import (
 from calcidem.analysis.packing_graph import (
     FEATURES,
     NETWORK_FEATURES,
+    ContactWeights,
     Feature,
     PackingGraph,
+    PreferentialPath,
     describe_feature,
+    normalized_connectivity,
     packing_graph,
 )
 from calcidem.analysis.velocity import (

@@ -14,8 +14,8 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
-from calcidem.analysis.contact_graph import ContactGraph, ContactWeights, connectivity, contacts_on_path
 from calcidem.analysis.intervals import BOOTSTRAP_SEED, Interval
+from calcidem.analysis.packing_graph import ContactGraph, ContactWeights, connectivity, contacts_on_path
 
 _ROUND_OFF = 1e-12
 """Relative size below which variation and differences of coefficients are round-off."""

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from calcidem.analysis.contact_graph import ContactWeights
 from calcidem.analysis.distribution import ContentDistribution
 from calcidem.analysis.intervals import Interval
+from calcidem.analysis.packing_graph import ContactWeights
 from calcidem.storage.records import NORMAL_95
 
 
@@ -184,20 +184,6 @@ class PublishedVelocity:
 
 
 @dataclass(frozen=True, slots=True)
-class _PublishedStage:
-    """A stage of section 3.2.1."""
-
-    name: str
-    """Roman numeral."""
-    text_range: Interval
-    """Bounds in the text, in percent."""
-    rate: float
-    """Growth rate in m/s per percent."""
-    variance_range: Interval
-    """Range of "variance" in the text, m/s."""
-
-
-@dataclass(frozen=True, slots=True)
 class PublishedLaw:
     """A column of Table 4: Vs = a C_d,n^b + c, with Vs, a and c in m/s.
 
@@ -235,8 +221,8 @@ class PublishedStudy:
     """Table 2: excitation frequency in Hz of each content in percent, ascending."""
     velocities: tuple[tuple[float, PublishedVelocity], ...]
     """The rows of Table 3, each as (content in percent, row), ascending; there is none for 0 %."""
-    stages: tuple[_PublishedStage, ...]
-    """Section 3.2.1."""
+    stages: tuple[Mapping[str, Any], ...]
+    """Section 3.2.1: name, growth rate in m/s per percent, and the ends of the ranges in its text, as in that file."""
     laws: tuple[PublishedLaw, ...]
     """Table 4."""
 
@@ -260,14 +246,13 @@ def published_study() -> PublishedStudy:
         parameters=MappingProxyType(data["parameters"]),
         frequencies=MappingProxyType({row["content"]: row["frequency"] for row in data["contents"]}),
         velocities=tuple((row["content"], PublishedVelocity(**row["vs"])) for row in data["contents"] if "vs" in row),
-        stages=tuple(_PublishedStage(**_with_intervals(row)) for row in data["stages"]),
+        stages=tuple(map(MappingProxyType, data["stages"])),
         laws=tuple(
-            PublishedLaw(weights=ContactWeights(row.pop("hertz"), row.pop("bond")), **_with_intervals(row))
+            PublishedLaw(
+                weights=ContactWeights(row.pop("hertz"), row.pop("bond")),
+                connectivity_range=Interval(*row.pop("connectivity_range")),
+                **row,
+            )
             for row in data["laws"]
         ),
     )
-
-
-def _with_intervals(row: dict[str, Any]) -> dict[str, Any]:
-    """Convert pairs of numbers in a row to intervals."""
-    return {name: Interval(*value) if isinstance(value, list) else value for name, value in row.items()}

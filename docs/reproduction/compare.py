@@ -126,7 +126,7 @@ def print_rates(analysis: CampaignAnalysis) -> None:
     rows = analysis.distributions
     found = growth_by_stage([row.content for row in rows], [row.vs.mean for row in rows])
     for growth, printed in zip(found, published_study().stages, strict=True):
-        print(f"| {printed.name} | {growth.end_point_slope:.0f} | {printed.rate:.0f} |")
+        print(f"| {printed['name']} | {growth.end_point_slope:.0f} | {printed['rate']:.0f} |")
 
 
 if __name__ == "__main__":

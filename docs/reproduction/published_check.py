@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calcidem.analysis.contact_graph import ContactWeights
 from calcidem.analysis.distribution import normality_of_moments
 from calcidem.analysis.fits import power_law
 from calcidem.analysis.measured import (
@@ -20,6 +19,7 @@ from calcidem.analysis.measured import (
     PublishedStudy,
     published_study,
 )
+from calcidem.analysis.packing_graph import ContactWeights
 from calcidem.analysis.velocity import FEWEST_WAVELENGTHS, wavelengths
 
 _PAPER_SIGNIFICANCE = 0.05
@@ -179,17 +179,17 @@ def _growth(study: PublishedStudy, stages: Mapping[str, tuple[float, float]]) ->
 
 
 def _compare_rates(study: PublishedStudy) -> list[StatementCheck]:
-    text = {stage.name: (stage.text_range.low, stage.text_range.high) for stage in study.stages}
+    text = {stage["name"]: tuple(stage["text_range"]) for stage in study.stages}
     findings = []
     for basis, stages in {"": STAGES, ", its own borders": text}.items():
         for printed, growth in zip(study.stages, _growth(study, stages), strict=True):
             rate = growth.end_point_slope
             findings.append(
                 StatementCheck(
-                    place=f"Section 3.2.1, stage {printed.name}{basis}",
-                    printed=f"rate {printed.rate:.2f} m/s per percent",
+                    place=f"Section 3.2.1, stage {printed['name']}{basis}",
+                    printed=f"rate {printed['rate']:.2f} m/s per percent",
                     computed=f"{rate:.2f} from the means at {growth.contents[0]:g} and {growth.contents[-1]:g} %",
-                    agrees=abs(rate - printed.rate) < _RATE_ROUNDING,
+                    agrees=abs(rate - printed["rate"]) < _RATE_ROUNDING,
                 )
             )
     return findings
@@ -201,20 +201,21 @@ def _compare_variances(study: PublishedStudy) -> list[StatementCheck]:
     for stage, growth in zip(study.stages, _growth(study, STAGES), strict=True):
         deviations = [rows[content].standard_deviation for content in growth.contents]
         low, high = min(deviations), max(deviations)
+        least, most = stage["variance_range"]
         findings.append(
             StatementCheck(
-                place=f"Section 3.2.1, stage {stage.name}",
-                printed=f"variance {stage.variance_range.low:g} to {stage.variance_range.high:g}",
+                place=f"Section 3.2.1, stage {stage['name']}",
+                printed=f"variance {least:g} to {most:g}",
                 computed=f"Table 3 has standard deviations of {low:g} to {high:g} m/s, so variances of "
                 f"{low**2:.0f} to {high**2:.0f} (m/s)^2",
-                agrees=round(stage.variance_range.high) == round(high**2),
+                agrees=round(most) == round(high**2),
             )
         )
     return findings
 
 
 def _compare_claims(study: PublishedStudy) -> list[StatementCheck]:
-    rates = {stage.name: stage.rate for stage in study.stages}
+    rates = {stage["name"]: stage["rate"] for stage in study.stages}
     fastest = max(rates, key=rates.__getitem__)
     in_stage = {
         name: [(content, row) for content, row in study.velocities if row.stage == name] for name in ("I", "II", "IV")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.contact_graph import ContactGraph, ContactWeights
+from calcidem.analysis.packing_graph import ContactGraph, ContactWeights
 from calcidem.app.campaign.opened import open_campaign
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]

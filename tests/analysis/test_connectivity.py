@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calcidem.analysis.contact_graph import ContactWeights, connectivity, normalized_connectivity
+from calcidem.analysis.packing_graph import ContactWeights, connectivity, normalized_connectivity
 
 
 def test_weights_of_the_paper_follow_from_its_coordination_number() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from calcidem.analysis.contact_graph import ContactGraph, ContactWeights, ShortestPaths, connectivity, contacts_on_path
+from calcidem.analysis.packing_graph import ContactGraph, ContactWeights, ShortestPaths, connectivity, contacts_on_path
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 PHYSICAL = ContactWeights(0.475, 0.328)

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.contact_graph import ContactGraph, ContactWeights
-from calcidem.analysis.packing_graph import NETWORK_FEATURES, PackingGraph, packing_graph
+from calcidem.analysis.packing_graph import NETWORK_FEATURES, ContactGraph, ContactWeights, PackingGraph, packing_graph
 from calcidem.storage.records import NetworkFeatures
 
 DISKS: Any = SimpleNamespace(index=0)  # no feature of the network looks at them

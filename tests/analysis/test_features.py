@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis
-from calcidem.analysis.contact_graph import (
+from calcidem.analysis.packing_graph import (
+    FEATURES,
     ContactGraph,
     ContactWeights,
+    PackingGraph,
     PreferentialPath,
     ShortestPaths,
 )
-from calcidem.analysis.packing_graph import FEATURES, PackingGraph
 from calcidem.storage.records import PathFeatures
 
 WEIGHTS = ContactWeights.from_ratio(0.5)

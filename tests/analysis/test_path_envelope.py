@@ -6,8 +6,8 @@ import pytest
 from numpy.typing import NDArray
 
 from calcidem.analysis import correlation as module
-from calcidem.analysis.contact_graph import ContactGraph, ContactWeights, ShortestPaths, connectivity, contacts_on_path
 from calcidem.analysis.correlation import PathEnvelope, _PathLine, path_envelope
+from calcidem.analysis.packing_graph import ContactGraph, ContactWeights, ShortestPaths, connectivity, contacts_on_path
 
 Sample = tuple[ContactGraph, NDArray[np.bool_]]
 

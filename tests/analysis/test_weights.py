@@ -3,7 +3,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.contact_graph import ContactWeights, normalized_connectivity
 from calcidem.analysis.correlation import (
     PathEnvelope,
     _correlate_sums,
@@ -12,6 +11,7 @@ from calcidem.analysis.correlation import (
     _sums_by_seed,
     scan_ratio,
 )
+from calcidem.analysis.packing_graph import ContactWeights, normalized_connectivity
 
 SEEDS, CONTENTS = 20, 6
 
