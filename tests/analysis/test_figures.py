@@ -23,7 +23,6 @@ from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableErr
 from calcidem.analysis.distribution import describe_contents
 from calcidem.analysis.figures import style
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
-from calcidem.analysis.figures.relations import _law_text, _symbol
 from calcidem.analysis.figures.samples import (
     COLOURS,
     _draw_scale,
@@ -32,7 +31,7 @@ from calcidem.analysis.figures.samples import (
     draw_preferential_paths,
     load_arrival,
 )
-from calcidem.analysis.figures.velocities import draw_histograms, draw_methods, draw_range
+from calcidem.analysis.figures.velocities import _law_text, _symbol, draw_histograms, draw_methods, draw_range
 from calcidem.app.campaign.opened import open_campaign
 
 pytestmark = pytest.mark.slow

@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, correlations, published_velocities
 from calcidem.analysis.distribution import ContentDistribution
-from calcidem.analysis.figures.relations import draw_conductance, draw_correlations, draw_laws, draw_ratio_scan
 from calcidem.analysis.figures.samples import (
     Arrival,
     draw_cemented_samples,
@@ -19,12 +18,16 @@ from calcidem.analysis.figures.samples import (
 )
 from calcidem.analysis.figures.style import FigureEntry, pick_evenly
 from calcidem.analysis.figures.velocities import (
+    draw_conductance,
+    draw_correlations,
     draw_damping_study,
     draw_frequency_study,
     draw_histograms,
+    draw_laws,
     draw_methods,
     draw_narrowing,
     draw_range,
+    draw_ratio_scan,
     draw_reading_study,
     rows_with_velocity,
 )
