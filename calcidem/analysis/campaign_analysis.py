@@ -12,23 +12,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.analysis.correlation import (
-    Correlations,
-    PathEnvelope,
-    RatioScan,
-    correlate,
-    path_envelope,
-    scan_ratio,
-    seed_permutation_test,
-)
+from calcidem.analysis.correlation import PathEnvelope, RatioScan, path_envelope, scan_ratio, seed_permutation_test
 from calcidem.analysis.distribution import ContentDistribution, describe_contents, name_outcomes
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
-from calcidem.analysis.measured import (
-    PublishedLaw,
-    PublishedVelocity,
-    Target,
-    published_study,
-)
+from calcidem.analysis.measured import PublishedLaw, PublishedVelocity, Target, published_study
 from calcidem.analysis.packing_graph import (
     FEATURES,
     NETWORK_FEATURES,
@@ -356,12 +343,6 @@ class CampaignAnalysis:
         )
 
 
-def correlations(table: xr.Dataset) -> Correlations:
-    """Correlation of the features of a table of `CampaignAnalysis` and Vs; see `correlate`."""
-    with _translate_refusals():
-        return correlate(table)
-
-
 def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, PublishedVelocity]]:
     """Return the published rows for a campaign with the published sand; empty if fewer than two contents match."""
     if not published_study().has_sand_of(analysis.config):
@@ -374,12 +355,6 @@ def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, Publis
 def ratios_differ(law: LawFit, other: PublishedLaw) -> bool:
     """Whether a law has other weights than a published one, beyond the rounding of these."""
     return law.weights is None or abs(other.weights.ratio - law.weights.ratio) >= 0.02
-
-
-def correlation_tests(table: xr.Dataset) -> xr.Dataset:
-    """Tests for correlation of these features with Vs within one content, with corrected p-values."""
-    with _translate_refusals():
-        return seed_permutation_test(table, "vs")
 
 
 def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
@@ -398,7 +373,7 @@ def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr
     path, network = (one.where(xr.DataArray(chosen, dims=table["vs"].dims)) for one in (table, analysis.network_table))
     if not bool(path["vs"].notnull().any()):
         raise UnavailableError("no selected cell has a velocity")
-    tests = [correlation_tests(one) for one in (path, network)]
+    tests = [seed_permutation_test(one, "vs") for one in (path, network)]
     if not tests[-1].attrs["samples"]:
         raise UnavailableError("no selected cell has a velocity and features")
     return (

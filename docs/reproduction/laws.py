@@ -7,7 +7,8 @@ import numpy as np
 import xarray as xr
 from scipy import stats
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit, correlation_tests, correlations
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, LawFit
+from calcidem.analysis.correlation import correlate, seed_permutation_test
 from calcidem.analysis.measured import published_study
 from calcidem.analysis.packing_graph import FEATURES
 from calcidem.app.campaign.opened import open_campaign
@@ -61,7 +62,7 @@ def correlate_by_content(table: xr.Dataset) -> xr.Dataset:
 
 def print_features(analysis: CampaignAnalysis) -> None:
     """Print coefficients over all contents and within one."""
-    matrices, tests = correlations(analysis.table), correlation_tests(analysis.table)
+    matrices, tests = correlate(analysis.table), seed_permutation_test(analysis.table, "vs")
     by_content = correlate_by_content(analysis.table)
     logarithm = analysis.table.assign(log_vs=np.log(analysis.table["vs"]))
     of_all = "Pearson", "with log Vs", "Spearman"

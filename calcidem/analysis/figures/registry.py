@@ -5,7 +5,8 @@ from contextlib import suppress
 import xarray as xr
 from matplotlib.figure import Figure
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, correlations, published_velocities
+from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, published_velocities
+from calcidem.analysis.correlation import correlate
 from calcidem.analysis.distribution import ContentDistribution
 from calcidem.analysis.figures.samples import (
     Arrival,
@@ -147,13 +148,13 @@ CAMPAIGN_FIGURES: tuple[FigureEntry[CampaignAnalysis], ...] = (
         "Correlation of path features and Vs",
         "Within one content the mean is subtracted and the rest divided by the scatter there, so that contents count "
         "alike.",
-        lambda analysis: draw_correlations(correlations(analysis.table)),
+        lambda analysis: draw_correlations(correlate(analysis.table)),
     ),
     FigureEntry(
         "network_correlations",
         "Correlation of features of the whole sample and Vs",
         "As before, for features of the cement as a network between the walls.",
-        lambda analysis: draw_correlations(correlations(analysis.network_table)),
+        lambda analysis: draw_correlations(correlate(analysis.network_table)),
     ),
     FigureEntry(
         "weight_scan",

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlations
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.correlation import correlate
 from calcidem.analysis.distribution import tabulate
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES, STUDY_FIGURES
 from calcidem.analysis.figures.style import FigureEntry, render, save
@@ -295,8 +296,8 @@ def _write_files(
     exact: dict[str, Callable[[CampaignAnalysis], xr.Dataset]] = {
         "distributions": lambda analysis: tabulate(analysis.distributions),
         "features": lambda analysis: analysis.table,
-        "correlations_overall": lambda analysis: correlations(analysis.table).overall,
-        "correlations_within_content": lambda analysis: correlations(analysis.table).within,
+        "correlations_overall": lambda analysis: correlate(analysis.table).overall,
+        "correlations_within_content": lambda analysis: correlate(analysis.table).within,
     }
     files = [folder / f"{entry.name}.{ending}" for entry in chosen for ending in ("png", "svg", "pdf")]
     files += [*(folder / f"table_{name}.csv" for name in TABLES), *(folder / f"{name}.nc" for name in exact)]

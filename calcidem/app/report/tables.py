@@ -10,7 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.analysis.campaign_analysis import CampaignAnalysis, correlation_tests, correlations
+from calcidem.analysis.campaign_analysis import CampaignAnalysis
+from calcidem.analysis.correlation import correlate, seed_permutation_test
 from calcidem.analysis.intervals import Interval
 from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES, describe_feature
 from calcidem.analysis.velocity import (
@@ -180,7 +181,7 @@ def _own_table(analysis: CampaignAnalysis) -> Table | None:
 
 def _correlation_table(subject: str, features: Mapping[str, tuple[str, str]], table: xr.Dataset) -> Table:
     """Features with symbol and definition, and their correlation with Vs."""
-    matrices, tests = correlations(table), correlation_tests(table)
+    matrices, tests = correlate(table), seed_permutation_test(table, "vs")
 
     def coefficient(cell: xr.Dataset) -> str:
         low, high = float(cell["pearson_low"]), float(cell["pearson_high"])

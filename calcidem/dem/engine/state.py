@@ -18,13 +18,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from calcidem.dem.engine.assembly import (
-    aligned_zeros,
-    assemble,
-    install_forces,
-    lanes_of_bits,
-    share_assembly,
-)
+from calcidem.dem.engine.assembly import aligned_zeros, assemble, install_forces, lanes_of_bits, share_assembly
 from calcidem.dem.engine.fields import require
 from calcidem.dem.engine.leapfrog import (
     State,

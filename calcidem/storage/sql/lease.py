@@ -20,13 +20,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection, delete, insert, select, update
 
-from calcidem.storage.errors import (
-    DiskError,
-    LeaseHeldError,
-    LeaseLostError,
-    OutputRefusedError,
-    StoreUnavailableError,
-)
+from calcidem.storage.errors import DiskError, LeaseHeldError, LeaseLostError, OutputRefusedError, StoreUnavailableError
 from calcidem.storage.files import BESIDE_A_DATABASE, refuse_to_replace, replace_file
 from calcidem.storage.sql.tables import LEASE, exclude_others
 from calcidem.storage.store import STALE_AFTER, LeaseHolder
