@@ -313,10 +313,7 @@ def draw_cemented_samples(graph: PackingGraph, samples: Sequence[MeasuredSample]
         draw_grains(axes, graph, sample.kinds, low=middle - 1.3 * half, high=middle + 1.3 * half, cement_width=2.4)
         axes.set_xlim(left * MM, (left + 2 * half) * MM)
         axes.set_ylim((middle - half) * MM, (middle + half) * MM)
-        for spine in axes.spines.values():
-            spine.set_visible(True)
-            spine.set_linewidth(1.1)
-            spine.set_edgecolor(BLACK)
+        axes.spines[:].set(visible=True, linewidth=1.1, edgecolor=BLACK)
     letter_panels(grid.ravel())
     _draw_scale(grid[0][0], 0.0, 0.0, packing.width * MM)
     _draw_scale(grid[1][0], left * MM, (middle - half) * MM, 2 * half * MM)

@@ -184,10 +184,8 @@ def letter_panels(panels: Iterable[Axes], **look: Any) -> None:  # noqa: ANN401 
 def strip_axes(axes: Axes) -> None:
     """Remove grid, ticks and frame from axes that show a picture."""
     axes.grid(visible=False)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_visible(False)
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
 
 
 def render(figure: Figure, file_format: str, colours: int | None = None) -> bytes:

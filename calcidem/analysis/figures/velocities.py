@@ -296,9 +296,7 @@ def draw_narrowing(vs: xr.DataArray, contents: Sequence[float]) -> Figure:
         for (content, forecast), colour in zip(narrowings.items(), colours, strict=True):
             axes.plot(forecast["count"], forecast[name], color=colour, label=f"{content:g} %")
             axes.axvline(forecast.attrs["present"], color=GREY, linestyle=":", linewidth=1)
-        axes.set_xscale("log")
-        axes.set_yscale("log" if name != "skewness" else "linear")
-        axes.set_title(title)
+        axes.set(xscale="log", yscale="log" if name != "skewness" else "linear", title=title)
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_minor_formatter(lambda *_: "")
             axis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -340,8 +338,7 @@ def draw_correlations(correlations: Correlations) -> Figure:
         axes.set_xticks(range(len(names)), labels, fontsize=8)
         axes.set_yticks(range(len(names)), labels, fontsize=8)
         axes.tick_params(length=0, top=False, labeltop=True, bottom=False, labelbottom=False)
-        for spine in axes.spines.values():
-            spine.set_visible(False)
+        axes.spines[:].set_visible(False)
         axes.set_title(f"{title} (n = {int(matrices['n'])})", pad=18)
     letter_panels(panels)
     panels[1].tick_params(labelleft=False)
@@ -583,10 +580,7 @@ def draw_damping_study(study: xr.Dataset) -> Figure:
                 color=colour,
                 annotation_clip=False,
             )
-        signals.set_yticks([])
-        signals.set_xlim(0, time[-1])
-        signals.set_ylabel("received, by damping factor")
-        signals.set_title(f"{content:g} %")
+        signals.set(yticks=[], xlim=(0, time[-1]), ylabel="received, by damping factor", title=f"{content:g} %")
         velocities.plot(factors, chosen["vs_peak"].transpose("damping", ...), color=BLUE, marker="o", markersize=3.5)
         velocities.set_ylabel(VS_LABEL)
         _start_at_zero(velocities)

@@ -375,7 +375,10 @@ class Experiment:
 
     def with_wave(self, **changes: Any) -> "Experiment":  # noqa: ANN401 - fields of several types
         """The experiment with changed fields of its `WaveRule`; the same one for the same fields."""
-        return self.once(_with_rule, replace(self.wave, **changes))
+        return self.once(Experiment._with_rule, replace(self.wave, **changes))
+
+    def _with_rule(self, wave: WaveRule) -> "Experiment":
+        return replace(self, wave=wave)
 
     def once(
         self,
@@ -435,10 +438,6 @@ class Experiment:
         report = replace(self.packing.report, wall_stress=stress)
         sand = replace(self.sand, shear_modulus=self.sand.shear_modulus * factor)
         return replace(self.packing, preload=preload, report=report), sand
-
-
-def _with_rule(experiment: Experiment, wave: WaveRule) -> Experiment:
-    return replace(experiment, wave=wave)
 
 
 def suitable_frequency(experiment: Experiment, content: float) -> float:
