@@ -663,6 +663,11 @@ class CampaignRecord:
         return found
 
     @property
+    def physics_version(self) -> object:
+        """Version of the physics of the program that computed it."""
+        return self.parameters.get("physics_version", "unknown")
+
+    @property
     def checksum(self) -> str:
         """SHA-256 of hash and configuration together, 64 hexadecimal digits."""
         return sha256(f"{self.hash}\n{self.config}".encode()).hexdigest()

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from calcidem.app.campaign.cells import planned_batches, planned_cells
 from calcidem.app.campaign.merge import merge_databases
-from calcidem.app.campaign.plan import planned_batches, planned_cells
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, RunOptions
 

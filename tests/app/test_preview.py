@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign import preview
+from calcidem.app.campaign.cells import planned_batches
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.plan import planned_batches
 from calcidem.app.campaign.preview import _chosen_frequencies, wave_doubts
 from calcidem.app.config.checks import _longest_step, check_against_packing
 from calcidem.app.config.schema import Bonding, CampaignPlan, Configuration, ConfigurationError, Excitation

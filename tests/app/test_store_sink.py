@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calcidem.app.campaign.plan import batches_of
+from calcidem.app.campaign.cells import batches_of
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.run import StoreSink
 from calcidem.app.cli.exit_codes import _exit_code_of

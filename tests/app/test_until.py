@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from calcidem.app.campaign.cells import SeedDemand
 from calcidem.app.campaign.opened import open_campaign
-from calcidem.app.campaign.plan import SeedDemand
 from calcidem.app.campaign.preview import preview_lines
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.run import CampaignRun, retry_cells

@@ -9,7 +9,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from calcidem.app.campaign.identity import physics_version
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError, StoreError
 from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, PackingRecord, RunRecord
@@ -160,10 +159,10 @@ def _refuse_other_campaigns(sources: Sequence[Store]) -> None:
     """Raise `CampaignMismatchError` unless all sources have the same physics version and configuration."""
     first = sources[0].record
     for position, record in enumerate((source.record for source in sources), 1):
-        if physics_version(record) != physics_version(first):
+        if record.physics_version != first.physics_version:
             raise CampaignMismatchError(
-                f"The campaign '{first.name}' has physics version {physics_version(first)} in database 1 and "
-                f"{physics_version(record)} in database {position}: the same cells have other bits in the two.",
+                f"The campaign '{first.name}' has physics version {first.physics_version} in database 1 and "
+                f"{record.physics_version} in database {position}: the same cells have other bits in the two.",
                 "Cells of two versions can't be in one campaign: compute those of one database again with the "
                 "calcidem of the other.",
             )

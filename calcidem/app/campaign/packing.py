@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calcidem.app.campaign.identity import physics_version
 from calcidem.app.config.presets import preset_packings
 from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.engine.scene import Preload
@@ -263,7 +262,7 @@ def with_patterns(store: "Store", outcomes: Iterable[CellResult]) -> Iterator[Ce
     An outcome has no cement if it was never drawn, or would differ now: with another physics version, or without the
     stored packing.
     """
-    same_physics = physics_version(store.record) == PHYSICS_VERSION
+    same_physics = store.record.physics_version == PHYSICS_VERSION
     experiment = lru_cache(lambda index: stored_experiment(store, index))
     # Cells are sorted by seed; without cement all seeds are the same sample, here that of seed 0.
     ordering = lru_cache(2)(lambda index, seed: experiment(index).ordering(seed))

@@ -14,10 +14,9 @@ import numpy as np
 
 from calcidem.analysis.intervals import mean_half_width
 from calcidem.analysis.velocity import FEWEST_GRAINS
-from calcidem.app.campaign.identity import choose_campaign
+from calcidem.app.campaign.cells import SeedDemand, batches_of, planned_cells, time_of_wave
 from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
 from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder, check_path, kept_packing, stored_packing
-from calcidem.app.campaign.plan import SeedDemand, batches_of, planned_cells, time_of_wave
 from calcidem.app.campaign.status import FEWEST_TO_PLAN
 from calcidem.app.config.checks import (
     can_make_files,
@@ -27,7 +26,7 @@ from calcidem.app.config.checks import (
     limit_of_mean_disks,
 )
 from calcidem.app.config.examples import calibration_note
-from calcidem.app.config.schema import Configuration
+from calcidem.app.config.schema import Configuration, choose_campaign
 from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import WAVELENGTHS, expected_speed
 from calcidem.ends import CellStatus

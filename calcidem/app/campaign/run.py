@@ -15,10 +15,14 @@ from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 
 import numpy as np
 
-from calcidem.app.campaign.cells import CellComputation, kernel_compilations
-from calcidem.app.campaign.identity import choose_campaign
+from calcidem.app.campaign.cells import (
+    CellComputation,
+    SeedDemand,
+    batches_of,
+    kernel_compilations,
+    planned_cells,
+)
 from calcidem.app.campaign.packing import packing_record, provide_packing, stored_packing
-from calcidem.app.campaign.plan import SeedDemand, batches_of, planned_cells
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.status import (
     STATUS_QUANTITIES,
@@ -30,7 +34,7 @@ from calcidem.app.campaign.status import (
     choose_display,
 )
 from calcidem.app.config.checks import check_against_packing
-from calcidem.app.config.schema import Configuration
+from calcidem.app.config.schema import Configuration, choose_campaign
 from calcidem.dem.kernels.gpu import gpu_card
 from calcidem.dem.sample.cement import GIVEN, Pattern
 from calcidem.dem.sample.packing import Packing, PackingStage

@@ -76,7 +76,7 @@ class TerminalView:
         plan = configuration.campaign
         self.console.print(_vs_table(store, Selection(None if plan.until else plan.seed_numbers, plan.contents)))
         if plan.until is not None and code == 0:
-            from calcidem.app.campaign.plan import SeedDemand
+            from calcidem.app.campaign.cells import SeedDemand
 
             for line in SeedDemand.of_store(store, plan).lines():
                 tell(line)

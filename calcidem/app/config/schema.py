@@ -1,4 +1,4 @@
-"""Frozen `Configuration` of a campaign, read from a TOML file, and the error that lists its problems.
+"""Frozen `Configuration` of a campaign, read from a TOML file, the error with its problems, and its stored campaign.
 
 Each section of the file corresponds to one or two dataclasses, whose fields are its keys. If there are two, one is from
 `calcidem.dem` and the other has additional keys of campaigns.
@@ -23,11 +23,13 @@ from calcidem.dem.sample.cement import CementRule
 from calcidem.dem.sample.packing import Packing, PackingRule
 from calcidem.dem.wave.experiment import EXCITATION, Experiment, WaveRule, suitable_frequency
 from calcidem.dem.wave.reading import PickRule
-from calcidem.storage.errors import StoreError
+from calcidem.storage.errors import CampaignMismatchError, StoreError
 from calcidem.storage.records import LARGEST_SEED, CampaignRecord, canonical_content, canonical_hash, canonical_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance  # known to type checkers only
+
+    from calcidem.storage.sql.store import Store  # which the ranks do not need
 
 
 class ConfigurationError(ValueError):
@@ -510,3 +512,40 @@ SECTIONS: dict[str, dict[str, type["DataclassInstance"]]] = {
 
 TAKEN_FROM_ELSEWHERE = {"pattern.sand_density": "sand.density", "packing.file_sha256": "packing.file"}
 """Keys that files do not have, since another key has the same meaning."""
+
+
+def refuse_other_physics(record: CampaignRecord, configuration: Configuration | None = None) -> None:
+    """Raise `CampaignMismatchError` unless a campaign was computed with this program's `PHYSICS_VERSION`.
+
+    If a configuration is given, the physics must be the same, too.
+    """
+    stored = record.physics_version
+    if stored != PHYSICS_VERSION:
+        raise CampaignMismatchError(
+            f"The campaign '{record.name}' was computed with physics version {stored}, this calcidem has version "
+            f"{PHYSICS_VERSION}: the same cells get other bits.",
+            "Its results can be read, reported and exported as before. Use the calcidem that computed it for more "
+            "cells or to verify it, or begin a new database.",
+        )
+    if configuration is not None:
+        record.refuse_other(configuration.record())
+
+
+def choose_campaign(store: "Store", configuration: Configuration) -> bool:
+    """Choose the configuration's campaign in a store; return whether the store has it.
+
+    `CampaignMismatchError` if it has another campaign of that name, or this campaign under another name.
+    """
+    name = configuration.campaign.name
+    for record in store.campaigns():
+        if record.name == name:
+            refuse_other_physics(record, configuration)
+            store.use_campaign(name)
+            return True
+    for record in store.campaigns():
+        if record.hash == configuration.hash:
+            raise CampaignMismatchError(
+                f"campaign.name = '{name}': the database has this campaign under the name '{record.name}'.",
+                f"Set campaign.name to '{record.name}', or give another database.",
+            )
+    return False

@@ -22,12 +22,11 @@ from calcidem.analysis.distribution import Change, paired_changes
 from calcidem.analysis.figures.registry import STUDY_FIGURES
 from calcidem.analysis.measured import published_study
 from calcidem.analysis.velocity import FEWEST_WAVELENGTHS
-from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import stored_experiment
 from calcidem.app.campaign.run import run
 from calcidem.app.config.reader import parse_file, put_values, read_configuration
-from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
+from calcidem.app.config.schema import Configuration, ConfigurationError, Problem, refuse_other_physics
 from calcidem.app.studies.study import Cells, StudyResult, markdown_table
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.check import check_content, with_check

@@ -28,13 +28,12 @@ from pydantic import TypeAdapter
 from scipy.interpolate import CubicSpline
 
 from calcidem.analysis.figures.style import save
-from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.packing import provide_packing, stored_packing
 from calcidem.app.campaign.run import run
 from calcidem.app.config.checks import check_against_packing
 from calcidem.app.config.examples import KeyReference, key_references
 from calcidem.app.config.reader import change_configuration, read_configuration
-from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
+from calcidem.app.config.schema import Configuration, ConfigurationError, Problem, refuse_other_physics
 from calcidem.dem.kernels.compiling import seconds_compiling
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.sample.packing import Packing

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from calcidem.app.campaign.cells import cell_result
-from calcidem.app.campaign.identity import refuse_other_physics
 from calcidem.app.campaign.packing import with_patterns
+from calcidem.app.config.schema import refuse_other_physics
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.ends import DECIDED_BY_PHYSICS
