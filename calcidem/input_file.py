@@ -71,11 +71,6 @@ def read_input(path: Path, limit: int) -> bytes:
     return content
 
 
-def read_text(path: Path, limit: int) -> str:
-    """Text of a file as `read_input` and `as_text`."""
-    return as_text(read_input(path, limit), path)
-
-
 def as_text(content: bytes, path: Path, fallback: str = "") -> str:
     """Text of the content of a file, in UTF-8 or, with a byte order mark, UTF-16; lines end with one character.
 

@@ -9,10 +9,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import IO, TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from rich.console import Console
+from typing import IO
 
 ABSENT = "\N{EN DASH}"
 
@@ -69,10 +66,10 @@ def duration(seconds: float | None) -> str:
     return f"{days} d {hours} h"
 
 
-def first_of(texts: Sequence[str], most: int = 10) -> list[str]:
-    """Return the first of some texts, followed by how many more there are."""
-    more = len(texts) - most
-    return [*texts[:most], f"and {more} more"] if more > 0 else list(texts)
+def first_of(texts: Sequence[str]) -> list[str]:
+    """Return the first ten of some texts, followed by how many more there are."""
+    more = len(texts) - 10
+    return [*texts[:10], f"and {more} more"] if more > 0 else list(texts)
 
 
 def pluralize(count: int, noun: str, plural: str = "") -> str:
@@ -140,11 +137,6 @@ def listening(write: Callable[[str], object], *, with_advice: bool = True, least
 def printable(text: object) -> str:
     """Text with control characters, except line feed and tab, as escapes, so that it cannot control a terminal."""
     return str(text).translate(_ESCAPES)
-
-
-def survive_closing(console: "Console") -> None:
-    """Let a program go on where the reader of its console has ended; what follows goes nowhere."""
-    console.on_broken_pipe = lambda: send_nowhere(console.file)  # type: ignore[method-assign]  # rich would exit
 
 
 def send_nowhere(stream: IO[str]) -> None:

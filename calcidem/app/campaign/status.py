@@ -35,7 +35,7 @@ from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import launcher
 from calcidem.sweep.schedule import Batch, BatchOutcome, Progress, SweepEnd
-from calcidem.wording import duration, listening, pluralize, printable, survive_closing, tell
+from calcidem.wording import duration, listening, pluralize, printable, send_nowhere, tell
 
 if TYPE_CHECKING:
     from calcidem.dem.sample.packing import PackingStage  # which readers do not need
@@ -408,7 +408,8 @@ class ProgressDisplay:
             self._bars = Bars(*columns, console=console, transient=True, refresh_per_second=4)
             self._task = self._bars.add_task("", total=None, text="", visible=False)
         if console is not None:
-            survive_closing(console)
+            # Rich would exit where the reader of the console has ended.
+            console.on_broken_pipe = lambda: send_nowhere(console.file)  # type: ignore[method-assign]
         self._listening = nullcontext() if console is None else listening(self._note, with_advice=with_advice)
         self._stage: RunStage | None = None
         self._began = self._next = time.monotonic()
@@ -530,7 +531,7 @@ class ProgressReporter(Progress):
         parts = [
             f"{end.state} after {duration(end.seconds)}",
             f"{end.tally.total()} cells settled",
-            *(f"{end.tally[kind]} {kind.replace('_', ' ')}" for kind in failures if end.tally[kind]),
+            *(f"{end.tally[kind]} {kind.words}" for kind in failures if end.tally[kind]),
             end.detail,
         ]
         tell(", ".join(part for part in parts if part))

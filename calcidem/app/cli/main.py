@@ -1,6 +1,5 @@
 """The command `calcidem`."""
 
-import functools
 import gc
 import inspect
 import logging
@@ -10,6 +9,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial, wraps
 from importlib import import_module
 from io import TextIOWrapper
 from typing import Annotated, Any
@@ -162,17 +162,14 @@ def command_function(name: str) -> Callable[..., None]:
 def _with_common_options(name: str, function: Callable[..., None]) -> Callable[..., None]:
     """Function of a command with the options of all commands."""
 
-    def write(sentence: str) -> None:  # separate from the result
-        say(sentence, err=True)
-
-    @functools.wraps(function)
+    @wraps(function)
     def command(*, quiet: bool, verbose: bool, **given: Any) -> None:  # noqa: ANN401 - what the function takes
         IS_QUIET.set(quiet)
         IS_VERBOSE.set(verbose)
         warnings.simplefilter("ignore", CampaignWarning)  # which are written as sentences
         begin = time.perf_counter()
         try:
-            with listening(write, least=logging.ERROR if quiet else logging.INFO):
+            with listening(partial(say, err=True), least=logging.ERROR if quiet else logging.INFO):
                 function(**given)
         finally:
             if verbose:

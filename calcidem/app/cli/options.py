@@ -89,12 +89,10 @@ def refuse_options(reason: str, given: Mapping[str, object]) -> None:
         raise typer.BadParameter(reason, param_hint=", ".join(names))
 
 
-parse_percentage = number_parser(0.0, 100.0, "is not a content; give percent of the sand's mass, from 0 to 100")
-
-
 def percent_option(words: str, *names: str) -> Any:  # noqa: ANN401 - as typer's own
     """Option for one calcite content, or several, with its help; the name is that of the parameter unless given."""
-    return typer.Option(*names, parser=parse_percentage, metavar="PERCENT", help=words)
+    refusal = "is not a content; give percent of the sand's mass, from 0 to 100"
+    return typer.Option(*names, parser=number_parser(0.0, 100.0, refusal), metavar="PERCENT", help=words)
 
 
 ConfigurationFile = Annotated[Path, typer.Argument(metavar="CONFIG", help="TOML file of the campaign.")]

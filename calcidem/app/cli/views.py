@@ -308,7 +308,7 @@ def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
         yield f"  {content.content:g} %: {needed}; {plan.present} give +- {plan.present_half_width:.1f} m/s; {more}"
 
 
-def status_as_json(status: CampaignStatus, half_width: float | None = None) -> dict[str, Any]:
+def status_as_json(status: CampaignStatus, half_width: float | None) -> dict[str, Any]:
     """Whole status in JSON's types; a missing number is null."""
     told = status.to_json()
     for content, row in zip(status.contents, told["contents"], strict=True):

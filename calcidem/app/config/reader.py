@@ -26,10 +26,10 @@ from calcidem.dem.sample.compaction import checked_disks
 from calcidem.input_file import (
     InputFileError,
     Table,
+    as_text,
     meaning_of,
     parse_number,
     read_input,
-    read_text,
     unit_in_name,
     value_of,
 )
@@ -98,7 +98,7 @@ def parse_file(path: Path) -> tuple[dict[str, Any], str]:
     if not path.exists():
         problem = "the file does not exist; check the name, or write an example with 'calcidem init'"
         raise ConfigurationError(str(path), [Problem(problem)])
-    text = read_text(path, 4_000_000)  # bytes; 100,000 listed seeds have fewer
+    text = as_text(read_input(path, 4_000_000), path)  # bytes; 100,000 listed seeds have fewer
     try:
         document = tomllib.loads(text)
         if not document:

@@ -105,10 +105,6 @@ class CellColumns:
         known = {name: c[c != "" if _holds_texts(name) else np.isfinite(c)] for name, c in self.values.items()}
         return [name for name, column in known.items() if column.size and (name not in EXCEPTIONAL or np.any(column))]
 
-    def described(self, places: Sequence[int], names: Sequence[str]) -> dict[str, list[Any]]:
-        """Return quantities of some cells for JSON."""
-        return {name: numbers_or_none(self.values[name][list(places)]) for name in names}
-
     def packed(self, sequence: int, names: Sequence[str]) -> bytes:
         """Return all cells as bytes: the length of a header, the header as JSON, and the columns that it describes.
 
@@ -378,7 +374,7 @@ class CampaignFeed:
             self._changed()
             return []
         self.sequence += 1
-        told = self._columns.described(places, self._shown)
+        told = {name: numbers_or_none(self._columns.values[name][places]) for name in self._shown}
         return [("cells", {"campaign": self.number, "sequence": self.sequence, "places": places, "columns": told})]
 
     def _changed(self) -> None:

@@ -164,7 +164,12 @@ class _LiveApplication:
         return Response(packed, media_type="application/octet-stream")
 
     async def _cell(self, request: Request) -> Response:
-        feed, (seed, content) = self._feed(request), _wanted(request)
+        feed = self._feed(request)
+        try:
+            seed = checked_seed(int(request.query_params["seed"]))
+            content = canonical_content(float(request.query_params["content"]))
+        except (KeyError, ValueError, TypeError) as error:
+            raise HTTPException(400) from error
         try:
             return JSONResponse(await run_in_threadpool(feed.cell, seed, content))
         except UnknownCellError:
@@ -186,16 +191,6 @@ class _LiveApplication:
         if number >= len(self.hub.feeds):
             raise HTTPException(404)
         return self.hub.feeds[number]
-
-
-def _wanted(request: Request) -> tuple[int, float]:
-    """Return seed and content of the cell of a request."""
-    try:
-        seed = checked_seed(int(request.query_params["seed"]))
-        content = canonical_content(float(request.query_params["content"]))
-    except (KeyError, ValueError, TypeError) as error:
-        raise HTTPException(400) from error
-    return seed, content
 
 
 _HEADERS = {

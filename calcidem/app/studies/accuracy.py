@@ -378,7 +378,7 @@ def covered_share(errors: Iterable[float | None], stated: Iterable[float | None]
 
 
 def find_reference(
-    cells: Cells, content: float, coarsest: float = 0.4
+    cells: Cells, content: float, coarsest: float
 ) -> tuple[CellsFound, tuple[ReferenceCell, ...], float]:
     """Measure a content accurately: the step of each cell is halved until its Vs changes by less than `HALVING`.
 

@@ -67,6 +67,15 @@ class FitPlan:
         """Targets of the fit."""
         return tuple(target for target in self.targets if target.content not in self.predict)
 
+    @property
+    def goals(self) -> "tuple[_Goal, ...]":
+        """What they ask for; without cement no standard deviation, as all samples of a campaign are one."""
+        return tuple(
+            _Goal(place, target, name)
+            for place, target in enumerate(self.met)
+            for name in (("mean", "sd") if target.sd is not None and target.content != 0.0 else ("mean",))
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class FittedContent:
@@ -152,15 +161,6 @@ class _Goal:
         return 0.0 if self.target.samples is None else self.variance(vs, self.target.samples)
 
 
-def _goals(targets: Sequence[Target]) -> tuple[_Goal, ...]:
-    """What targets ask for; a standard deviation only with cement, as without any all samples of a campaign are one."""
-    return tuple(
-        _Goal(place, target, name)
-        for place, target in enumerate(targets)
-        for name in (("mean", "sd") if target.sd is not None and target.content != 0.0 else ("mean",))
-    )
-
-
 class _UnreadTrialError(ValueError):
     """A trial would leave too few seeds."""
 
@@ -168,25 +168,18 @@ class _UnreadTrialError(ValueError):
 class _Fit:
     """Trials of a fit, and deviations from the targets over the seeds with a velocity in all trials.
 
-    Parameters
-    ----------
-    targets
-        One for each column of the result of ``measure``.
-    tolerance
-        Relative error of the model, counted for every target.
+    The result of ``measure`` has a column for each target of the plan.
     """
 
-    def __init__(
-        self, measure: Callable[[Sequence[Floats]], Sequence[Floats]], targets: Sequence[Target], tolerance: float
-    ) -> None:
-        self._measure, self._targets, self.tolerance = measure, targets, tolerance
+    def __init__(self, measure: Callable[[Sequence[Floats]], Sequence[Floats]], plan: FitPlan) -> None:
+        self._measure, self._goals, self.tolerance = measure, plan.goals, plan.tolerance
         self.trials: dict[bytes, Floats] = {}
-        self.used: tuple[int, ...] = tuple(range(len(targets)))
+        self.used: tuple[int, ...] = tuple(range(len(plan.met)))
 
     @property
     def goals(self) -> tuple[_Goal, ...]:
         """Means and standard deviations to be met at the used contents."""
-        return tuple(goal for goal in _goals(self._targets) if goal.place in self.used)
+        return tuple(goal for goal in self._goals if goal.place in self.used)
 
     def begin(self, points: Sequence[Floats]) -> None:
         """Measure the first points, and leave out contents with too few readable seeds."""
@@ -314,7 +307,7 @@ def _fit_to_targets(
     ``measure`` takes values of the parameters, first ``start``, and returns Vs for each, (seeds, contents of the
     targets), NaN if missing. The caller makes predictions. Errors are those of `calibrate`.
     """
-    names, wanted = [chosen.name for chosen in plan.free], len(_goals(plan.met))
+    names, wanted = [chosen.name for chosen in plan.free], len(plan.goals)
     problems = []
     if len(names) > wanted:
         problem = f"parameters = {len(names)}: give at most {wanted}, one for each mean and standard deviation"
@@ -325,7 +318,7 @@ def _fit_to_targets(
         raise ConfigurationError("calibration", problems)
     with np.errstate(divide="ignore"):  # a missing lower limit is 0, with logarithm minus infinity
         limits = np.log([[chosen.low, chosen.high] for chosen in plan.free])
-    fit = _Fit(lambda points: measure([_values_at(names, point) for point in points]), plan.met, plan.tolerance)
+    fit = _Fit(lambda points: measure([_values_at(names, point) for point in points]), plan)
     point, slopes, doubts = _descend(fit, np.log(start), limits, names, tell)
     vs, common = fit.trials[point.tobytes()], fit.common
     contents = tuple(

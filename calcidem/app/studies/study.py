@@ -41,7 +41,7 @@ from calcidem.dem.wave.check import check_content
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import Measurement, measure
 from calcidem.dem.wave.section import Section
-from calcidem.input_file import read_text
+from calcidem.input_file import as_text, read_input
 from calcidem.storage.errors import OutputRefusedError
 from calcidem.storage.files import write_text_atomically
 from calcidem.storage.netcdf import write_netcdf
@@ -96,7 +96,7 @@ def read_former(file: Path | None, identity: Mapping[str, object], name: str, ki
     if file is None or not file.exists():
         return kind()
     try:
-        told = json.loads(read_text(file, 100_000_000))  # bytes; 100 settings of 1,000 cells have fewer
+        told = json.loads(as_text(read_input(file, 100_000_000), file))  # bytes; 100 settings of 1,000 cells have fewer
         results = TypeAdapter(kind).validate_python(told[name])
         other = [key.replace("_", " ") for key, value in identity.items() if told[key] != value]
     except (ValueError, LookupError, TypeError) as error:

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from places import SMALL_PACKING
 
-from calcidem.app.campaign import identity
 from calcidem.app.campaign.cells import cell_result
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import _cached_name
 from calcidem.app.campaign.run import run
 from calcidem.app.cli.exit_codes import EXIT_ROUNDING, _exit_code_of
 from calcidem.app.cli.views import _vs_table
+from calcidem.app.config import schema
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import PHYSICS_VERSION
 from calcidem.app.report.page import _velocity_remarks
@@ -157,7 +157,7 @@ def test_another_version_of_the_physics_is_refused(
     small: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What another version of the physics computed is not compared: the message names both versions."""
-    monkeypatch.setattr(identity, "PHYSICS_VERSION", 99)
+    monkeypatch.setattr(schema, "PHYSICS_VERSION", 99)
     with pytest.raises(
         CampaignMismatchError, match=f"physics version {PHYSICS_VERSION}, this .* version 99"
     ) as refused:
