@@ -37,15 +37,7 @@ from scenes import (
     with_time_step,
 )
 
-from calcidem.analysis.figures.style import (
-    BLUE,
-    GREY,
-    VERMILION,
-    apply_style,
-    letter_panels,
-    new_figure,
-    render,
-)
+from calcidem.analysis.figures.style import BLUE, GREY, VERMILION, apply_style, letter_panels, new_figure, render
 from calcidem.app.campaign.packing import provide_packing
 from calcidem.app.config.reader import load_configuration
 from calcidem.dem.engine.scene import Law, Precision

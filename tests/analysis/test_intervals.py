@@ -5,14 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import stats
 
-from calcidem.analysis.intervals import (
-    UNDEFINED,
-    Interval,
-    bias_of_failed,
-    is_in_doubt,
-    mean,
-    standard_deviation,
-)
+from calcidem.analysis.intervals import UNDEFINED, Interval, bias_of_failed, is_in_doubt, mean, standard_deviation
 
 SAMPLE = np.array([2.0, 4.0, 4.0, 4.0, 5.0, 5.0, 7.0, 9.0])
 

@@ -10,14 +10,7 @@ import pytest
 
 from calcidem.app.campaign.packing import new_packing
 from calcidem.app.config.checks import check_against_packing
-from calcidem.app.config.examples import (
-    OwnDisks,
-    OwnSand,
-    parse_quantity,
-    read_grading,
-    read_mineral,
-    uniform_limits,
-)
+from calcidem.app.config.examples import OwnDisks, OwnSand, parse_quantity, read_grading, read_mineral, uniform_limits
 from calcidem.app.config.reader import read_configuration
 from calcidem.app.config.schema import Configuration, ConfigurationError, Excitation
 from calcidem.dem.sample.compaction import packing_from_csv, write_disks_csv

@@ -11,13 +11,7 @@ from calcidem.dem.engine.leapfrog import State
 from calcidem.dem.engine.scene import Sand
 from calcidem.dem.engine.state import UnstableRunError
 from calcidem.dem.sample import compaction
-from calcidem.dem.sample.compaction import (
-    FARTHEST,
-    _read_disks,
-    make_packing,
-    packing_from_csv,
-    write_disks_csv,
-)
+from calcidem.dem.sample.compaction import FARTHEST, _read_disks, make_packing, packing_from_csv, write_disks_csv
 from calcidem.dem.sample.packing import LID, Packing, PackingError, PackingFileError, PackingRule
 from calcidem.input_file import InputFileError
 

@@ -7,19 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import find_peaks
-from waves import (
-    DISTANCE,
-    FREQUENCY,
-    PARTS,
-    Wave,
-    at_receiver,
-    guided,
-    periods,
-    section,
-    silence,
-    total,
-    wave,
-)
+from waves import DISTANCE, FREQUENCY, PARTS, Wave, at_receiver, guided, periods, section, silence, total, wave
 
 from calcidem.dem.kernels.layout import Floats
 from calcidem.dem.wave.propagation import SAMPLES_PER_CHUNK

@@ -15,13 +15,7 @@ from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 
 import numpy as np
 
-from calcidem.app.campaign.cells import (
-    CellComputation,
-    SeedDemand,
-    batches_of,
-    kernel_compilations,
-    planned_cells,
-)
+from calcidem.app.campaign.cells import CellComputation, SeedDemand, batches_of, kernel_compilations, planned_cells
 from calcidem.app.campaign.packing import packing_record, provide_packing, stored_packing
 from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.status import (

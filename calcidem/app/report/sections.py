@@ -13,12 +13,7 @@ import numpy as np
 from scipy import stats
 
 from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, published_velocities
-from calcidem.analysis.measured import (
-    PUBLISHED_KEYS,
-    is_covered,
-    misfits,
-    published_study,
-)
+from calcidem.analysis.measured import PUBLISHED_KEYS, is_covered, misfits, published_study
 from calcidem.analysis.velocity import median_diameter_by_mass
 from calcidem.app.report.tables import RESULT_TABLES, Table, with_bounds
 from calcidem.storage.records import RunRecord, flat_parameters
