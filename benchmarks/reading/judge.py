@@ -3,9 +3,9 @@
     python benchmarks/reading/judge.py [--drawn 65] [--lattices 1001 1150] [--strips 1]
 
 Draws sections of a seed (sections.py), or computes those of some seeds: of lattices (lattice_sections.py), of elastic
-strips (strips.py). *Wrong* is a velocity off
-by more than 10 % and by more than twice its standard error, of all sections; *refused* is no velocity, of those that are
-readable (`Section.readable`). A reading that states no standard error is wrong beyond 10 %.
+strips (strips.py). *Wrong* is a velocity off by more than 10 % and by more than twice its standard error, of all
+sections; *refused* is no velocity, of those that are readable (`Section.readable`). A reading that states no standard
+error is wrong beyond 10 %.
 """
 
 import argparse
