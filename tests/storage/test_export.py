@@ -119,29 +119,33 @@ def test_import_again_adds_nothing_but_runs(exported: Path, tmp_path: Path) -> N
         assert (list(copy.results(with_arrays=True)), list(copy.history())) == before
 
 
-def test_an_export_has_the_plan_of_its_beginning_alone(store: Store, records: "Records", tmp_path: Path) -> None:
+def test_an_export_has_the_plan_of_its_beginning_alone(
+    store: Store, open_here: Callable[..., Store], records: "Records", tmp_path: Path
+) -> None:
     """A reader that was opened before the plan grew exports the grown one; what is planned meanwhile is left out."""
     store.save_packing(records.packing())
     store.record_results([records.done(0)])
-    with Store(store.address.path or "", read_only=True) as reader:
-        reader.use_campaign()
-        store.extend([8], [5.0])
-        store.record_results([records.done(8)])
-        packings = reader.packing_indices
+    reader = open_here(read_only=True)
+    reader.use_campaign()
+    store.extend([8], [5.0])
+    store.record_results([records.done(8)])
+    packings = reader.packing_indices
 
-        def extended() -> tuple[int, ...]:
-            store.extend([9], [5.0])
-            store.record_results([records.done(9)])
-            return packings()
+    def extended() -> tuple[int, ...]:
+        store.extend([9], [5.0])
+        store.record_results([records.done(9)])
+        return packings()
 
-        reader.packing_indices = extended  # type: ignore[method-assign]
-        export_netcdf(reader, tmp_path / "grown.nc")
+    reader.packing_indices = extended  # type: ignore[method-assign]
+    export_netcdf(reader, tmp_path / "grown.nc")
     with Store(tmp_path / "copy.db") as copy:
         assert import_netcdf(tmp_path / "grown.nc", copy).seeds == (*records.campaign().seeds, 8)
         assert [cell.key.seed for cell in copy.results()] == [0, 8]
 
 
-def test_an_import_keeps_the_attempts_of_the_store(exported: Path, records: "Records", tmp_path: Path) -> None:
+def test_an_import_keeps_the_attempts_of_the_store(
+    exported: Path, open_here: Callable[..., Store], records: "Records", tmp_path: Path
+) -> None:
     """Those of the file come after them, with their own time, run and host; a second import adds none."""
     with Store(tmp_path / "copy.db") as copy:
         copy.begin_campaign(records.campaign())
@@ -152,10 +156,10 @@ def test_an_import_keeps_the_attempts_of_the_store(exported: Path, records: "Rec
         import_netcdf(exported, copy)
         found = list(copy.history(Selection(0, 5.0)))
         assert found[:2] == own
-        with Store(tmp_path / "campaign.db", read_only=True) as original:
-            original.use_campaign()
-            (given,) = original.history(Selection(0, 5.0))
-            theirs = dict(original.runs())[given.run_id]
+        original = open_here(read_only=True)
+        original.use_campaign()
+        (given,) = original.history(Selection(0, 5.0))
+        theirs = dict(original.runs())[given.run_id]
         new = dataclasses.replace(given, number=3, run_id=None)
         assert [dataclasses.replace(one, run_id=None) for one in found[2:]] == [new]
         assert dict(copy.runs())[found[2].run_id].started == theirs.started
