@@ -1,4 +1,4 @@
-"""Sections of elastic strips with a known delay, by finite differences; their wall behind the receiver has one of three kinds.
+"""Sections of elastic strips with a known delay, by finite differences, with one of three walls behind the receiver.
 
 The strip has the size of the sample of `paper` between its damped layers. Its edges are held, its left wall moves as the
 pulse, and its stiffness varies along the path. The S wave's delay is the integral of its slowness. From an *open* wall
@@ -15,6 +15,7 @@ import numpy as np
 from section import Section
 
 from calcidem.dem.kernels.layout import Floats
+from calcidem.dem.wave.reading import record_duration
 from calcidem.dem.wave.section import Pulse, clamp_of_strip
 
 WALLS = ("open", "smooth", "held at the receiver")
@@ -56,14 +57,15 @@ def compute_strip(
     ratio
         P over S wave speed; that of samples is 1.34 to 1.58 (`calcidem.dem.wave.section.P_OVER_S`).
     waves
-        Logarithm of the S wave speed along the path: heights of its cosines.
+        Heights of cosines along the path; their sum is the logarithm of the S wave speed over 300 m/s.
     height, spacing
         Of the strip, and of the grid, m.
     group
         See `Section`.
     """
     path = round(LENGTH / spacing)
-    sizes = (2 * path if wall == "open" else path, round(height / spacing))
+    # An open wall is so far behind the place of the others that nothing returns before the record ends.
+    sizes = (3 * path if wall == "open" else path, round(height / spacing))
     x, y = ((np.arange(size) + 0.5) * spacing for size in sizes)
     turns = np.outer(np.arange(1, len(waves) + 1), np.minimum(x / LENGTH, 1.0))
     speed = (300.0 * np.exp(waves @ np.cos(np.pi * turns)))[:, None]
@@ -73,13 +75,14 @@ def compute_strip(
     at_faces = np.concatenate([shear[:1], 2.0 / (1.0 / shear[1:] + 1.0 / shear[:-1]), shear[-1:]])
     stride = int(np.ceil(ratio * speed.max() / (0.5 * spacing * 100.0 * frequency)))
     step = 1.0 / (100.0 * frequency * stride)  # 100 samples in a period, at most 0.7 of the stability limit
-    count = int((1.9 * LENGTH * slowness + 1.4 / frequency) / step)  # nothing returns from an open wall until then
+    # Long enough for a fit that is a quarter too slow.
+    count = int(record_duration(LENGTH, 0.75 / slowness, frequency) / step)
     pulse = Pulse(1.0, frequency).velocity(np.arange(count) * step).tolist()
-    held = (np.abs(y - height / 2.0) < _RECEIVER) & (wall == WALLS[2])
     # Motion is taken where stations and receiver of a sample would be.
     ends = (*np.linspace(LENGTH / 8.0, LENGTH - _DEPTH, 10), LENGTH)
     slices = [(low <= x) & (x < high) for low, high in pairwise(ends)]
     middle = np.abs(y - height / 2.0) < _RECEIVER
+    held = middle & (wall == "held at the receiver")
     along, across = np.zeros((len(x) + 1, len(y) + 1)), np.zeros((len(x), len(y)))
     stress_along, stress_across = np.zeros((2, len(x), len(y) + 1))
     stress_shear, stretch = np.zeros((len(x) + 1, len(y))), np.zeros((len(x), len(y) + 1))
