@@ -17,7 +17,6 @@ import typer
 from typer.testing import CliRunner
 
 import calcidem.storage.errors
-from calcidem.app.campaign.merge import MergeConflictError
 from calcidem.app.cli.main import _COMMON_OPTIONS, PANELS, _build_application
 from calcidem.app.config.examples import full_text, key_references
 from calcidem.app.config.presets import PRESETS, preset_text
@@ -175,7 +174,7 @@ def test_troubleshooting_has_every_error_and_reason() -> None:
     """Each error that a user may see, each status without velocity, and each reason of an unread signal is listed."""
     page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
     names = {name for name, kind in getmembers(calcidem.storage.errors, isclass) if kind.__module__.endswith("errors")}
-    others = (MergeConflictError, UnstableRunError, CementCapacityError, PackingFileError, SettlingError, LaunchError)
+    others = (UnstableRunError, CementCapacityError, PackingFileError, SettlingError, LaunchError)
     names |= {kind.__name__ for kind in others} - {"StoreError"}
     assert not {name for name in names - {"StoreError"} if f"`{name}`" not in page}
     settled = {str(status) for status in CellStatus} - {"pending", "running", "done"}

@@ -37,11 +37,11 @@ from calcidem.storage.records import (
     CellResult,
     NetworkFeatures,
     PathFeatures,
+    Selection,
     canonical_hash,
     canonical_json,
 )
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.storage.store import Selection
 
 CONTENTS = tuple(0.5 * i for i in range(17))
 

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from calcidem.analysis.correlation import PathEnvelope, RatioScan, path_envelope, scan_ratio, seed_permutation_test
+from calcidem.analysis.correlation import PathEnvelope, RatioScan, path_envelope, scan_ratio
 from calcidem.analysis.distribution import ContentDistribution, describe_contents, name_outcomes
 from calcidem.analysis.fits import LeaveOneSeedOut, PowerLawFit, fit_power_law, leave_one_seed_out
 from calcidem.analysis.measured import PublishedLaw, PublishedVelocity, Target, published_study
@@ -38,9 +38,8 @@ from calcidem.analysis.velocity import (
 )
 from calcidem.ends import CellStatus
 from calcidem.storage.dataset import campaign_dataset
-from calcidem.storage.records import CellResult, CementPattern, NetworkFeatures, PathFeatures
+from calcidem.storage.records import CellResult, CementPattern, NetworkFeatures, PathFeatures, Selection
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import Selection
 
 
 class UnavailableError(Exception):
@@ -355,30 +354,6 @@ def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, Publis
 def ratios_differ(law: LawFit, other: PublishedLaw) -> bool:
     """Whether a law has other weights than a published one, beyond the rounding of these."""
     return law.weights is None or abs(other.weights.ratio - law.weights.ratio) >= 0.02
-
-
-def feature_correlations(analysis: CampaignAnalysis, selection: Selection) -> xr.Dataset:
-    """Correlate the features of path and network with Vs within one content, over the selected cells only.
-
-    Returns along feature what `calcidem.analysis.correlation.seed_permutation_test` does, corrected for the features of
-    path or network as in the report. `UnavailableError` if the campaign has no cement, or no selected cell has a
-    velocity and features.
-    """
-    table, chosen = analysis.table, np.zeros(analysis.vs.shape, dtype=bool)
-    columns = analysis.store.table(("seed", "content"), selection)
-    chosen[
-        np.searchsorted(table["seed"], columns["seed"].astype(np.int64)),
-        np.searchsorted(table["content"], columns["content"]),
-    ] = True
-    path, network = (one.where(xr.DataArray(chosen, dims=table["vs"].dims)) for one in (table, analysis.network_table))
-    if not bool(path["vs"].notnull().any()):
-        raise UnavailableError("no selected cell has a velocity")
-    tests = [seed_permutation_test(one, "vs") for one in (path, network)]
-    if not tests[-1].attrs["samples"]:
-        raise UnavailableError("no selected cell has a velocity and features")
-    return (
-        xr.concat(tests, "variable", combine_attrs="override").rename(variable="feature").assign_attrs(tests[-1].attrs)
-    )
 
 
 def dispersion_of_cells(cells: Iterable[CellResult]) -> Dispersion:

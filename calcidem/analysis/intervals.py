@@ -165,61 +165,6 @@ def is_in_doubt(measured: int, failed: int) -> bool:
     return failed > 0 and (measured == 0 or bias_of_failed(measured, failed) > 1.0 / math.sqrt(measured))
 
 
-@dataclass(frozen=True, slots=True)
-class SeedPlan:
-    """Number of seeds for a requested confidence interval of a mean."""
-
-    half_width: float
-    """Requested half-width, in the unit of the values."""
-    present: int
-    present_half_width: float
-    """Present seeds with a velocity, and their half-width."""
-    unreadable: int
-    """Seeds without a readable velocity."""
-    needed: int
-    """Total seeds with a velocity needed, for the measured standard deviation."""
-    needed_low: int
-    needed_high: int
-    """The same at both ends of the confidence interval of the standard deviation."""
-
-    @property
-    def more(self) -> int:
-        """Seeds still to be computed, if the same share as so far gives no velocity."""
-        return math.ceil(max(0, self.needed - self.present) * (self.present + self.unreadable) / self.present)
-
-    @classmethod
-    def of_values(cls, values: ArrayLike, half_width: float, unreadable: int = 0) -> Self:
-        """Plan the seeds of one content from its values (n,), without NaN, and its seeds without a velocity.
-
-        The planned interval, and that of the deviation, which gives the range of the plan, are those of 95 %.
-        `ValueError` for fewer than two values, or if the half-width, in their unit, is not positive.
-        """
-        sample = finite_values(values)
-        deviation = float(standard_deviation(sample))
-        spread = Interval.of_standard_deviation(sample)
-        return cls(
-            half_width=half_width,
-            present=sample.size,
-            present_half_width=mean_half_width(deviation, sample.size, 0.95),
-            unreadable=unreadable,
-            needed=_seeds_needed(deviation, half_width),
-            needed_low=_seeds_needed(spread.low, half_width),
-            needed_high=_seeds_needed(spread.high, half_width),
-        )
-
-
-def _seeds_needed(standard_deviation: float, half_width: float, level: float = 0.95) -> int:
-    """Smallest number of seeds for an interval of the mean of at most this half-width, in the unit of the deviation."""
-    if not half_width > 0:
-        raise ValueError(f"half_width is {half_width}; it must be positive")
-    # The normal quantile gives two or three too few, since Student's is larger.
-    quantile = float(scipy.stats.norm.ppf((1 + level) / 2))
-    n = max(2, math.ceil((quantile * standard_deviation / half_width) ** 2))
-    while mean_half_width(standard_deviation, n, level) > half_width:
-        n += 1
-    return n
-
-
 FEWEST_READ = 0.5
 """Smallest share of seeds with a velocity; below it, more seeds do not determine the mean of all."""
 

@@ -72,7 +72,7 @@ class OutputRefusedError(StoreError):
 
 
 class CampaignMismatchError(StoreError):
-    """The campaign exists with another physical configuration, or another packing."""
+    """A campaign has another physical configuration, packing or outcome of a cell in another database or file."""
 
 
 class UnknownCampaignError(StoreError):

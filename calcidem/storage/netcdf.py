@@ -46,10 +46,10 @@ from calcidem.storage.records import (
     CellResult,
     PackingRecord,
     RunRecord,
+    Selection,
 )
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import Selection
 
 # HDF5 asks at its start, which is this import, whether it has to lock files. Some cluster file systems have no locks,
 # and these files need none: they are complete before they get their name.
@@ -94,10 +94,16 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
         for index in store.packing_indices():
             packing = store.packing(index)
             stress = np.array([json.dumps(dict(packing.wall_stress))], dtype=object)
-            own = {"wall_stress": ("", "normal stress on each wall in Pa, as JSON", stress)}
+            own: dict[str, _Column] = {"wall_stress": ("", "normal stress on each wall in Pa, as JSON", stress)}
             _append_records(file.createGroup("packings"), "packing", PackingRecord, [packing], own)
         for attempts in chunks(store.history(Selection(record.seeds, record.contents)), 10_000):
-            _append_attempts(file, attempts)
+            recorded = np.array([round(attempt.recorded.timestamp() * 1e6) for attempt in attempts], dtype=np.int64)
+            forgiven = np.array([attempt.forgiven for attempt in attempts], dtype=np.int8)
+            own = _key_columns([attempt.key for attempt in attempts]) | {
+                "recorded": ("microseconds since 1970-01-01T00:00:00Z", "time of storing", recorded),
+                "forgiven": ("1", "1 if a retry came after it", forgiven),
+            }
+            _append_records(file.createGroup("attempts"), "attempt", AttemptRecord, attempts, own)
         _write_cells(file, store, wanted)
     return Path(path).absolute()
 
@@ -189,17 +195,6 @@ def _create_variables(file: Group, seeds: NDArray[Any], contents: NDArray[Any], 
         if not is_text:  # each block of seeds is written once, without the library's cache of 16 MB for each variable
             variable.set_var_chunk_cache(size=2 * rows * contents.size * np.dtype(kind).itemsize)
         variable.setncatts(quantity.attributes())
-
-
-def _append_attempts(file: Group, attempts: Sequence[AttemptRecord]) -> None:
-    """Append attempts to the group ``attempts``."""
-    recorded = np.array([round(attempt.recorded.timestamp() * 1e6) for attempt in attempts], dtype=np.int64)
-    own: dict[str, _Column] = {
-        "recorded": ("microseconds since 1970-01-01T00:00:00Z", "time of storing", recorded),
-        "forgiven": ("1", "1 if a retry came after it", np.array([a.forgiven for a in attempts], dtype=np.int8)),
-    }
-    keys = _key_columns([attempt.key for attempt in attempts])
-    _append_records(file.createGroup("attempts"), "attempt", AttemptRecord, attempts, keys | own)
 
 
 def _key_columns(keys: Sequence[CellKey]) -> dict[str, _Column]:
@@ -294,9 +289,13 @@ def import_netcdf(
                 f"{path}: its configuration, or the hash {campaign.hash} of its cells, is not what was exported.",
                 _CURE_OF_CHANGE,
             )
-        packings = list(_read_packings(file))
-        for packing in packings:
-            check(packing)
+        records = _Records(file, "packings", "packing", PackingRecord)
+        packings = []
+        for row, stress in enumerate(records.columns.get("wall_stress", ())):
+            values = records.values(row)
+            state = values["state"].tobytes()
+            packings.append(PackingRecord(wall_stress=json.loads(stress), **(values | {"state": state})))
+            check(packings[-1])
         status: NDArray[np.int8] = _read(file["status"]).astype(np.int8)
         named = _read(file["packing_index"])[~np.isin(status, _WITHOUT_OUTCOME)].tolist()
         if lacking := set(named) - {packing.index for packing in packings}:
@@ -389,14 +388,6 @@ def _read_attempts(file: Group, run_numbers: dict[int, int]) -> Iterator[Attempt
         values["run_id"] = None if values["run_id"] is None else run_numbers[values["run_id"]]
         recorded = datetime.fromtimestamp(records.columns["recorded"][row] / 1e6, UTC)
         yield AttemptRecord(key, recorded=recorded, forgiven=bool(records.columns["forgiven"][row]), **values)
-
-
-def _read_packings(file: Group) -> Iterator[PackingRecord]:
-    """Read the group ``packings``."""
-    records = _Records(file, "packings", "packing", PackingRecord)
-    for row, stress in enumerate(records.columns.get("wall_stress", ())):
-        values = records.values(row)
-        yield PackingRecord(wall_stress=json.loads(stress), **(values | {"state": values["state"].tobytes()}))
 
 
 class _Records:

@@ -33,8 +33,7 @@ from calcidem.analysis.figures.style import (
 from calcidem.analysis.measured import published_study
 from calcidem.dem.sample.cement import toroid_area
 from calcidem.dem.wave.section import clamp_of_strip
-from calcidem.storage.records import RecordedSection
-from calcidem.storage.store import Selection
+from calcidem.storage.records import RecordedSection, Selection
 
 SHOWN_CONTENT = 2.55  # percent
 

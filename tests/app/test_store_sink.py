@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 
 from calcidem.app.campaign.cells import batches_of
-from calcidem.app.campaign.provenance import describe_run
-from calcidem.app.campaign.run import StoreSink
+from calcidem.app.campaign.run import StoreSink, describe_run
 from calcidem.app.cli.exit_codes import _exit_code_of
 from calcidem.app.config.schema import Configuration
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreLockedError
-from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, canonical_hash
+from calcidem.storage.records import AttemptCount, CampaignRecord, CellKey, CellResult, Selection, canonical_hash
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import Selection
 from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, BatchOutcome
 from calcidem.wording import listening
 

@@ -14,8 +14,7 @@ import pytest
 from calcidem.app.campaign.cells import SeedDemand
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.preview import preview_lines
-from calcidem.app.campaign.provenance import describe_run
-from calcidem.app.campaign.run import CampaignRun, retry_cells
+from calcidem.app.campaign.run import CampaignRun, describe_run, retry_cells
 from calcidem.app.config.reader import load_configuration
 from calcidem.app.config.schema import CampaignPlan, Configuration, ConfigurationError, WantedIntervals
 from calcidem.ends import CellStatus

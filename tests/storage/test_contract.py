@@ -22,9 +22,8 @@ from calcidem.storage.errors import (
     UnknownCampaignError,
     UnknownCellError,
 )
-from calcidem.storage.records import STORED_STATUSES, AttemptCount, CellKey, canonical_json
+from calcidem.storage.records import STORED_STATUSES, AttemptCount, CellKey, Selection, canonical_json
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
     from conftest import Records

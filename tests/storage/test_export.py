@@ -37,9 +37,8 @@ from calcidem.storage.errors import (
     UnknownCampaignError,
 )
 from calcidem.storage.netcdf import _read, export_netcdf, import_netcdf
-from calcidem.storage.records import CellKey
+from calcidem.storage.records import CellKey, Selection
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
     from conftest import Records

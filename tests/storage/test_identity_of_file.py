@@ -27,11 +27,11 @@ from calcidem.storage.errors import (
     StoreUnavailableError,
 )
 from calcidem.storage.netcdf import export_netcdf
+from calcidem.storage.records import LeaseHolder, start_of, this_machine
 from calcidem.storage.sql import reading
 from calcidem.storage.sql.engine import find_damage
 from calcidem.storage.sql.lease import Lease, replace_database
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import LeaseHolder, start_of, this_machine
 
 if TYPE_CHECKING:
     from conftest import Records

@@ -15,9 +15,8 @@ from calcidem.app.cli.results import as_rows
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
 from calcidem.storage.netcdf import export_netcdf, import_netcdf
-from calcidem.storage.records import LARGEST_SEED, CellKey
+from calcidem.storage.records import LARGEST_SEED, CellKey, Selection
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
     from conftest import Records

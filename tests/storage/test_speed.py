@@ -11,11 +11,10 @@ from sqlalchemy.dialects import sqlite
 
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.ends import CellStatus
-from calcidem.storage.records import CellKey
+from calcidem.storage.records import CellKey, Selection
 from calcidem.storage.sql.reading import StoreReader, _conditions
 from calcidem.storage.sql.store import Store, _attempt_in
 from calcidem.storage.sql.tables import ATTEMPT, CELL, EXPRESSIONS, join_results
-from calcidem.storage.store import Selection
 
 if TYPE_CHECKING:
     from conftest import Records

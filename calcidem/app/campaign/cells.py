@@ -41,9 +41,9 @@ from calcidem.storage.records import (
     GrainPath,
     NetworkFeatures,
     PathFeatures,
+    Selection,
     canonical_content,
 )
-from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import keep_freed_memory, own_rank
 from calcidem.sweep.schedule import Batch, BatchOutcome, Cell, LaunchError, plan_batches
 from calcidem.version import __version__

@@ -24,9 +24,8 @@ from calcidem.app.campaign.run import LONGEST_WAIT, RunView, prepared_store, rea
 from calcidem.app.campaign.status import ProgressDisplay, ProgressReporter, RunProgress, RunStage
 from calcidem.app.config.schema import Configuration
 from calcidem.storage.errors import PASSWORDS_VARIABLE, StoreError, StoreUnavailableError
-from calcidem.storage.records import RunRecord
+from calcidem.storage.records import STALE_AFTER, RunRecord
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.storage.store import STALE_AFTER
 from calcidem.sweep.ranks import (
     COMMAND_VARIABLE,
     THREAD_VARIABLES,

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from calcidem.ends import CellStatus
-from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError, StoreError
-from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, PackingRecord, RunRecord
+from calcidem.storage.errors import CampaignMismatchError, LeaseHeldError
+from calcidem.storage.records import EXACT_QUANTITIES, AttemptRecord, CellKey, PackingRecord, RunRecord, Selection
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.lease import replace_database
 from calcidem.storage.sql.reading import chunks
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.storage.store import Selection
 from calcidem.wording import first_of
 
 _Values: TypeAlias = tuple[Any, ...] | None
@@ -24,10 +23,6 @@ _Values: TypeAlias = tuple[Any, ...] | None
 
 _Numbers: TypeAlias = Mapping[tuple[int, CellKey, int], int]
 """New number of an attempt by its source, its cell and its number there."""
-
-
-class MergeConflictError(StoreError):
-    """Databases have different values for the same cells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +65,8 @@ def merge_databases(
 
     It changes only once all is complete, and no run may be writing it. The sources are only read. ``prefer`` is the
     source whose values count where done cells differ. `FileExistsError` if the file has several campaigns,
-    `MergeConflictError` if done cells differ and no source is preferred, `CampaignMismatchError` if configurations or
-    packings differ, `LeaseHeldError` if the file is being written, other `StoreError` if a database cannot be read.
+    `CampaignMismatchError` if configurations or packings differ, or done cells and no source is preferred,
+    `LeaseHeldError` if the file is being written, other `StoreError` if a database cannot be read.
     """
     target = Address.parse(out).path or out
     names = list(sources)
@@ -93,7 +88,7 @@ def merge_databases(
         with Store(temporary) as store:
             merged = _merge_campaigns(campaigns, store, names, None if prefer is None else names.index(prefer))
         if merged.conflicts and prefer is None:
-            raise MergeConflictError(
+            raise CampaignMismatchError(
                 "\n  ".join([f"{len(merged.conflicts)} done cells have different values:", *first_of(merged.conflicts)])
                 + "\n",
                 "Nothing was written. Such values come from a changed file or another version of calcidem; "

@@ -13,7 +13,7 @@ from functools import cached_property
 from html import escape
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -52,10 +52,10 @@ from calcidem.storage.records import (
     PackingRecord,
     RecordedSection,
     RunRecord,
+    Selection,
     depends_on_pulse,
 )
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.storage.store import Closable, Selection
 from calcidem.wording import pluralize
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ def open_campaign(path_or_url: str | os.PathLike[str], name: str | None = None) 
     return Campaign(read_campaign(path_or_url, name))
 
 
-class Campaign(Closable):
+class Campaign:
     """An opened campaign: its stored data and results computed from them.
 
     Every call reads the cells stored at that time. The campaign is a context manager.
@@ -290,6 +290,12 @@ class Campaign(Closable):
     def history(self, *, seed: int, content: float) -> tuple[AttemptRecord, ...]:
         """Return all attempts at a cell."""
         return tuple(self.store.history(Selection(seed, content)))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Release the connection."""

@@ -22,10 +22,8 @@ from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.cement import (
     GIVEN,
-    CementCapacityError,
     PlacedCement,
     RandomPurpose,
-    UnknownPatternError,
     random_generator,
 )
 from calcidem.dem.sample.packing import (
@@ -190,8 +188,16 @@ def provide_packing(
         return stored_packing(store.packing(), configuration.packing_hash)
     kept = kept_packing(configuration.packing_hash)
     packing = kept or new_packing(configuration, raise_if_stopped, watch)
-    if kept is None:
-        _write_cache(packing, configuration.packing_hash)
+    if kept is None:  # a cache that cannot be written only costs time later
+        path = cache_folder() / _cached_name(configuration.packing_hash)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with write_atomically(path) as temporary:
+                temporary.write_bytes(packing_to_bytes(packing, configuration.packing_hash))
+        except (OSError, OutputRefusedError) as error:
+            cure = f"set {CACHE_VARIABLE} to a folder that works"
+            why = error.strerror if isinstance(error, OSError) else f"{path.name} is not a file of a packing"
+            tell(f"Packing: not kept in the cache {path.parent} ({why}); {cure}.")
     return packing
 
 
@@ -237,19 +243,6 @@ def _cached_name(packing_hash: str) -> str:
     return f"packing-{PACKING_METHOD}-{packing_hash[:32]}.npz"
 
 
-def _write_cache(packing: Packing, packing_hash: str) -> None:
-    """Put a packing into the cache atomically; a cache that cannot be written only costs time later."""
-    path = cache_folder() / _cached_name(packing_hash)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with write_atomically(path) as temporary:
-            temporary.write_bytes(packing_to_bytes(packing, packing_hash))
-    except (OSError, OutputRefusedError) as error:
-        cure = f"set {CACHE_VARIABLE} to a folder that works"
-        why = error.strerror if isinstance(error, OSError) else f"{path.name} is not a file of a packing"
-        tell(f"Packing: not kept in the cache {path.parent} ({why}); {cure}.")
-
-
 def stored_experiment(store: "Store", packing_index: int = 0) -> Experiment:
     """Experiment of the cells of a packing, as `calcidem.Campaign.experiment`, for modules that `Campaign` imports."""
     packing = stored_packing(store.packing(packing_index))
@@ -273,7 +266,7 @@ def with_patterns(store: "Store", outcomes: Iterable[CellResult]) -> Iterator[Ce
         try:
             seed = outcome.key.seed if outcome.key.content else 0
             cement = ordering(outcome.packing_index, seed).at(outcome.key.content)
-        except (StoreError, CementCapacityError, UnknownPatternError):
+        except (StoreError, ValueError):  # more cement than there is room, or a pattern that no package has
             yield outcome
             continue
         drawn = cement.content_reached, cement.p_contacts, cement.c_contacts, cement.clusters

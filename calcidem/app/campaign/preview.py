@@ -31,10 +31,9 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.experiment import WAVELENGTHS, expected_speed
 from calcidem.ends import CellStatus
 from calcidem.storage.files import filesystem_type, is_network_filesystem
-from calcidem.storage.records import CellKey
+from calcidem.storage.records import CellKey, Selection
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import LAUNCHER_VARIABLES, available_cores, mpi_library_version, refuse_ranks_off_linux
 from calcidem.sweep.schedule import Batch, Cell, LaunchError
 from calcidem.wording import duration, listening
@@ -91,7 +90,7 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
         best, worst = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
         yield (
             f"All {len(plan.seed_numbers)} seeds give the mean of Vs to +- {widths[best]:.1f} m/s ({best:g} %) to "
-            f"+- {widths[worst]:.1f} m/s ({worst:g} %), 95 %; 'calcidem status DB --halfwidth M/S' plans for another."
+            f"+- {widths[worst]:.1f} m/s ({worst:g} %), 95 %; campaign.until computes those for another."
         )
     yield f"Database: {address}{', new' if is_new else ''}"
     if note := calibration_note(configuration):

@@ -1,6 +1,8 @@
 """One campaign from its configuration to its database, in one process or by the workers of an executor."""
 
 import os
+import platform
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -9,7 +11,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
+from importlib.metadata import PackageNotFoundError, version
 from itertools import starmap
+from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 
@@ -17,7 +21,6 @@ import numpy as np
 
 from calcidem.app.campaign.cells import CellComputation, SeedDemand, batches_of, kernel_compilations, planned_cells
 from calcidem.app.campaign.packing import packing_record, provide_packing, stored_packing
-from calcidem.app.campaign.provenance import describe_run
 from calcidem.app.campaign.status import (
     STATUS_QUANTITIES,
     CampaignStatus,
@@ -40,11 +43,10 @@ from calcidem.storage.errors import (
     StoreLockedError,
     StoreUnavailableError,
 )
-from calcidem.storage.records import AttemptCount, CellKey, CellResult
+from calcidem.storage.records import AttemptCount, CellKey, CellResult, RunRecord, Selection
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.storage.store import Selection
-from calcidem.sweep.ranks import COMMAND_VARIABLE, keep_freed_memory, refuse_singletons
+from calcidem.sweep.ranks import COMMAND_VARIABLE, keep_freed_memory, mpi_library_version, refuse_singletons
 from calcidem.sweep.run import run_sweep
 from calcidem.sweep.schedule import (
     EXIT_RESUMABLE,
@@ -60,6 +62,7 @@ from calcidem.sweep.schedule import (
     SweepState,
     WorkersLostError,
 )
+from calcidem.version import __version__, source_commit
 from calcidem.wording import advise, tell
 
 if TYPE_CHECKING:
@@ -588,3 +591,32 @@ class StoreSink:
     def _attempt_of(self, key: CellKey) -> int:
         """Number of the attempt that gave an outcome: of the one that was marked, or the next."""
         return self._counts.get(key, AttemptCount()).attempts + (key not in self._running)
+
+
+def describe_run(ranks: int) -> RunRecord:
+    """Provenance of a run that begins now, on rank 0 of this number of ranks."""
+    commit, dirty = source_commit()
+    versions = {"python": platform.python_version(), "calcidem": __version__}
+    for name in ("numpy", "scipy", "numba", "llvmlite", "mpi4py", "sqlalchemy"):  # for numbers and files
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = ""
+    model = ""
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+    if any(platform.libc_ver()):
+        versions["libc"] = " ".join(platform.libc_ver())
+    return RunRecord(
+        versions=versions,
+        host=platform.node(),
+        cpu=model or platform.machine(),
+        ranks=ranks,
+        launch_line=" ".join(sys.argv),
+        started=datetime.now(UTC),
+        mpi_library=mpi_library_version() if ranks > 1 else None,
+        git_commit=commit,
+        git_dirty=dirty,
+        slurm_job_id=os.environ.get("SLURM_JOB_ID"),
+    )

@@ -30,9 +30,8 @@ from calcidem.analysis.velocity import (
 )
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError, hide_passwords
-from calcidem.storage.records import CellKey, RunRecord
+from calcidem.storage.records import CellKey, RunRecord, Selection
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import launcher
 from calcidem.sweep.schedule import Batch, BatchOutcome, Progress, SweepEnd
 from calcidem.wording import duration, listening, pluralize, printable, send_nowhere, tell

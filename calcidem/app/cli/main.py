@@ -20,7 +20,7 @@ from typer.core import TyperGroup
 from calcidem.app.cli.options import IS_QUIET, IS_VERBOSE, say
 from calcidem.storage.errors import keep_passwords_back
 from calcidem.sweep.ranks import THREAD_VARIABLES, launcher, whole_number
-from calcidem.version import __version__
+from calcidem.version import __version__, source_commit
 from calcidem.wording import CampaignWarning, listening, printable
 
 PANELS = {
@@ -119,8 +119,6 @@ def _remove_files_on_signals() -> None:
 def _show_version(wanted: bool) -> None:
     """Write the version, with the commit if known, and end."""
     if wanted:
-        from calcidem.app.campaign.provenance import source_commit
-
         commit, changed = source_commit()
         told = f" (commit {commit[:12]}{', changed' if changed else ''})" if commit else ""
         typer.echo(f"calcidem {__version__}{told}")

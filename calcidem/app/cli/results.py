@@ -30,12 +30,10 @@ from calcidem.app.cli.options import (
 )
 from calcidem.app.cli.output import Format, FormatOption, RecordRows, WholeTable, tell_rows
 from calcidem.ends import CellStatus, Verdict
-from calcidem.storage.errors import QueryError
-from calcidem.storage.store import Selection
+from calcidem.storage.records import Selection
 from calcidem.wording import ABSENT, EXCEPTIONAL, decimal, pluralize, printable, readable_unit, significant, tell
 
 if TYPE_CHECKING:
-    from calcidem.app.campaign.opened import Campaign
     from calcidem.app.campaign.status import CampaignStatus
 
 
@@ -49,15 +47,6 @@ def status_command(
             help="Seconds between refreshes with --watch.",
         ),
     ] = 2.0,
-    half_width: Annotated[
-        float | None,
-        typer.Option(
-            "--halfwidth",
-            parser=number_parser(1e-6, 1e6, "is not a number above 0, from 1e-6 to 1e6"),
-            metavar="M/S",
-            help="Also estimate seeds and time for means within this 95 % half-width.",
-        ),
-    ] = None,
     layout: FormatOption = Format.TABLE,
     campaign: CampaignName = None,
 ) -> None:
@@ -73,21 +62,19 @@ def status_command(
             time.sleep(interval)
 
     try:
-        _show_status(until_finished(), half_width, layout, watch=watch)
+        _show_status(until_finished(), layout, watch=watch)
     except KeyboardInterrupt:
         typer.echo()
 
 
-def _show_status(
-    statuses: "Iterator[CampaignStatus]", half_width: float | None, layout: Format, *, watch: bool
-) -> None:
+def _show_status(statuses: "Iterator[CampaignStatus]", layout: Format, *, watch: bool) -> None:
     """Show each status of a campaign, on a terminal replacing the former one."""
     from calcidem.app.cli.output import PLAIN_WIDTH
     from calcidem.app.cli.views import status_as_json, status_view
 
     if layout is not Format.TABLE:
         for found in statuses:
-            whole = status_as_json(found, half_width)
+            whole = status_as_json(found)
             if watch and layout is Format.JSON:
                 typer.echo(json.dumps(whole))
             else:
@@ -97,11 +84,11 @@ def _show_status(
     if not (watch and console.is_terminal):
         width = console.width if console.is_terminal else PLAIN_WIDTH
         for found in statuses:
-            Console(highlight=False, width=width).print(status_view(found, width, half_width))
+            Console(highlight=False, width=width).print(status_view(found, width))
         return
     with Live(Group(), console=console, auto_refresh=False) as live:  # whole at the end, before what the screen holds
         for found in statuses:
-            live.update(status_view(found, console.width, half_width), refresh=True)
+            live.update(status_view(found, console.width), refresh=True)
 
 
 def report_command(
@@ -213,61 +200,33 @@ def query_command(
     limit: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Most rows to show.")] = None,
     layout: FormatOption = Format.TABLE,
     out: Annotated[Path | None, typer.Option(help="File to write; .csv, .json or .parquet choose the format.")] = None,
-    features: Annotated[
-        bool,
-        typer.Option("--features", help="Show correlations of features with Vs instead."),
-    ] = False,
     campaign: CampaignName = None,
 ) -> None:
-    """Show the cells that meet all conditions.
-
-    --features gives Pearson's correlation within a content, with 95 % interval and p by exchanging seeds at random, and
-    p corrected for the features of path, or of network.
-    """
+    """Show the cells that meet all conditions."""
     from calcidem.app.cli.views import pulse_remark
     from calcidem.storage.records import QUANTITY_BY_NAME, depends_on_pulse
     from calcidem.storage.sql.store import read_campaign
 
     layout = layout if out is None else _layout_of_file(out, layout)
     selection = Selection(seed or None, content or None, status or None, where)
-    if features:
-        if columns is not None or sort or limit is not None:
-            raise typer.BadParameter("goes with neither --columns, --sort nor --limit", param_hint="--features")
-        rows, remark = _feature_rows(database, selection, campaign)
-        if layout is Format.TABLE and out is None:  # for people, in 80 columns
-            rows = [
-                {
-                    "feature": row["feature"],
-                    "pearson (95 %)": f"{_numbers('{:+.2f}', row['pearson'])} "
-                    f"({_numbers('{:+.2f} to {:+.2f}', row['pearson_low'], row['pearson_high'])})",
-                    "p": _numbers("{:.2g}", row["p"]),
-                    "corrected": _numbers("{:.2g}", row["p_corrected"]),
-                }
-                for row in rows
-            ]
-        headings = {name: name != "feature" for name in rows[0]}
-    else:
-        names = tuple(
-            dict.fromkeys(_split_list("seed,content,status,vs,vs_error,seconds" if columns is None else columns))
-        )
-        names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
-        with read_campaign(database, campaign) as store:
-            wanted = tuple(dict.fromkeys((*names, "pulse_effect"))) if "vs" in names else names
-            found = store.table(wanted, selection, sort=_split_list(sort), limit=limit)
-            rows = as_rows({name: found[name] for name in names})
-        headings = _headings(names)
-        remark = pluralize(len(rows), "cell") if rows else "0 cells; 'calcidem status DB' has the seeds and contents"
-        if "vs" in names and (loud := int(depends_on_pulse(found["pulse_effect"]).sum())):
-            remark += f"; {pulse_remark(loud)}"
+    names = tuple(dict.fromkeys(_split_list("seed,content,status,vs,vs_error,seconds" if columns is None else columns)))
+    names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
+    with read_campaign(database, campaign) as store:
+        wanted = tuple(dict.fromkeys((*names, "pulse_effect"))) if "vs" in names else names
+        found = store.table(wanted, selection, sort=_split_list(sort), limit=limit)
+        rows = as_rows({name: found[name] for name in names})
+    remark = pluralize(len(rows), "cell") if rows else "0 cells; 'calcidem status DB' has the seeds and contents"
+    if "vs" in names and (loud := int(depends_on_pulse(found["pulse_effect"]).sum())):
+        remark += f"; {pulse_remark(loud)}"
     if layout is not Format.TABLE:
-        tell_rows(rows, layout, out, names=tuple(rows[0]) if features else names)
+        tell_rows(rows, layout, out, names=names)
     elif out is None:
         width = Console().width if sys.stdout.isatty() else 100_000
-        typer.echo(_as_table(headings, rows, remark, width), nl=False)
+        typer.echo(_as_table(_headings(names), rows, remark, width), nl=False)
     else:
         from calcidem.storage.files import write_text_atomically
 
-        write_text_atomically(out, _as_table(headings, rows, remark))
+        write_text_atomically(out, _as_table(_headings(names), rows, remark))
     if out is not None:
         say(f"Wrote {out}: {remark}")
 
@@ -281,26 +240,6 @@ def _layout_of_file(out: Path, layout: Format) -> Format:
     if layout is Format.TABLE and out.suffix.lower() not in layouts:
         raise typer.BadParameter(f"{out} ends with none of {', '.join(layouts)}", param_hint="--out")
     return layouts[out.suffix.lower()] if layout is Format.TABLE else layout
-
-
-def _numbers(form: str, *values: float) -> str:
-    """Numbers in a form, or a dash if one is unknown."""
-    return form.format(*values) if all(map(math.isfinite, values)) else ABSENT
-
-
-def _feature_rows(database: str, selection: Selection, campaign_name: str | None) -> tuple[RecordRows, str]:
-    """Correlation of features of the selected cells with Vs within one content, and number of cells."""
-    from calcidem.analysis.campaign_analysis import CampaignAnalysis, UnavailableError, feature_correlations
-    from calcidem.app.campaign.packing import with_patterns
-    from calcidem.storage.sql.store import read_campaign
-
-    with read_campaign(database, campaign_name) as store:
-        try:
-            found = feature_correlations(CampaignAnalysis(store, with_cement=with_patterns), selection)
-        except UnavailableError as error:
-            raise QueryError(f"Features have nothing to go with: {error}.", "Select cells with a velocity.") from error
-    rows = found.to_dataframe().rename_axis("feature").reset_index().to_dict("records")
-    return rows, f"{pluralize(found.attrs['samples'], 'cell')} with a velocity and features"
 
 
 def _split_list(text: str) -> list[str]:
@@ -396,14 +335,21 @@ def show_command(
         tell_rows([row], layout)
     if out is None and movie is None:
         return
+    from calcidem.analysis.campaign_analysis import UnavailableError
+    from calcidem.analysis.figures.style import save
     from calcidem.app.campaign.opened import open_campaign
 
     with open_campaign(database, campaign) as opened:
-        for file in () if out is None else _draw_cell(opened, seed, content, out):
-            say(f"Wrote {file}", err=layout is not Format.TABLE)
+        plot = opened.plot
+        if out is not None:
+            figures = {"cement": plot.cement, "path": plot.path, "signals": plot.signal, "section": plot.section}
+            for name, draw in figures.items():
+                with suppress(UnavailableError):  # the cell lacks what the figure needs
+                    for file in save(draw(seed=seed, content=content), out, f"seed{seed}_content{content:g}_{name}"):
+                        say(f"Wrote {file}", err=layout is not Format.TABLE)
         if movie is not None:
             with progress_bar("Movie") as watch:
-                opened.plot.movie(movie, seed=seed, content=content, frames=frames, watch=watch)
+                plot.movie(movie, seed=seed, content=content, frames=frames, watch=watch)
             say(f"Wrote {movie}", err=layout is not Format.TABLE)
 
 
@@ -422,15 +368,3 @@ def _cell_rows(row: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         if text in {"", ABSENT} or (name in EXCEPTIONAL and not value):
             continue
         yield quantity.meaning, text if quantity.kind == "text" else f"{text} {readable_unit(quantity.unit)}".rstrip()
-
-
-def _draw_cell(opened: "Campaign", seed: int, content: float, folder: Path) -> Iterator[Path]:
-    """Draw a cell into a folder as far as it has what the figures need, and give the files."""
-    from calcidem.analysis.campaign_analysis import UnavailableError
-    from calcidem.analysis.figures.style import save
-
-    plot = opened.plot
-    figures = {"cement": plot.cement, "path": plot.path, "signals": plot.signal, "section": plot.section}
-    for name, draw in figures.items():
-        with suppress(UnavailableError):
-            yield from save(draw(seed=seed, content=content), folder, f"seed{seed}_content{content:g}_{name}")

@@ -14,26 +14,22 @@ from rich.text import Text
 
 from calcidem.analysis.velocity import SOIL_DENSITY, are_samples, median_known, small_strain_modulus
 from calcidem.app.campaign.status import (
-    FEWEST_TO_PLAN,
     STATUS_QUANTITIES,
     UNREAD,
     URGENCY,
     CampaignStatus,
-    ContentStatus,
     ProgressDisplay,
 )
 from calcidem.app.cli.options import IS_QUIET
 from calcidem.app.cli.output import WholeTable, make_console, make_table
 from calcidem.ends import CellStatus, Verdict
-from calcidem.storage.records import MOST_PULSE_EFFECT
+from calcidem.storage.records import MOST_PULSE_EFFECT, Selection
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import Selection
 from calcidem.sweep.ranks import COMMAND_VARIABLE, available_cores, launcher
 from calcidem.wording import duration, first_of, number, pluralize, printable, tell
 
 if TYPE_CHECKING:  # the status needs no configuration and no packing
-    from calcidem.analysis.intervals import SeedPlan
     from calcidem.app.config.schema import Configuration
     from calcidem.dem.sample.packing import Packing
 
@@ -174,8 +170,8 @@ _PARTLY_DONE = "+"
 """Character for cells of which some are done and the others pending."""
 
 
-def status_view(status: CampaignStatus, width: int, half_width: float | None = None) -> RenderableType:
-    """Whole status, for a terminal of this many columns, and the seeds for a half-width (m/s)."""
+def status_view(status: CampaignStatus, width: int) -> RenderableType:
+    """Whole status, for a terminal of this many columns."""
     columns = max(10, width - 78)  # the table needs so many besides the matrix
     parts: list[RenderableType] = [Text(printable(line)) for line in _head_lines(status)]
     per_character = max(1, math.ceil(len(status.seeds) / columns))  # seeds, so that the matrix fits into the columns
@@ -189,8 +185,6 @@ def status_view(status: CampaignStatus, width: int, half_width: float | None = N
     parts += [Text(f"  {note}") for note in status.notes]
     if status.counts.get(CellStatus.DONE):
         parts.append(Text(f"  standard error of Vs: {status.budget}"))
-    if half_width is not None:
-        parts += map(Text, _seed_lines(status, half_width))
     parts += [Text(printable(line)) for line in _trouble_lines(status)]
     verdicts = {Verdict.of(trouble.reason) for trouble in status.troubles}
     parts += [Text(f"No arrival: {verdict.explained}.") for verdict in Verdict if verdict in verdicts]
@@ -282,39 +276,11 @@ def _trouble_lines(status: CampaignStatus) -> Iterator[str]:
         yield f"'calcidem run CONFIG --retry {kind}' computes cells that are {kind.words} again."
 
 
-def _plan_of(content: ContentStatus, half_width: float) -> "SeedPlan | None":
-    """Seeds that a content needs for a half-width in m/s; None if its scatter is unknown."""
-    from calcidem.analysis.intervals import SeedPlan  # statistics of SciPy, which take half a second
-
-    if len(content.vs) < FEWEST_TO_PLAN:
-        return None
-    return SeedPlan.of_values(content.vs, half_width, unreadable=sum(content.counts.get(kind, 0) for kind in UNREAD))
-
-
-def _seed_lines(status: CampaignStatus, half_width: float) -> Iterator[str]:
-    """Seeds and time for a half-width in m/s at each content."""
-    yield f"\nSeeds for a mean of +- {half_width:g} m/s (95 %), with the range by the uncertain scatter:"
-    for content in status.contents:
-        if content.content == 0.0:
-            yield "  0 %: all seeds are the same sample"
-            continue
-        plan = _plan_of(content, half_width)
-        if plan is None:
-            yield f"  {content.content:g} %: not known before {FEWEST_TO_PLAN} seeds have a velocity"
-            continue
-        seconds = None if math.isnan(content.seconds_per_cell) else plan.more * content.seconds_per_cell
-        needed = f"{plan.needed} ({plan.needed_low} to {plan.needed_high})"
-        more = f"{plan.more} more, about {duration(seconds)} on one core"
-        yield f"  {content.content:g} %: {needed}; {plan.present} give +- {plan.present_half_width:.1f} m/s; {more}"
-
-
-def status_as_json(status: CampaignStatus, half_width: float | None) -> dict[str, Any]:
+def status_as_json(status: CampaignStatus) -> dict[str, Any]:
     """Whole status in JSON's types; a missing number is null."""
     told = status.to_json()
     for content, row in zip(status.contents, told["contents"], strict=True):
         row["status"] = [content.statuses.get(seed) for seed in status.seeds]
-        if half_width is not None and (plan := _plan_of(content, half_width)) is not None:
-            row |= {"seeds_needed": plan.needed, "more_seeds": plan.more}
     return told | {
         "packing_content_hashes": list(status.content_hashes.values()),
         "seeds": list(status.seeds),

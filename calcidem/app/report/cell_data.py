@@ -17,8 +17,15 @@ from calcidem.analysis.figures.samples import read_arrival
 from calcidem.analysis.packing_graph import PackingGraph
 from calcidem.app.campaign.packing import section_of, section_reader
 from calcidem.dem.wave.reading import Reading
-from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, NOT_PLANNED, QUANTITY_BY_NAME, CellResult
-from calcidem.storage.store import ALL_CELLS, Selection
+from calcidem.storage.records import (
+    ALL_CELLS,
+    MOST_PULSE_EFFECT,
+    NORMAL_95,
+    NOT_PLANNED,
+    QUANTITY_BY_NAME,
+    CellResult,
+    Selection,
+)
 from calcidem.wording import EXCEPTIONAL, readable_unit
 
 MOST_FULL_RECORDS = 10_000

@@ -171,14 +171,6 @@ def count_reasons(
     return [(*key, sorted(where[key]), count) for key, count in found.most_common(20)]
 
 
-def _own_table(analysis: CampaignAnalysis) -> Table | None:
-    """Features of other packages, and their correlation with Vs; None without any."""
-    if not analysis.features:
-        return None
-    told = {name: (name.replace("_", " "), describe_feature(feature)) for name, feature in analysis.features.items()}
-    return _correlation_table("other packages", told, analysis.own_table)
-
-
 def _correlation_table(subject: str, features: Mapping[str, tuple[str, str]], table: xr.Dataset) -> Table:
     """Features with symbol and definition, and their correlation with Vs."""
     matrices, tests = correlate(table), seed_permutation_test(table, "vs")
@@ -322,7 +314,15 @@ RESULT_TABLES: dict[str, Callable[[CampaignAnalysis], Table | None]] = {
     "network_features": lambda analysis: _correlation_table(
         "the cement as a network", NETWORK_FEATURES, analysis.network_table
     ),
-    "own_features": _own_table,
+    "own_features": lambda analysis: (
+        _correlation_table(
+            "other packages",
+            {name: (name.replace("_", " "), describe_feature(one)) for name, one in analysis.features.items()},
+            analysis.own_table,
+        )
+        if analysis.features
+        else None
+    ),
     "laws": _law_table,
     "errors_and_cost": _cost_table,
     "two_velocities": _two_velocities_table,

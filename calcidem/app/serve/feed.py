@@ -29,10 +29,9 @@ from calcidem.app.report.tables import count_reasons
 from calcidem.dem.engine.scene import Sand
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import StoreError, StoreUnavailableError, UnknownCampaignError, hide_passwords
-from calcidem.storage.records import QUANTITY_BY_NAME
+from calcidem.storage.records import QUANTITY_BY_NAME, Selection, StoreMark
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store, read_campaign
-from calcidem.storage.store import Selection, StoreMark
 from calcidem.wording import EXCEPTIONAL
 
 

@@ -1,7 +1,7 @@
 """Calibration of named parameters on measured means and scatter of Vs, with common random numbers and posterior."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -331,7 +331,13 @@ def _fit_to_targets(
         )
         for i, target in enumerate(plan.met)
     )
-    doubts += [text for row in contents for text in _doubts_of_content(row)]
+    for row in contents:
+        read = f"at {row.content:g} % {row.seeds} of {row.planned} seeds have a velocity in every trial"
+        if row.seeds < _FEWEST_SEEDS:
+            cure = "start from values with readable waves, or change wave.frequency"
+            doubts.append(f"{read}, so it was left out: {cure}")
+        elif row.seeds < 0.5 * row.planned:
+            doubts.append(f"{read}: the others may have another mean and scatter")
     unknown = np.full(len(names), math.nan)
     fitted = FittedParameters(
         values=_values_at(names, point),
@@ -418,15 +424,6 @@ def _open_questions(
         for goal, (low, high) in zip(goals, ends, strict=True)
     }
     return [(low, high) for low, high in np.exp(np.quantile(points, within, axis=0)).T.tolist()], bands
-
-
-def _doubts_of_content(row: FittedContent) -> Iterator[str]:
-    """Objections to a content of the fit."""
-    read = f"at {row.content:g} % {row.seeds} of {row.planned} seeds have a velocity in every trial"
-    if row.seeds < _FEWEST_SEEDS:
-        yield f"{read}, so it was left out: start from values with readable waves, or change wave.frequency"
-    elif row.seeds < 0.5 * row.planned:
-        yield f"{read}: the others may have another mean and scatter"
 
 
 def _values_at(names: Sequence[str], point: Floats) -> dict[str, float]:

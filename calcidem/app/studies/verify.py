@@ -18,9 +18,8 @@ from calcidem.dem.wave.experiment import Experiment
 from calcidem.dem.wave.measurement import measure
 from calcidem.ends import DECIDED_BY_PHYSICS
 from calcidem.storage.errors import UnknownCellError
-from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, CementPattern, RecordedSection
+from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, CementPattern, RecordedSection, Selection
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import Selection
 
 _SHARES = (
     *("coherence", "reading_error", "effective_error", "vs_bias"),

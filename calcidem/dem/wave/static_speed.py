@@ -114,23 +114,19 @@ def sheared_triangles(state: State, motion: Floats, corners: Integers) -> Sheare
     branch = centres[ends[:, 1]] - centres[ends[:, 0]]
     moments = 0.5 * (branch[:, 0] * force[:, 1] + branch[:, 1] * force[:, 0])
     sides = centres[np.roll(corners, 1, axis=1)] - centres[np.roll(corners, -1, axis=1)]  # opposite to each corner
+    length = np.hypot(sides[:, :, 0], sides[:, :, 1])
+    one, other = np.roll(length, 1, axis=1), np.roll(length, -1, axis=1)
+    angles = np.arccos(np.clip((one**2 + other**2 - length**2) / (2.0 * one * other), -1.0, 1.0))
     double = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0]  # area, negative if clockwise
     # A linear function has the gradient sum(value times normal of the opposite side) over twice the area.
     shear = motion[corners, 0] * sides[:, :, 0] - motion[corners, 1] * sides[:, :, 1]
     return ShearedTriangles(
         centres[corners].mean(axis=1),
         0.5 * np.abs(double),
-        0.5 * (radius[corners] ** 2 * _angles(sides)).sum(axis=1),
+        0.5 * (radius[corners] ** 2 * angles).sum(axis=1),
         0.5 * np.sign(double) * shear.sum(axis=1),
         0.5 * _carried(corners, ends, moments, len(centres)).sum(axis=1),
     )
-
-
-def _angles(sides: Floats) -> Floats:
-    """(K, 3) angles at the corners of triangles, from the sides (K, 3, 2) opposite to them, rad."""
-    length = np.hypot(sides[:, :, 0], sides[:, :, 1])
-    one, other = np.roll(length, 1, axis=1), np.roll(length, -1, axis=1)
-    return np.asarray(np.arccos(np.clip((one**2 + other**2 - length**2) / (2.0 * one * other), -1.0, 1.0)))
 
 
 def _carried(corners: Integers, pairs: Integers, moments: Floats, count: int) -> Floats:

@@ -22,8 +22,8 @@ from sqlalchemy import Connection, delete, insert, select, update
 
 from calcidem.storage.errors import DiskError, LeaseHeldError, LeaseLostError, OutputRefusedError, StoreUnavailableError
 from calcidem.storage.files import BESIDE_A_DATABASE, refuse_to_replace, replace_file
+from calcidem.storage.records import STALE_AFTER, LeaseHolder
 from calcidem.storage.sql.tables import LEASE, exclude_others
-from calcidem.storage.store import STALE_AFTER, LeaseHolder
 
 try:
     import fcntl
@@ -35,16 +35,6 @@ else:
 
 _HELD: "weakref.WeakSet[Lease]" = weakref.WeakSet()
 """Leases with a lock."""
-
-
-def _give_up_in_child() -> None:
-    """A forked process is no master: it shares the lock, which would be held as long as it lives."""
-    for lease in list(_HELD):
-        lease.close_lock()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_give_up_in_child)
 
 
 class Lease:
@@ -145,6 +135,12 @@ class Lease:
             self._descriptor = None
             _HELD.discard(self)
 
+    @staticmethod
+    def close_locks() -> None:
+        """Close all lock files in a forked process: it is no master, and would hold the locks as long as it lives."""
+        for lease in list(_HELD):
+            lease.close_lock()
+
     def acknowledged(self) -> tuple[str, datetime] | None:
         """Token and heartbeat of the last acknowledged transaction of a master that did not end regularly.
 
@@ -241,6 +237,9 @@ class Lease:
             f"Wait until it has ended; if it died on another machine, its lease ends at {free:%H:%M:%S} UTC.",
         )
 
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=Lease.close_locks)
 
 _HOLDER = tuple(LEASE.c[field.name] for field in fields(LeaseHolder))
 

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import sqlalchemy as sa
@@ -24,6 +24,7 @@ from calcidem.storage.errors import (
     UnknownCellError,
 )
 from calcidem.storage.records import (
+    ALL_CELLS,
     ARRAY_RECORDS,
     QUANTITY_BY_NAME,
     AttemptCount,
@@ -31,8 +32,11 @@ from calcidem.storage.records import (
     CampaignRecord,
     CellKey,
     CellResult,
+    LeaseHolder,
     PackingRecord,
     RunRecord,
+    Selection,
+    StoreMark,
     unpack_arrays,
 )
 from calcidem.storage.sql.engine import Address, Connections, find_damage, refuse_damaged
@@ -52,7 +56,6 @@ from calcidem.storage.sql.tables import (
     parse_where,
     prepare_schema,
 )
-from calcidem.storage.store import ALL_CELLS, Closable, LeaseHolder, Selection, StoreMark
 
 T = TypeVar("T")
 
@@ -70,7 +73,7 @@ def chunks(items: Iterable[T], size: int = 500) -> Iterator[list[T]]:
         yield chunk
 
 
-class StoreReader(Closable):
+class StoreReader:
     """Base of a `Store`: opens its database, chooses a campaign, and reads it; nothing here changes it.
 
     Attributes
@@ -126,6 +129,12 @@ class StoreReader(Closable):
                 f"{path} was {what} while it was being written.",
                 "Put the database back if you can, and run the same command again: it computes what is not in it.",
             )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Release all connections; a closed store may be closed again."""
@@ -324,9 +333,16 @@ class StoreReader(Closable):
         names = [name for name, quantity in QUANTITY_BY_NAME.items() if quantity.formula is None]
         columns: list[Any] = [EXPRESSIONS[name].label(name) for name in names]
         statement = join_results(sa.select(CELL.c.id, *columns)).where(RESULT.c.cell_id.is_not(None)).order_by(*_BY_KEY)
+        with_names = sa.select(ARRAYS).join(CELL, CELL.c.id == ARRAYS.c.cell_id).where(ARRAYS.c.name.in_(wanted))
 
         def fetch(connection: sa.Connection, chosen: sa.ColumnElement[bool]) -> Iterator[CellResult]:
-            arrays = _arrays_of(connection, chosen, wanted) if wanted else {}
+            arrays: defaultdict[int, dict[str, Any]] = defaultdict(dict)
+            for cell_id, name, content in connection.execute(with_names.where(chosen)) if wanted else ():
+                kind: type[Any] = ARRAY_RECORDS[name]
+                unpacked = unpack_arrays(content).items()
+                arrays[cell_id][name] = kind(
+                    **{field: array if array.ndim else array.item() for field, array in unpacked}
+                )
             for cell_id, *row in connection.execute(statement.where(chosen)):
                 values = dict(zip(names, row, strict=True))
                 key = CellKey(values["seed"], values["content"])
@@ -487,16 +503,3 @@ def _refuse_unknown_contents(connection: sa.Connection, name: str, campaign_id: 
         raise UnknownCellError(
             f"There is no content {', '.join(unknown)} in campaign '{name}'.", f"There are {there_are} %."
         )
-
-
-def _arrays_of(
-    connection: sa.Connection, chosen: sa.ColumnElement[bool], wanted: Collection[str]
-) -> dict[int, dict[str, Any]]:
-    """Array records of the chosen cells, by cell and name."""
-    statement = sa.select(ARRAYS).join(CELL, CELL.c.id == ARRAYS.c.cell_id).where(chosen, ARRAYS.c.name.in_(wanted))
-    found: defaultdict[int, dict[str, Any]] = defaultdict(dict)
-    for cell_id, name, content in connection.execute(statement):
-        kind: type[Any] = ARRAY_RECORDS[name]
-        unpacked = unpack_arrays(content).items()
-        found[cell_id][name] = kind(**{field: array if array.ndim else array.item() for field, array in unpacked})
-    return found

@@ -291,7 +291,12 @@ class Store(StoreReader):
         with self._writing() as connection:
             for batch in _distinct_batches(result.pack() for result in results):
                 known = self._known_cells(connection, [result.key for result in batch])
-                accepted = [(known[result.key].id, result) for result in batch if _gives_way(known[result.key], result)]
+                accepted = [
+                    (old.id, result)
+                    for old, result in ((known[result.key], result) for result in batch)
+                    if old.status != CellStatus.DONE  # rule 5 of the contract
+                    and (old.status is None or result.status is CellStatus.DONE or result.attempt >= old.attempt)
+                ]
                 self._replace(connection, accepted, recorded)
                 stored += len(accepted)
         return stored
@@ -413,13 +418,6 @@ def _distinct_batches(results: Iterable[CellResult]) -> Iterator[list[CellResult
                 batch = {}
             batch[result.key] = result
         yield list(batch.values())
-
-
-def _gives_way(known: Row[*tuple[Any, ...]], result: CellResult) -> bool:
-    """Rule 5 of the contract: whether the new outcome replaces the stored one."""
-    if known.status == CellStatus.DONE:
-        return False
-    return known.status is None or result.status is CellStatus.DONE or bool(result.attempt >= known.attempt)
 
 
 def _insert(connection: Connection, table: Table, rows: Sequence[dict[str, Any]]) -> None:

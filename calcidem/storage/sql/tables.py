@@ -32,11 +32,11 @@ from calcidem.storage.records import (
     STORED_STATUSES,
     AttemptRecord,
     CampaignRecord,
+    LeaseHolder,
     PackingRecord,
     RunRecord,
 )
 from calcidem.storage.sql.engine import Address
-from calcidem.storage.store import LeaseHolder
 
 _SCHEMA = 4
 """Version of these tables."""

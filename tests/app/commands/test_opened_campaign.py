@@ -17,9 +17,8 @@ from calcidem.dem.sample.cement import CementKind
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.netcdf import export_netcdf, import_netcdf
-from calcidem.storage.records import canonical_json
+from calcidem.storage.records import Selection, canonical_json
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import Selection
 
 pytestmark = pytest.mark.slow
 

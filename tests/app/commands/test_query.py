@@ -12,14 +12,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calcidem.analysis.packing_graph import FEATURES, NETWORK_FEATURES
 from calcidem.app.campaign.opened import Campaign
 from calcidem.app.cli.results import _as_table, as_rows
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import QueryError
-from calcidem.storage.records import QUANTITY_BY_NAME
-from calcidem.storage.store import Selection
-from calcidem.wording import ABSENT
+from calcidem.storage.records import QUANTITY_BY_NAME, Selection
 
 Invoke = Callable[..., str]
 
@@ -134,26 +131,6 @@ def test_statuses_are_words_of_the_program(database: Path, invoke: Invoke) -> No
     """The option --status takes the known outcomes only."""
     assert "40 cells" in invoke("query", database, *(f"--status={status}" for status in CellStatus))
     assert "hostile" in invoke("query", database, "--status", "hostile", exit_code=2)
-
-
-def test_features_come_with_corrected_p_values(database: Path, invoke: Invoke, campaign: Campaign) -> None:
-    """Each feature has the coefficient of the chosen cells alone; correction makes no p smaller."""
-    rows = json.loads(invoke("query", database, "--features", "--content", 5, "--format", "json"))
-    assert [row["feature"] for row in rows] == [*FEATURES, *NETWORK_FEATURES]
-    table = campaign.to_dataframe([*(row["feature"] for row in rows), "vs"], content=5.0, status="done")
-    for row in rows:
-        assert row["pearson"] == pytest.approx(table[row["feature"]].corr(table["vs"]))
-        assert row["pearson_low"] < row["pearson"] < row["pearson_high"]
-        assert 0.0 < row["p"] <= row["p_corrected"] <= 1.0
-    assert f"{len(table)} cells with a velocity and features" in invoke("query", database, "--features", "--content", 5)
-    assert "neither" in invoke("query", database, "--features", "--limit", 3, exit_code=2)
-    with pytest.raises(QueryError, match="no selected cell has a velocity"):
-        invoke("query", database, "--features", "--where", "vs > 1e6")
-    with pytest.raises(QueryError, match="no selected cell has a velocity and features"):
-        invoke("query", database, "--features", "--content", 0)
-    few = invoke("query", database, "--features", "--content", 5, "--seed", 1, "--seed", 2)
-    assert "nan" not in few
-    assert f"({ABSENT})" in few
 
 
 def test_a_table_wider_than_a_terminal_folds() -> None:

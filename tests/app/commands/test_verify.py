@@ -28,9 +28,8 @@ from calcidem.dem.sample.packing import Packing
 from calcidem.dem.wave.measurement import measure
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import CampaignMismatchError
-from calcidem.storage.records import CellKey, CellResult
+from calcidem.storage.records import CellKey, CellResult, Selection
 from calcidem.storage.sql.store import Store
-from calcidem.storage.store import Selection
 
 pytestmark = pytest.mark.slow
 

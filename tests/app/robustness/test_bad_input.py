@@ -124,12 +124,10 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
         "has no snapshots",
     ),
     "a width that is none": (
-        ("status", "quick.db", "--halfwidth", "nan"),
         {},
         "'nan' is not a number above 0",
     ),
     "a width out of reach": (
-        ("status", "quick.db", "--halfwidth", "1e-300"),
         {},
         "'1e-300' is not a number above 0",
     ),
@@ -246,7 +244,7 @@ SHOWN = (
 )
 
 
-@pytest.mark.parametrize("line", [*SHOWN, "show --seed 1 --content 0", "query --campaign none", "status --halfwidth 1"])
+@pytest.mark.parametrize("line", [*SHOWN, "show --seed 1 --content 0", "query --campaign none"])
 def test_stored_text_does_not_control_a_terminal(bench: Workbench, line: str) -> None:
     """Texts of a database are shown with their control characters as escapes, and are no markup."""
     command, *options = line.split()

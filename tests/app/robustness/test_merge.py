@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from calcidem.app.campaign.merge import MergeConflictError, merge_databases
+from calcidem.app.campaign.merge import merge_databases
 from calcidem.app.campaign.opened import open_campaign
 from calcidem.app.campaign.packing import packing_record, stored_packing
 from calcidem.ends import CellStatus
@@ -111,7 +111,7 @@ def test_different_values_are_refused_unless_one_is_preferred(
 ) -> None:
     """Two different Vs of a done cell are listed and nothing is written; --prefer takes those of one database."""
     first, second, out = part("a.db", {1, 2}), part("b.db", {2, 3}, vs=1234.5), tmp_path / "out.db"
-    with pytest.raises(MergeConflictError, match=r"5 done cells.*\n.*seed 2, 0 %: Vs .*1234\.5 m/s in"):
+    with pytest.raises(CampaignMismatchError, match=r"5 done cells.*\n.*seed 2, 0 %: Vs .*1234\.5 m/s in"):
         merge_databases([str(first), str(second)], out)
     assert not list(tmp_path.glob("*out.db*"))
     output = invoke("merge", first, second, "--out", out, "--prefer", second)
@@ -123,7 +123,7 @@ def test_different_values_are_refused_unless_one_is_preferred(
 def test_another_number_of_broken_bonds_is_a_conflict(part: Callable[..., Path], tmp_path: Path) -> None:
     """Counts contradict each other as velocities do."""
     first, other = (part(f"{count}.db", {1, 2}, broken_bonds=count) for count in (0, 2))
-    with pytest.raises(MergeConflictError, match="different: broken_bonds"):
+    with pytest.raises(CampaignMismatchError, match="different: broken_bonds"):
         merge_databases([str(first), str(other)], tmp_path / "none.db")
 
 

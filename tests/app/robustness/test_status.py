@@ -76,17 +76,6 @@ def test_json_agrees_with_the_database(troubled: Path, invoke: Callable[..., str
     assert told["cells"]["pending"] == 6
 
 
-def test_seeds_for_a_half_width_are_told(complete: Path, invoke: Callable[..., str]) -> None:
-    """The mean at each content needs the seeds that Student's t says; pending cells are not counted on."""
-    told = json.loads(invoke("status", complete, "--format", "json", "--halfwidth", 20))
-    with open_campaign(complete) as campaign:
-        vs = campaign.vs().sel(content=5.0).dropna("seed").to_numpy()
-    (of_content,) = (row for row in told["contents"] if row["content"] == 5.0)
-    widths = {n: stats.t.ppf(0.975, n - 1) * vs.std(ddof=1) / np.sqrt(n) for n in range(2, 3000)}
-    assert of_content["seeds_needed"] == next(n for n, width in widths.items() if width <= 20)
-    assert f"  5 %: {of_content['seeds_needed']} (" in invoke("status", complete, "--halfwidth", 20)
-
-
 def test_a_content_not_yet_measured_is_forecast_from_its_neighbours(complete: Path) -> None:
     """The time left counts a new content with a cost between those on either side."""
     with Store(complete) as store:
