@@ -325,7 +325,7 @@ def test_failed_export_leaves_the_old_file(filled: Store, exported: Path, monkey
     def fail(*_: object) -> None:
         raise RuntimeError("power cut")
 
-    monkeypatch.setattr(netcdf, "_append_attempts", fail)
+    monkeypatch.setattr(netcdf, "_write_cells", fail)
     with pytest.raises(DiskError, match="power cut"):
         export_netcdf(filled, exported)
     assert exported.read_bytes() == before

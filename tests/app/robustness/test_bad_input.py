@@ -123,14 +123,6 @@ REPORTED: dict[str, tuple[tuple[str, ...], dict[str, bytes], str]] = {
         {"own_csv": DISKS.encode()},
         "has no snapshots",
     ),
-    "a width that is none": (
-        {},
-        "'nan' is not a number above 0",
-    ),
-    "a width out of reach": (
-        {},
-        "'1e-300' is not a number above 0",
-    ),
     "a pause that is none": (("status", "quick.db", "--watch", "--interval", "nan"), {}, "'nan' is not a number of"),
     "a grain of 20 digits": (
         ("predict", "quick.db", "--content", "5", "--pattern", "own.csv"),
