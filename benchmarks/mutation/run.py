@@ -6,8 +6,9 @@
 `tests/test_sentinels.py` keeps twenty of them; `equivalent.md` lists those that no test can notice.
 
 A mutant moves a number, or exchanges a sign, an operator, a comparison or a logical word. It is judged by the tests of the
-room that run its line, then by the files that import its module and by the bits that are kept in the tree, since
-programs that tests start, and lines that run at import, are not seen. Kernels are left out, since each mutant of one would be compiled anew; their naive twins
+room that run its line, then by the files that import its module, first of the room and then of all rooms, and by the
+bits that are kept in the tree, since programs that tests start, and lines that run at import, are not seen. Kernels are
+left out, since each mutant of one would be compiled anew; their naive twins
 (tests/dem/test_naive.py) compare every term of them. Prints the survivors, and the share of killed mutants of each room.
 """
 
@@ -25,7 +26,7 @@ from itertools import pairwise
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-TIME_LIMIT = 180.0
+TIME_LIMIT = 600.0
 """Seconds after which a mutant that hangs its tests counts as killed."""
 
 _OPERATORS: dict[type[ast.AST], tuple[str, str]] = {
@@ -125,17 +126,19 @@ def tests_by_line(room: str) -> dict[tuple[str, int], set[str]]:
         }
 
 
-def judges(room: str, module: Path) -> list[str]:
-    """Files of tests of the room that import the module, its own one first; all of the room if none does.
+def judges(room: str, module: Path) -> list[list[str]]:
+    """Files of tests that import the module: of the room, its own one first, or all of the room; then of other rooms.
 
     Bits that are kept in the tree judge the engine as well: a program computes them.
     """
     dotted = ".".join(module.with_suffix("").parts)
-    files = sorted((CHECKOUT / "tests" / room).glob("test_*.py"))
+    files = sorted((CHECKOUT / "tests").rglob("test_*.py"))
     found = [file for file in files if f"{dotted} import" in file.read_text(encoding="utf-8")]
     found.sort(key=lambda file: file.stem != f"test_{module.stem}")
+    own = CHECKOUT / "tests" / room
+    here = [file for file in found if own in file.parents] or [file for file in files if own in file.parents]
     bits = [CHECKOUT / "tests" / "dem" / "test_portable_bits.py"] if room == "dem" else []
-    return [str(file) for file in dict.fromkeys([*(found or files), *bits])]
+    return [[str(file) for file in dict.fromkeys([*here, *bits])], [str(file) for file in found if file not in here]]
 
 
 def is_killed(mutant: Mutant, room: str, tests: set[str]) -> tuple[bool, str]:
@@ -144,7 +147,7 @@ def is_killed(mutant: Mutant, room: str, tests: set[str]) -> tuple[bool, str]:
         shutil.copytree(CHECKOUT / "calcidem", Path(folder) / "calcidem")  # with the compiled kernels
         line = mutant.apply(Path(folder))
         seen = sorted(str(CHECKOUT / test) for test in tests)
-        return any(_fails(folder, chosen) for chosen in (seen, judges(room, mutant.module)) if chosen), line
+        return any(_fails(folder, chosen) for chosen in (seen, *judges(room, mutant.module)) if chosen), line
 
 
 def _fails(folder: str, chosen: list[str]) -> bool:
