@@ -1,8 +1,5 @@
 """Version and commit of this source. Wheel, command and all other files take the version from here."""
 
-import json
-import subprocess
-from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 __version__ = "1.0.0"
@@ -10,6 +7,10 @@ __version__ = "1.0.0"
 
 def source_commit() -> tuple[str | None, bool | None]:
     """Commit of the running source, and whether it was changed; None if unknown, as for most wheels."""
+    import json  # noqa: PLC0415 - every import of calcidem loads this module, and few ask for the commit
+    import subprocess  # noqa: PLC0415 - as above
+    from importlib.metadata import PackageNotFoundError, distribution  # noqa: PLC0415 - as above
+
     root = Path(__file__).parents[1]
     if not (root / ".git").exists():  # pip records what it installed from a repository (PEP 610)
         try:

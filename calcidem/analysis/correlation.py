@@ -112,7 +112,6 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
             "p_corrected": ("variable", share(largest[:, None] >= size)),
         },
         coords={"variable": [names[number] for number in others]},
-        attrs={"permutations": count, "samples": int(known.sum())},
     )
 
 

@@ -19,7 +19,6 @@ from calcidem.analysis.intervals import (
     UNDEFINED,
     Interval,
     bounds_of_deviation,
-    finite_values,
     mean,
     mean_half_width,
     standard_deviation,
@@ -220,7 +219,10 @@ def narrowing(values: ArrayLike, counts: Sequence[int]) -> xr.Dataset:
     samples; few values underestimate it, since it depends on rare ones. `ValueError` for fewer than two values, or a
     count below 3.
     """
-    sample = finite_values(values)
+    sample = np.asarray(values, dtype=np.float64)
+    sample = sample[np.isfinite(sample)]
+    if sample.size <= 1:
+        raise ValueError(f"{sample.size} values are not NaN; a standard deviation needs at least two")
     if min(counts, default=3) < 3:  # fewer values always have the same skewness
         raise ValueError(f"counts holds {min(counts)}; a standard deviation and a skewness need at least 3 seeds")
     deviation = float(standard_deviation(sample))

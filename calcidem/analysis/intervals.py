@@ -202,12 +202,3 @@ def next_seed_count(values: ArrayLike, most: int, *, mean: float | None = None, 
 def mean_half_width(deviation: float, n: int, level: float) -> float:
     """Half-width of the interval of the mean of n samples, in the unit of the deviation."""
     return _student_quantile(n - 1, (1 + level) / 2) * deviation / math.sqrt(n)
-
-
-def finite_values(values: ArrayLike) -> NDArray[np.float64]:
-    """Values that are finite numbers; `ValueError` if fewer than two are."""
-    sample = np.asarray(values, dtype=np.float64)
-    sample = sample[np.isfinite(sample)]
-    if sample.size <= 1:
-        raise ValueError(f"{sample.size} values are not NaN; a standard deviation needs at least two")
-    return sample

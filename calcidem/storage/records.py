@@ -15,7 +15,7 @@ import zipfile
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime, timedelta
-from functools import partial
+from functools import lru_cache, partial
 from hashlib import sha256
 from html import escape
 from pathlib import Path
@@ -856,10 +856,17 @@ def unpack_arrays(blob: bytes) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
     for name, content in zip_members(blob).items():  # as `numpy.load` reads them
         start = 10 + int.from_bytes(content[8:10], "little")  # version 1: the header's length is before the header
-        header = io.BytesIO(content[:start])
-        if np.lib.format.read_magic(header) != (1, 0):
-            raise ValueError("no array that `pack_arrays` wrote")
-        shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(header)
+        shape, is_fortran, dtype = _read_header(content[:start])
         values = np.frombuffer(content, dtype, offset=start)
         arrays[name.removesuffix(".npy")] = values.reshape(shape, order="F" if is_fortran else "C")
     return arrays
+
+
+@lru_cache(1024)  # cached, since parsing takes longest and most cells have the same headers
+def _read_header(header: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and type in the header of an ``.npy`` file of version 1."""
+    file = io.BytesIO(header)
+    if np.lib.format.read_magic(file) != (1, 0):
+        raise ValueError("no array that `pack_arrays` wrote")
+    found: tuple[tuple[int, ...], bool, np.dtype[Any]] = np.lib.format.read_array_header_1_0(file)
+    return found

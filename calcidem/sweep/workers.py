@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass
+from functools import cache
 from hashlib import sha256
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeAlias
@@ -294,6 +295,12 @@ _computations: dict[str, Compute[Any, Any]] = {}
 _loading = threading.Lock()
 
 
+@cache  # one thread for all computations; a forked process inherits the entries of its parent, which has another one
+def _end_with(master: int) -> None:
+    """End this worker after its master: without one it would wait for ever."""
+    end_after(master, 1.0, EXIT_RESUMABLE)
+
+
 def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_limit: float | None) -> bytes:
     """Compute a batch in a worker.
 
@@ -305,7 +312,7 @@ def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_
             if computation is None:
                 return pickle.dumps((worker, None))
             if (parent := multiprocessing.parent_process()) is not None and parent.pid is not None:
-                end_after(parent.pid, 1.0, EXIT_RESUMABLE)  # without its master a worker would wait for ever
+                _end_with(parent.pid)
             _computations.clear()
             _computations[key] = pickle.loads(computation)  # noqa: S301 - written by the master of the same program
         compute = _computations[key]

@@ -40,7 +40,9 @@ def test_values_without_scatter_have_no_error() -> None:
 
 
 def test_impossible_plans_are_refused() -> None:
-    """Counts below three are refused."""
+    """A single value and counts below three are refused."""
+    with pytest.raises(ValueError, match="at least two"):
+        narrowing([1.0, float("nan")], [4])
     with pytest.raises(ValueError, match="at least 3 seeds"):
         narrowing([1.0, 2.0, 3.0], [2, 5])
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from calcidem.app.campaign.cells import SeedDemand
 from calcidem.app.campaign.opened import open_campaign
@@ -179,7 +180,7 @@ def test_a_cell_that_is_given_up_at_a_start_counts_at_that_start(tmp_path: Path)
 
 
 def test_a_preview_counts_the_seeds_that_are_added(tmp_path: Path) -> None:
-    """Of a run that was stopped once its first seeds were done."""
+    """Of a run that was stopped once its first seeds were done; their scatter gives the half-width of the mean."""
     path = tmp_path / "c.toml"
     path.write_text(UNTIL.format(seeds=8, until="{ mean = 0.02 }"))
     configuration = load_configuration(path, {"database": str(tmp_path / "c.db"), "output": str(tmp_path)})
@@ -188,8 +189,12 @@ def test_a_preview_counts_the_seeds_that_are_added(tmp_path: Path) -> None:
         work._plan_batches()
         work.store.record_results([measured(Batch(((seed, 0.66),)), lambda: None)[0] for seed in range(1, 9)])
         count = len(SeedDemand.of_store(work.store, configuration.campaign).cells) - 8
+        vs = work.store.table(("vs",))["vs"].astype(float)
     assert count > 0
-    assert f"8 are finished, {count} samples are to be computed" in next(preview_lines(configuration))
+    lines = preview_lines(configuration)
+    assert f"8 are finished, {count} samples are to be computed" in next(lines)
+    half_width = stats.t.ppf(0.975, 7) * np.nanstd(vs, ddof=1) / np.sqrt(8)
+    assert f"All 8 seeds give the mean of Vs to +- {half_width:.1f} m/s (0.66 %)" in next(lines)
 
 
 @pytest.mark.full

@@ -109,6 +109,20 @@ def test_processes_unpickle_the_computation_once(sink: "MemorySink", tmp_path: P
     assert {outcome.rank for outcome in sink.outcomes} == set(range(1, len(notes) + 1))
 
 
+def test_a_worker_of_many_sweeps_watches_its_master_once(sink: "MemorySink", tmp_path: Path) -> None:
+    """Studies give one pool a computation after another: none of them leaves a thread and an open file."""
+    with ProcessPoolExecutor(1, mp_context=get_context("forkserver")) as pool:
+        for name in ("first", "second", "third"):
+            assert run_sweep(pool, planned(), Fault(name, tmp_path), sink).state is SweepState.COMPLETE
+        assert pool.submit(_watchers).result() <= 1  # none without pidfd_open
+    (notes,) = tmp_path.glob("unpickled-*")
+    assert notes.read_text() == 3 * "once\n"
+
+
+def _watchers() -> int:
+    return sum(thread.name == "watch-master" for thread in threading.enumerate())
+
+
 @pytest.mark.parametrize("kind", ["raise", "unpicklable", "slow"])
 def test_a_failure_on_an_executor_is_that_of_a_serial_run(sink: "MemorySink", tmp_path: Path, kind: str) -> None:
     """An exception or a result that cannot be pickled costs its cell, a time limit its batch."""

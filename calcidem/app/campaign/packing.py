@@ -22,8 +22,10 @@ from calcidem.app.config.schema import PHYSICS_VERSION, Configuration
 from calcidem.dem.engine.scene import Preload
 from calcidem.dem.sample.cement import (
     GIVEN,
+    CementCapacityError,
     PlacedCement,
     RandomPurpose,
+    UnknownPatternError,
     random_generator,
 )
 from calcidem.dem.sample.packing import (
@@ -266,7 +268,7 @@ def with_patterns(store: "Store", outcomes: Iterable[CellResult]) -> Iterator[Ce
         try:
             seed = outcome.key.seed if outcome.key.content else 0
             cement = ordering(outcome.packing_index, seed).at(outcome.key.content)
-        except (StoreError, ValueError):  # more cement than there is room, or a pattern that no package has
+        except (StoreError, CementCapacityError, UnknownPatternError):
             yield outcome
             continue
         drawn = cement.content_reached, cement.p_contacts, cement.c_contacts, cement.clusters

@@ -17,7 +17,6 @@ from calcidem.analysis.velocity import FEWEST_GRAINS
 from calcidem.app.campaign.cells import SeedDemand, batches_of, planned_cells, time_of_wave
 from calcidem.app.campaign.launch import Launch, find_mpirun, launcher_options
 from calcidem.app.campaign.packing import CACHE_VARIABLE, cache_folder, check_path, kept_packing, stored_packing
-from calcidem.app.campaign.status import FEWEST_TO_PLAN
 from calcidem.app.config.checks import (
     can_make_files,
     check_against_packing,
@@ -125,7 +124,7 @@ def _expected_half_widths(store: Store, configuration: Configuration) -> dict[fl
     return {
         content: mean_half_width(float(np.std(values, ddof=1)), max(len(plan.seed_numbers), 2), 0.95)
         for content, values in known.items()
-        if len(values) >= FEWEST_TO_PLAN and content > 0.0  # no scatter without cement
+        if len(values) >= 3 and content > 0.0  # a deviation of fewer has no meaning; no scatter without cement
     }
 
 

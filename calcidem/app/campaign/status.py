@@ -52,9 +52,6 @@ UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)
 
 _STATUS_BY_NAME = {status.value: status for status in CellStatus}  # a call of the class takes ten times as long
 
-FEWEST_TO_PLAN = 3
-"""Number of velocities below which a standard deviation has no meaning."""
-
 URGENCY = {status: place for place, status in enumerate((*_TROUBLES, CellStatus.PENDING, CellStatus.DONE))}
 """Rank of each status, the most severe first; pending before done."""
 

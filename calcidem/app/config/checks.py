@@ -10,7 +10,7 @@ import numpy as np
 
 from calcidem.app.config.schema import Configuration, ConfigurationError, Problem
 from calcidem.dem.engine.fields import quote, require
-from calcidem.dem.sample.cement import find_pattern
+from calcidem.dem.sample.cement import UnknownPatternError, find_pattern
 from calcidem.dem.sample.packing import Packing, expected_overlap, judge_disks, judge_stress
 from calcidem.dem.wave.experiment import (
     DEEPEST_LISTENING,
@@ -86,7 +86,7 @@ def _rest_problems(configuration: Configuration) -> Iterator[Problem]:
     if configuration.pattern.drawn_by is not None:
         try:
             find_pattern(configuration.pattern.drawn_by)
-        except ValueError as error:
+        except UnknownPatternError as error:
             yield Problem(f"pattern.{error}", ("pattern.drawn_by",))
     fault = judge_stress(packing.stress, sum(packing.diameter) / 2.0, sand)
     if fault and configuration.packing_draw.file is None:  # the packing of disks in a file is checked later

@@ -32,15 +32,19 @@ GIVEN: dict[str, Pattern] = {}
 """Patterns that the calling program gave to this process, by name; they stand before those of packages."""
 
 
+class UnknownPatternError(ValueError):
+    """No package has the pattern of a configuration."""
+
+
 def find_pattern(name: str) -> Pattern:
-    """Pattern of that name: given, or an entry point of the group ``calcidem.patterns``; `ValueError`."""
+    """Pattern of that name: given, or an entry point of the group ``calcidem.patterns``; `UnknownPatternError`."""
     if name in GIVEN:
         return GIVEN[name]
     for found in entry_points(group="calcidem.patterns", name=name):
         pattern: Pattern = found.load()
         return pattern
     known = ", ".join(sorted({*GIVEN, *entry_points(group="calcidem.patterns").names})) or "none"
-    raise ValueError(
+    raise UnknownPatternError(
         f'drawn_by = "{name}": no installed package has this pattern (entry point of the group calcidem.patterns), and '
         f"calcidem.run was given none; known are: {known}"
     )

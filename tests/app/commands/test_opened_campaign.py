@@ -13,7 +13,7 @@ from calcidem.app.campaign import opened as opened_campaign
 from calcidem.app.campaign.opened import Campaign, open_campaign
 from calcidem.app.campaign.packing import with_patterns
 from calcidem.app.config.schema import Configuration
-from calcidem.dem.sample.cement import CementKind
+from calcidem.dem.sample.cement import GIVEN, CementKind
 from calcidem.dem.wave.experiment import Experiment
 from calcidem.storage.errors import StoreError, UnknownCellError
 from calcidem.storage.netcdf import export_netcdf, import_netcdf
@@ -64,6 +64,19 @@ def test_cement_that_is_not_stored_is_drawn_as_it_was(campaign: Campaign, monkey
     physics = canonical_json(campaign.config | {"physics_version": 0})
     monkeypatch.setattr(campaign.store, "_record", replace(campaign.record, config=physics))
     assert list(with_patterns(campaign.store, without)) == without
+
+
+def test_only_a_pattern_that_no_package_has_leaves_cells_without_cement(
+    campaign: Campaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pattern that is not installed cannot draw it; one that gives no order is an error, not a missing pattern."""
+    without = [replace(cell, cement=None) for cell in campaign.store.results(Selection(1, 5), with_arrays=True)]
+    config = campaign.config | {"pattern": campaign.config["pattern"] | {"drawn_by": "own"}}
+    monkeypatch.setattr(campaign.store, "_record", replace(campaign.record, config=canonical_json(config)))
+    assert list(with_patterns(campaign.store, without)) == without
+    monkeypatch.setitem(GIVEN, "own", lambda points, _: np.arange(len(points) - 1))
+    with pytest.raises(ValueError, match="no permutation"):
+        list(with_patterns(campaign.store, without))
 
 
 def test_an_export_without_cement_is_analysed_like_the_database(campaign: Campaign, tmp_path: Path) -> None:
