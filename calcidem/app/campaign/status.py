@@ -213,23 +213,15 @@ class CampaignStatus:
         """Present progress of a stored campaign; `StoreError` if the database is unreadable or lacks the campaign."""
         with read_campaign(database, campaign_name) as store:
             columns = store.table([name for name in STATUS_QUANTITIES if name != "seconds"])
-            columns["seconds"] = _sampled_seconds(store, columns)
+            # Seconds belong to attempts; in a large campaign those of some seeds suffice for a mean at each content.
+            columns["seconds"] = np.full(len(columns["seed"]), np.nan)
+            seeds = np.unique(columns["seed"][columns["status"] != CellStatus.PENDING.value])
+            chosen = seeds[:: max(1, math.ceil(len(columns["seed"]) / 20_000))]
+            found = store.table(("seconds",), Selection(chosen.tolist()))["seconds"]
+            places = np.isin(columns["seed"], chosen)
+            if np.count_nonzero(places) == len(found):  # otherwise cells were planned meanwhile
+                columns["seconds"][places] = found
             return cls.of(store, columns, _troubles_of(store, columns))
-
-
-def _sampled_seconds(store: Store, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-    """Computing time of each cell, s; in a large campaign only of some seeds, else NaN.
-
-    They are read in a separate query, since they belong to attempts.
-    """
-    seconds = np.full(len(columns["seed"]), np.nan)
-    seeds = np.unique(columns["seed"][columns["status"] != CellStatus.PENDING.value])
-    chosen = seeds[:: max(1, math.ceil(len(seconds) / 20_000))]  # cells, enough for a mean at each content
-    found = store.table(("seconds",), Selection(chosen.tolist()))["seconds"]
-    places = np.isin(columns["seed"], chosen)
-    if np.count_nonzero(places) == len(found):  # otherwise cells were planned meanwhile
-        seconds[places] = found
-    return seconds
 
 
 def _content_status(

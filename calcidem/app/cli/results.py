@@ -204,10 +204,17 @@ def query_command(
 ) -> None:
     """Show the cells that meet all conditions."""
     from calcidem.app.cli.views import pulse_remark
+    from calcidem.storage.files import refuse_to_replace, write_text_atomically
     from calcidem.storage.records import QUANTITY_BY_NAME, depends_on_pulse
     from calcidem.storage.sql.store import read_campaign
 
-    layout = layout if out is None else _layout_of_file(out, layout)
+    if out is not None:
+        refuse_to_replace(out)
+        if layout is Format.TABLE:  # the ending chooses
+            layouts = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET, ".txt": Format.TABLE}
+            if out.suffix.lower() not in layouts:
+                raise typer.BadParameter(f"{out} ends with none of {', '.join(layouts)}", param_hint="--out")
+            layout = layouts[out.suffix.lower()]
     selection = Selection(seed or None, content or None, status or None, where)
     names = tuple(dict.fromkeys(_split_list("seed,content,status,vs,vs_error,seconds" if columns is None else columns)))
     names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
@@ -224,22 +231,9 @@ def query_command(
         width = Console().width if sys.stdout.isatty() else 100_000
         typer.echo(_as_table(_headings(names), rows, remark, width), nl=False)
     else:
-        from calcidem.storage.files import write_text_atomically
-
         write_text_atomically(out, _as_table(_headings(names), rows, remark))
     if out is not None:
         say(f"Wrote {out}: {remark}")
-
-
-def _layout_of_file(out: Path, layout: Format) -> Format:
-    """Format of a file to write, by its ending if none was chosen; an unusable place or ending is refused."""
-    from calcidem.storage.files import refuse_to_replace
-
-    refuse_to_replace(out)
-    layouts = {".json": Format.JSON, ".csv": Format.CSV, ".parquet": Format.PARQUET, ".txt": Format.TABLE}
-    if layout is Format.TABLE and out.suffix.lower() not in layouts:
-        raise typer.BadParameter(f"{out} ends with none of {', '.join(layouts)}", param_hint="--out")
-    return layouts[out.suffix.lower()] if layout is Format.TABLE else layout
 
 
 def _split_list(text: str) -> list[str]:
