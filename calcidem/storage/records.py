@@ -1,9 +1,9 @@
 """All records that callers of the store give and get: cells with their samples, attempts, runs, packings, campaigns.
 
-Here are also selections of cells, and the process that holds the lease of a campaign.
-They are frozen and hold SI units (contents in percent of the sand's mass). A missing number is None in a record and
-NULL in the database, never NaN. The outcome of a cell is its `CellStatus`. What the store has no columns for is
-canonical JSON with a hash, or compressed arrays.
+Selections of cells, and the process that holds the lease of a campaign, are here, too. Records are frozen and hold SI
+units (contents in percent of the sand's mass). A missing number is None in a record and NULL in the database, never
+NaN. The outcome of a cell is its `CellStatus`. What the store has no columns for is canonical JSON with a hash, or
+compressed arrays.
 """
 
 import io

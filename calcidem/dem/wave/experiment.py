@@ -35,12 +35,12 @@ _Arguments = TypeVarTuple("_Arguments")
 
 TRANSMITTER = 1  # index of the wall of `wave_scene`
 DEEPEST_LISTENING = 0.3
-"""Largest listening depth over box width; beyond it, velocities in a lattice are over 10 % high (docs/velocity.md)."""
+"""Largest listening depth over box width; beyond it, velocities in a lattice are over 10 % high."""
 
 
 Transmitter = Literal["wall", "driven"]
 
-FEWEST_SAMPLES = 20  # samples per period of the pulse; with 20 a peak shifts by 0.1 % (docs/velocity.md)
+FEWEST_SAMPLES = 20  # samples per period of the pulse; with 20 a peak shifts by 0.1 %
 
 
 @checked
