@@ -5,7 +5,7 @@ import zlib
 from base64 import b64encode
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import groupby
+from itertools import groupby, tee
 from typing import Any
 
 import numpy as np
@@ -58,12 +58,11 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> tuple[dict[str, s
     known: dict[tuple[int, float], MeasuredSample] = {}
     with suppress(UnavailableError):  # the cement of samples with analysed paths need not be drawn again
         known = {(sample.seed, sample.content): sample for sample in analysis.samples}
-    stored = analysis.store.results(ALL_CELLS, with_arrays=True)
+    stored, again = tee(analysis.store.results(ALL_CELLS, with_arrays=True))
+    strange = (cell for cell in again if (cell.key.seed, cell.key.content) not in known)
+    cemented = analysis.with_cement(analysis.store, strange)  # each of them in turn, so that it is prepared once
     for seed, grouped in groupby(stored, lambda cell: cell.key.seed):
-        cells = list(grouped)
-        strange = [cell for cell in cells if (cell.key.seed, cell.key.content) not in known]
-        with_cement = {cell.key: cell for cell in analysis.with_cement(analysis.store, strange)}
-        cells = [with_cement.get(cell.key, cell) for cell in cells]
+        cells = [cell if (seed, cell.key.content) in known else next(cemented) for cell in grouped]
         text = _compress(list(describe_cells(analysis, cells, graphs, known)))
         if len(text) > room:
             break
