@@ -318,7 +318,7 @@ SUBJECTS = {
     "configurations": Subject(configurations(), use_configuration, 20, 600),
     "bytes of a configuration": Subject(spoiled(preset_text("quick").encode()), use_configuration, 4, 200),
     "tables of disks": Subject(spoiled(DISKS.encode(), CELLS), use_disks, 15, 300),
-    "tables of targets": Subject(spoiled(TARGETS, CELLS), use_targets, 8, 200),
+    "tables of targets": Subject(spoiled(TARGETS, CELLS), use_targets, 8, 100),
     "plans of variants": Subject(spoiled(PLAN), use_plan, 10, 200),
     "filters": Subject(filters, use_filter, 20, 500),
     "command lines": Subject(command_lines, use_words, 12, 1000),
