@@ -315,13 +315,13 @@ class Subject:
 
 
 SUBJECTS = {
-    "configurations": Subject(configurations(), use_configuration, 20, 600),
-    "bytes of a configuration": Subject(spoiled(preset_text("quick").encode()), use_configuration, 4, 200),
-    "tables of disks": Subject(spoiled(DISKS.encode(), CELLS), use_disks, 15, 300),
+    "configurations": Subject(configurations(), use_configuration, 20, 400),
+    "bytes of a configuration": Subject(spoiled(preset_text("quick").encode()), use_configuration, 4, 150),
+    "tables of disks": Subject(spoiled(DISKS.encode(), CELLS), use_disks, 15, 200),
     "tables of targets": Subject(spoiled(TARGETS, CELLS), use_targets, 8, 100),
-    "plans of variants": Subject(spoiled(PLAN), use_plan, 10, 200),
-    "filters": Subject(filters, use_filter, 20, 500),
-    "command lines": Subject(command_lines, use_words, 12, 1000),
+    "plans of variants": Subject(spoiled(PLAN), use_plan, 10, 100),
+    "filters": Subject(filters, use_filter, 20, 400),
+    "command lines": Subject(command_lines, use_words, 12, 600),
 }
 
 
@@ -351,7 +351,7 @@ def test_no_input_ends_in_a_traceback(bench: Workbench, subject: str) -> None:
 @pytest.mark.full
 @pytest.mark.parametrize("subject", SUBJECTS)
 def test_no_input_of_thousands_ends_in_a_traceback(bench: Workbench, subject: str) -> None:
-    """The same for 3,000 inputs, others each time."""
+    """The same for 2,000 inputs, others each time."""
     fuzz(bench, SUBJECTS[subject], SUBJECTS[subject].many, always_the_same=False)
 
 
