@@ -142,7 +142,7 @@ def test_the_other_campaign_can_be_chosen(browser: Chromium, live: Live) -> None
 @pytest.mark.mpi
 def test_the_map_grows_during_a_run(browser: Chromium, workshop: "Workshop") -> None:
     """With --serve cells, means and status of a real run appear one after the other; it leaves no process."""
-    workshop.configure(seeds=16)
+    workshop.configure(seeds=64)
     process = workshop.start("run", "c.toml", "--serve", "--ranks", "3")
     assert process.stdout is not None
     address = ADDRESS.fullmatch(process.stdout.readline())
@@ -154,7 +154,7 @@ def test_the_map_grows_during_a_run(browser: Chromium, workshop: "Workshop") -> 
         states.add(browser.evaluate("document.querySelector('.campaign p:nth-of-type(2)')?.textContent"))
         if share and (not counted or share != counted[-1]):
             counted.append(share)
-        maps.add(browser.evaluate("document.getElementById('map').toDataURL()"))
+        maps |= {browser.evaluate("document.getElementById('map')?.toDataURL()")} - {None}  # before it is drawn
     finished = workshop.wait(process)
     assert finished.code == 0, finished.errors
     assert len(counted) > 2
@@ -162,7 +162,7 @@ def test_the_map_grows_during_a_run(browser: Chromium, workshop: "Workshop") -> 
     assert counted == sorted(counted, key=lambda text: int(text.split()[0]))
     assert any(state and state.startswith("Running on ") and "with 2 workers" in state for state in states)
     browser.wait_for("document.getElementById('connection').textContent.startsWith('The server has ended. All cells')")
-    assert browser.evaluate("document.querySelector('.campaign p:nth-of-type(3)').textContent").startswith("48 of 48")
+    assert browser.evaluate("document.querySelector('.campaign p:nth-of-type(3)').textContent").startswith("192 of 192")
     assert "refused" not in finished.output + finished.errors
     assert address[3] not in finished.output + finished.errors
     assert workshop.leaves_no_process()

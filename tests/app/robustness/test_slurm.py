@@ -11,11 +11,12 @@ from pathlib import Path
 
 import pytest
 
+import calcidem
 from calcidem.app.campaign.opened import open_campaign
 
 sys.path.insert(0, str(Path(__file__).with_name("programs")))
 
-from fault_matrix import CHECKOUT, CONFIGURATION, NO_LIMIT
+from fault_matrix import CHECKOUT, CONFIGURATION, NO_LIMIT, Trial
 from slurm_cluster import NO_SLURM, Cluster, can_start_slurm
 
 pytestmark = [pytest.mark.mpi, pytest.mark.full, pytest.mark.skipif(not can_start_slurm(), reason=NO_SLURM)]
@@ -23,8 +24,8 @@ pytestmark = [pytest.mark.mpi, pytest.mark.full, pytest.mark.skipif(not can_star
 PATIENCE = 400.0
 """Seconds for a job with one requeue; Slurm looks at time limits every half minute, and the machine may be busy."""
 
-SEEDS = 200
-"""400 cells: half a minute on one core, so that the job does not end before its signal, 0 to 30 s after its start."""
+COMPUTING = 60.0
+"""Seconds of one core, so that the job does not end before its signal, 0 to 30 s after its start."""
 
 
 @pytest.fixture
@@ -40,9 +41,18 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
         machine.stop()
 
 
+def seconds_of_a_cell(folder: Path) -> float:
+    """Measure 40 cells on this machine."""
+    configuration = folder / "first.toml"
+    configuration.write_text(CONFIGURATION.format(step=Trial.STEP, time_limit=NO_LIMIT, seeds=20))
+    with calcidem.run(configuration, db=folder / "first.db", output=folder, progress=False) as campaign:
+        return float(campaign.to_dataframe(["seconds"])["seconds"].mean())
+
+
 def test_a_job_at_its_time_limit_is_requeued_and_completes(cluster: Cluster, tmp_path: Path) -> None:
     """The job of `init --slurm` is told of its limit, ends with 75, starts anew and computes no cell twice."""
-    (tmp_path / "c.toml").write_text(CONFIGURATION.format(time_limit=NO_LIMIT, seeds=SEEDS))
+    seeds = round(COMPUTING / 2 / seconds_of_a_cell(tmp_path))
+    (tmp_path / "c.toml").write_text(CONFIGURATION.format(step=Trial.STEP, time_limit=NO_LIMIT, seeds=seeds))
     cluster.variables |= {
         "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
         "PYTHONPATH": str(CHECKOUT),
@@ -67,7 +77,7 @@ def test_a_job_at_its_time_limit_is_requeued_and_completes(cluster: Cluster, tmp
     assert "SIGUSR1: running batches were finished" in told
     with open_campaign(tmp_path / "results" / "small.db") as campaign:
         assert len(campaign.store.pending()) == 0
-        assert sum(1 for _ in campaign.store.history()) == 2 * SEEDS
+        assert sum(1 for _ in campaign.store.history()) == 2 * seeds
         runs = [run for _, run in campaign.runs()]
     assert len(runs) == int(job["Restarts"]) + 1
     assert {run.slurm_job_id for run in runs} == {number}

@@ -74,14 +74,14 @@ class FaultyComputation:
     def __call__(self, batch: Batch[Any], raise_if_stopped: Callable[[], None]) -> Any:  # noqa: ANN401 - as the sweep has it
         """Compute a batch, or do what was ordered."""
         self._batches += 1
+        if FAULT and self._batches > 1:
+            time.sleep(0.5)  # a commit has all results that have come, and the first shall be stored by then
         due = {"before": 1, "after": 2}.get(MOMENT)
         if VICTIM == "worker" and self._batches == due and is_first_time():
             if FAULT == "time limit":
                 while True:
                     raise_if_stopped()
                     time.sleep(0.01)
-            if MOMENT == "after":
-                time.sleep(0.3)  # the master stores the first result right after it has sent this batch
             OWN_FAULTS[FAULT]()
         return self._compute(batch, raise_if_stopped)
 
