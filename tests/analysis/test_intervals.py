@@ -82,6 +82,17 @@ def test_deviation_interval_of_a_sample_with_the_least_kurtosis() -> None:
         assert (interval.low, interval.high) == pytest.approx(tuple(expected), rel=1e-8)
 
 
+def test_deviation_interval_of_eight_values_by_hand() -> None:
+    """Bonett (2006): of 2 4 4 4 5 5 7 9 a quarter is trimmed at each end, which leaves the mean 4.5."""
+    z, n = 1.959964, 8
+    kurtosis = n * (2 * 2.5**4 + 5 * 0.5**4 + 4.5**4) / 32**2
+    correction = n / (n - z)
+    error = correction * np.sqrt((kurtosis - (n - 3) / n) / (n - 1))
+    found = Interval.of_standard_deviation(SAMPLE)
+    expected = [np.sqrt(32 / 7 * correction * np.exp(sign * z * error)) for sign in (-1, 1)]
+    assert (found.low, found.high) == pytest.approx(expected, rel=1e-6)
+
+
 def test_prediction_interval_from_a_printed_quantile() -> None:
     """With 7 degrees of freedom the 97.5 % point of Student's t is 2.365 in printed tables."""
     half = 2.365 * np.sqrt(32 / 7) * np.sqrt(1 + 1 / 8)
