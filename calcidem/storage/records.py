@@ -262,8 +262,11 @@ STATUS_CODES = {name: code for code, name in enumerate((CellStatus.PENDING, *STO
 
 
 def _storable(text: str) -> str:
-    """Text that every database takes: file names may have bytes that are no UTF-8, and PostgreSQL takes no null."""
-    return text.encode("utf-8", "backslashreplace").decode().replace("\0", "\\0")
+    """Text that every database takes: file names may have bytes that are no UTF-8, and PostgreSQL takes no null.
+
+    `TypeError` for what is no text, as in a damaged database.
+    """
+    return str.encode(text, "utf-8", "backslashreplace").decode().replace("\0", "\\0")
 
 
 def canonical_content(content: float) -> float:

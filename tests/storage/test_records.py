@@ -80,6 +80,12 @@ def test_a_record_is_a_table_in_a_notebook() -> None:
     assert "arrays" not in page
 
 
+def test_a_reason_that_is_no_text_is_one_of_a_damaged_database(records: "Records") -> None:
+    """A bit that changed may make it NULL; the error is one that a store tells as damage."""
+    with pytest.raises(TypeError):
+        dataclasses.replace(records.done(7, 5.0), reason=None)  # type: ignore[arg-type]  # as read
+
+
 @given(st.floats(0.0, 100.0), st.floats(-4e-10, 4e-10))
 def test_near_contents_are_one_key(content: float, noise: float) -> None:
     """Contents rounded to nine decimals keep their key under any noise below half of the last decimal."""
