@@ -77,7 +77,7 @@ def test_an_account_is_summed_up_pair_by_pair() -> None:
     """Where energies are counted, bundles are not made, and nothing that moves differs."""
     counted = flown(replace(ACCOUNT, bundles=True, midpoint=True))
     assert counted.account.any()
-    assert kernel_bytes(counted) == kernel_bytes(flown(HERTZ))
+    assert kernel_bytes(counted) == kernel_bytes(flown(BONDED))
 
 
 @pytest.mark.parametrize("block", [8, 16, 200])
