@@ -83,7 +83,7 @@ def recorded(state: State, calls: list[int], stride: int, drive: np.ndarray) -> 
     for steps in calls:
         nobody, listeners = np.zeros(0, dtype=np.int64), np.array([0])
         groups = np.array([0, 1])
-        recording = Recording(drive, 0, nobody, done, stride, listeners, groups, np.array([1]), samples)
+        recording = Recording(drive, 0, nobody, done, stride, listeners, groups, np.array([0]), samples)
         state = run_in_place(state, steps, recording)
         done += steps
     return state, samples
