@@ -89,7 +89,7 @@ def preview_lines(configuration: Configuration, ranks: int | None = None) -> Ite
         best, worst = min(widths, key=widths.__getitem__), max(widths, key=widths.__getitem__)
         yield (
             f"All {len(plan.seed_numbers)} seeds give the mean of Vs to +- {widths[best]:.1f} m/s ({best:g} %) to "
-            f"+- {widths[worst]:.1f} m/s ({worst:g} %), 95 %; campaign.until computes those for another."
+            f"+- {widths[worst]:.1f} m/s ({worst:g} %), 95 %; campaign.until adds seeds until it is narrow enough."
         )
     yield f"Database: {address}{', new' if is_new else ''}"
     if note := calibration_note(configuration):

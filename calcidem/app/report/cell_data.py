@@ -3,9 +3,10 @@
 import json
 import zlib
 from base64 import b64encode
+from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import groupby, tee
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -58,11 +59,18 @@ def gather_cell_data(analysis: CampaignAnalysis, room: int) -> tuple[dict[str, s
     known: dict[tuple[int, float], MeasuredSample] = {}
     with suppress(UnavailableError):  # the cement of samples with analysed paths need not be drawn again
         known = {(sample.seed, sample.content): sample for sample in analysis.samples}
-    stored, again = tee(analysis.store.results(ALL_CELLS, with_arrays=True))
-    strange = (cell for cell in again if (cell.key.seed, cell.key.content) not in known)
-    cemented = analysis.with_cement(analysis.store, strange)  # each of them in turn, so that it is prepared once
+    strange: deque[CellResult] = deque()
+    cemented = analysis.with_cement(analysis.store, iter(strange.popleft, None))  # prepared once, not for each seed
+
+    def with_cement(cell: CellResult) -> CellResult:
+        if (cell.key.seed, cell.key.content) in known:
+            return cell
+        strange.append(cell)
+        return next(cemented)
+
+    stored = analysis.store.results(ALL_CELLS, with_arrays=True)
     for seed, grouped in groupby(stored, lambda cell: cell.key.seed):
-        cells = [cell if (seed, cell.key.content) in known else next(cemented) for cell in grouped]
+        cells = [with_cement(cell) for cell in grouped]
         text = _compress(list(describe_cells(analysis, cells, graphs, known)))
         if len(text) > room:
             break

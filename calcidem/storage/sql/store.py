@@ -291,12 +291,12 @@ class Store(StoreReader):
         with self._writing() as connection:
             for batch in _distinct_batches(result.pack() for result in results):
                 known = self._known_cells(connection, [result.key for result in batch])
-                accepted = [
-                    (old.id, result)
-                    for old, result in ((known[result.key], result) for result in batch)
-                    if old.status != CellStatus.DONE  # rule 5 of the contract
-                    and (old.status is None or result.status is CellStatus.DONE or result.attempt >= old.attempt)
-                ]
+                accepted = []
+                for result in batch:
+                    old = known[result.key]
+                    replaces = old.status is None or result.status is CellStatus.DONE or result.attempt >= old.attempt
+                    if replaces and old.status != CellStatus.DONE:  # rule 5 of the contract
+                        accepted.append((old.id, result))
                 self._replace(connection, accepted, recorded)
                 stored += len(accepted)
         return stored
