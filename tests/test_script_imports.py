@@ -8,7 +8,7 @@ import pytest
 from places import CHECKOUT
 
 FOLDERS = ("benchmarks", "docs", "examples", "scripts")
-SCRIPTS = sorted(file for folder in FOLDERS for file in (CHECKOUT / folder).rglob("*.py"))
+SCRIPTS = sorted(file for folder in FOLDERS for file in (CHECKOUT / folder).rglob("*.py") if ".venv" not in file.parts)
 
 
 def missing_names(source: str) -> list[str]:
