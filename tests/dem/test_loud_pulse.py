@@ -10,7 +10,7 @@ from scenes import HERTZ, RADIUS, SOFT, pair_scene
 from calcidem.dem.engine.readout import unbalanced_ratio
 from calcidem.dem.engine.scene import Cement, Sand
 from calcidem.dem.engine.state import start
-from calcidem.dem.kernels.layout import Floats, X, Y
+from calcidem.dem.kernels.layout import ROTATION, Floats, X, Y
 from calcidem.dem.sample.compaction import make_packing
 from calcidem.dem.sample.packing import PackingRule
 from calcidem.dem.wave.experiment import Experiment, WaveRule
@@ -108,6 +108,18 @@ def test_the_step_is_held_against_the_contacts_as_they_are_pressed_now(part: flo
     state.motion.displacement[1, X, 0] = -overlap * (part**-4 * (1.02 if above else 0.98) - 1.0)
     (problem,) = problems_of(state, amplitude=1.0, overlap=overlap)
     assert ("above the stability limit of the pressed contacts" in problem) == above
+
+
+@pytest.mark.parametrize("speed", [31.0, np.nan])
+def test_the_fastest_disk_is_named_by_its_place_not_by_its_spin(speed: float) -> None:
+    """Above 30 times the amplitude in either direction, or not a number, while the other disk spins."""
+    state = start(pair_scene(-1e-4 * RADIUS, sand=SOFT), features=HERTZ)
+    state.motion.velocity[0, ROTATION, 0] = 1e4
+    assert problems_of(state, amplitude=1.0, overlap=RADIUS) == [""]
+    state.motion.velocity[1, Y, 0] = -speed
+    (problem,) = problems_of(state, amplitude=1.0, overlap=RADIUS)
+    x, y = state.scene.x[1], state.scene.y[1]
+    assert problem == f"the disk at ({x:.5g}, {y:.5g}) m moves at {speed:.3g} m/s after 0 steps"
 
 
 def test_the_cheap_limit_of_two_equal_disks_is_exact() -> None:
