@@ -46,7 +46,7 @@ def test_large_results_arrive_whole(campaign: "Campaign", expected: "Values") ->
 
 def test_sigusr1_finishes_what_runs(campaign: "Campaign", expected: "Values") -> None:
     """SIGUSR1 to mpirun: the running batches are stored too, exit code 75, and the run can be completed."""
-    launch = campaign.start("--seconds", "0.5")  # long, so that the signal comes while two batches are running
+    launch = campaign.start("--seconds", "1")  # long, so that the signal comes while two batches are running
     launch.wait_for_line("stored (3, 9.0)")
     time.sleep(0.2)
     launch.signal(signal.SIGUSR1)

@@ -2,7 +2,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,8 @@ from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, Progress, SweepState,
 
 if TYPE_CHECKING:
     from conftest import MemorySink
+
+Compute = Callable[[Batch[int], Callable[[], None]], Sequence[int]]
 
 
 def square(batch: Batch[int], raise_if_stopped: Callable[[], None]) -> list[int]:
@@ -31,11 +32,15 @@ def refuse_seven(batch: Batch[int], raise_if_stopped: Callable[[], None]) -> lis
     return square(batch, raise_if_stopped)
 
 
-def send_later(number: signal.Signals, seconds: float) -> threading.Timer:
-    """Send this process a signal a bit later."""
-    timer = threading.Timer(seconds, os.kill, (os.getpid(), number))
-    timer.start()
-    return timer
+def wait_signalled_at(cell: int, number: signal.Signals) -> Compute:
+    """Give `wait` during which this process gets a signal when this cell is computed."""
+
+    def compute(batch: Batch[int], raise_if_stopped: Callable[[], None]) -> Sequence[int]:
+        if cell in batch.cells:
+            os.kill(os.getpid(), number)
+        return wait(batch, raise_if_stopped)
+
+    return compute
 
 
 def wait(batch: Batch[int], raise_if_stopped: Callable[[], None]) -> Sequence[int]:
@@ -127,8 +132,7 @@ def test_the_time_limit_is_a_failure_of_the_batch(sink: "MemorySink") -> None:
 
 def test_sigusr1_finishes_the_running_batch(sink: "MemorySink") -> None:
     """SIGUSR1 stores the running batch and ends with 75."""
-    send_later(signal.SIGUSR1, 0.1)
-    end = run_sweep(None, BATCHES, wait, sink)
+    end = run_sweep(None, BATCHES, wait_signalled_at(1, signal.SIGUSR1), sink)
     assert (end.state, end.exit_code) == (SweepState.STOPPED, 75)
     assert [outcome.batch for outcome in sink.outcomes] == [BATCHES[0]]
 
@@ -136,18 +140,14 @@ def test_sigusr1_finishes_the_running_batch(sink: "MemorySink") -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGUSR2])
 def test_urgent_signals_drop_the_running_batch(sink: "MemorySink", number: signal.Signals) -> None:
     """SIGTERM, SIGINT and SIGUSR2 end within one chunk of work and keep what was stored before."""
-    send_later(number, 0.7)
-    start = time.monotonic()
-    end = run_sweep(None, BATCHES, wait, sink)
+    end = run_sweep(None, BATCHES, wait_signalled_at(6, number), sink)
     assert (end.state, end.exit_code) == (SweepState.STOPPED, 75)
-    assert time.monotonic() - start < 0.95  # the second batch alone would have ended at 1.0 s
     assert [outcome.batch for outcome in sink.outcomes] == [BATCHES[0]]
 
 
 def test_a_signal_in_the_last_batch_leaves_a_complete_sweep(sink: "MemorySink") -> None:
     """Nothing is left to resume, so the exit code is 0."""
-    send_later(signal.SIGUSR1, 0.1)
-    assert run_sweep(None, [Batch((1,))], wait, sink).exit_code == 0
+    assert run_sweep(None, [Batch((1,))], wait_signalled_at(1, signal.SIGUSR1), sink).exit_code == 0
 
 
 def test_handlers_are_put_back(sink: "MemorySink") -> None:
@@ -213,7 +213,7 @@ sys.exit(code)
 def test_a_second_urgent_signal_ends_the_process_at_once() -> None:
     """SIGTERM during a chunk that never asks, then SIGTERM again: the process ends with 75."""
     program = """
-import os, signal, threading, time
+import os, signal, time
 from calcidem.sweep.schedule import Batch
 from calcidem.sweep.run import run_sweep
 
@@ -222,9 +222,12 @@ class Sink:
     def mark(self, batches): pass
     def keep_alive(self): pass
 
-for seconds in (0.1, 1.4):
-    threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGTERM)).start()
-run_sweep(None, [Batch((1,))], lambda batch, check: time.sleep(30), Sink())
+def never_ask(batch, check):
+    for seconds in (1.3, 30.0):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(seconds)
+
+run_sweep(None, [Batch((1,))], never_ask, Sink())
 """
     start = time.monotonic()
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 75
