@@ -259,7 +259,7 @@ class Workers(Generic[CellT]):
 
         `SweepError` if the worker could not load the computation.
         """
-        reason = f"{type(error).__name__}: {error}"
+        reason = f"{type(error).__name__}: {error}".removesuffix(": ")  # some have no words
         if type(error).__name__ == "KilledWorker":  # an exception of Dask, which is not imported for this
             failure = Failure(CellStatus.QUARANTINED, f"took down its workers and is not tried again: {reason}")
             return BatchOutcome(flight.batch, 0.0, failure=failure, host="unknown host")

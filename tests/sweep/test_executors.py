@@ -223,6 +223,18 @@ def test_a_batch_that_a_worker_dropped_is_not_complete(sink: "MemorySink", tmp_p
     assert sink.results() == {cell: value for cell, value in EXPECTED.items() if cell not in {BAD_CELL, (2, 5.0)}}
 
 
+@pytest.mark.parametrize(
+    ("error", "said"), [(CancelledError, "CancelledError"), (lambda: OSError("gone"), "OSError: gone")]
+)
+def test_the_loss_of_a_worker_is_named(
+    sink: "MemorySink", tmp_path: Path, error: Callable[[], Exception], said: str
+) -> None:
+    """By the kind of the error, where it has no words, as those of Dask."""
+    end = run_sweep(Scripted(error), planned(), Fault("", tmp_path), sink)
+    assert end.state is SweepState.CUT_OFF
+    assert end.detail.startswith(f"a worker was lost ({said});")
+
+
 def test_a_worker_that_does_not_answer_ends_the_sweep(sink: "MemorySink", tmp_path: Path) -> None:
     """The sweep does not wait for ever, and names the cells."""
     end = run_sweep(Scripted(hang), planned(), Fault("", tmp_path), sink, silence_floor=0.1)
