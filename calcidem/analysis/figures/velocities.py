@@ -243,7 +243,7 @@ def _draw_histogram(axes: Axes, values: NDArray[np.float64], row: Distribution) 
     axes.plot(values, floor, "|", color=BLACK, ms=4, mew=0.5, clip_on=False, rasterized=values.size > 30)
     p_value = row.p_small_sample
     p_text = f"p = {p_value:.2f}" if p_value >= 0.01 else "p < 0.01"  # two digits
-    text = f"n = {row.n}, S = {row.skewness:.2f}, K = {row.kurtosis:.2f}\n{p_text}".replace("-", "\N{MINUS SIGN}")
+    text = f"n = {row.n}, S = {row.skewness:z.2f}, K = {row.kurtosis:z.2f}\n{p_text}".replace("-", "\N{MINUS SIGN}")
     colour = BLACK if p_value >= 0.05 else VERMILION  # the usual level
     axes.text(0, 1.03, text, transform=axes.transAxes, fontsize=6, color=colour)
     axes.set_ylim(0, axes.get_ylim()[1] * 1.05)
@@ -331,7 +331,7 @@ def draw_correlations(correlations: Correlations) -> Figure:
         axes.grid(visible=False)
         for (row, column), value in np.ndenumerate(values):
             if row != column:
-                text = f"{value:.2f}".replace("-", "\N{MINUS SIGN}") if np.isfinite(value) else "\N{EN DASH}"
+                text = f"{value:z.2f}".replace("-", "\N{MINUS SIGN}") if np.isfinite(value) else "\N{EN DASH}"
                 colour = "white" if abs(value) > 0.6 else BLACK  # readable on dark red and blue
                 axes.text(column, row, text, ha="center", va="center", fontsize=6.2, color=colour)
         labels = [_symbol(name) for name in names]
@@ -425,7 +425,7 @@ def _draw_law(
     if (intervals := _intervals_by_content(law.connectivity, vs, contents)).size:
         axes.vlines(*intervals.T, **bars, label="95 % of new samples at each content")
     fit = law.fit
-    few = f"\n(few samples: $b$ = {fit.b_interval.low:.1f} to {fit.b_interval.high:.1f})".replace("-", "\N{MINUS SIGN}")
+    few = f"\n(few samples: $b$ = {fit.b_interval.low:z.1f} to {fit.b_interval.high:z.1f})".replace("-", "\N{MINUS SIGN}")
     label = _law_text(symbol, fit.a, fit.b, fit.c) + few * (fit.n < 30)
     axes.plot(grid, fit.predict(grid), color=BLUE, zorder=4, label=label)
     return points, grid
