@@ -425,7 +425,8 @@ def _draw_law(
     if (intervals := _intervals_by_content(law.connectivity, vs, contents)).size:
         axes.vlines(*intervals.T, **bars, label="95 % of new samples at each content")
     fit = law.fit
-    few = f"\n(few samples: $b$ = {fit.b_interval.low:z.1f} to {fit.b_interval.high:z.1f})".replace("-", "\N{MINUS SIGN}")
+    ends = f"{fit.b_interval.low:z.1f} to {fit.b_interval.high:z.1f}".replace("-", "\N{MINUS SIGN}")
+    few = f"\n(few samples: $b$ = {ends})"
     label = _law_text(symbol, fit.a, fit.b, fit.c) + few * (fit.n < 30)
     axes.plot(grid, fit.predict(grid), color=BLUE, zorder=4, label=label)
     return points, grid
