@@ -199,7 +199,7 @@ _QUANTITIES = """# Stored quantities
 Cells have these quantities in `calcidem query`, the view `cells` of the database, NetCDF, pandas, xarray and
 Python's records; the table `quantities` of a database lists them. Without cement all seeds are the same sample. It is
 computed once, counts once in statistics, and its outcome is stored for every seed; the other seeds have no `seconds`,
-`rank` and `host`, and their `reason` names the computed one.
+`rank` and `host`, and with a velocity their `reason` names the computed one.
 
 """
 

@@ -45,7 +45,7 @@ class ErrorBudget:
     numerical: float
     pulse: float
     """Medians of the relative standard error of Vs and of its three parts, over the samples of which all are known, so
-    that no part exceeds the whole; NaN if unknown.
+    that no part exceeds the whole. If there is no such sample, each over those of which it is known, else NaN.
     """
     scatter: float
     """Root mean square of the reading errors, m/s: their part of the standard deviation of Vs. NaN for one sample."""
@@ -73,18 +73,18 @@ def error_budget(cells: Mapping[Any, ArrayLike]) -> ErrorBudget:
     ``cells`` has content, and `BUDGET_QUANTITIES` in arrays of one shape with NaN if missing.
     """
     counted = are_samples(cells["vs"], cells["content"])
-    columns = np.array([np.asarray(cells[name], dtype=float)[counted] for name in BUDGET_QUANTITIES])
-    vs, reading, _, pulse, _ = columns
-    known = columns[:, np.isfinite(columns).all(axis=0)]
-    _, *parts, total = known if known.size else columns
-    absolute = (vs * reading)[np.isfinite(vs * reading)]
+    samples = {name: np.asarray(cells[name], dtype=float)[counted] for name in BUDGET_QUANTITIES}
+    known = np.logical_and.reduce([np.isfinite(values) for values in samples.values()])
+    median = {name: median_known(values[known] if known.any() else values) for name, values in samples.items()}
+    absolute = samples["vs"] * samples["reading_error"]
+    absolute = absolute[np.isfinite(absolute)]
     return ErrorBudget(
-        total=median_known(total),
-        reading=median_known(parts[0]),
-        numerical=median_known(parts[1]),
-        pulse=median_known(parts[2]),
-        scatter=float(np.sqrt(np.mean(absolute**2))) if vs.size > 1 and absolute.size else np.nan,
-        loud=int(depends_on_pulse(pulse).sum()),
+        total=median["vs_error"],
+        reading=median["reading_error"],
+        numerical=median["numerical_error"],
+        pulse=median["pulse_effect"],
+        scatter=float(np.sqrt(np.mean(absolute**2))) if np.count_nonzero(counted) > 1 and absolute.size else np.nan,
+        loud=int(depends_on_pulse(samples["pulse_effect"]).sum()),
     )
 
 
@@ -149,7 +149,13 @@ def wavelengths(
 
 
 NOTE_QUANTITIES = (
-    *("content", "status", "vs", "pulse_effect", "wavelengths_on_path", "wavelength_over_d50", "broken_bonds"),
+    "content",
+    "status",
+    "vs",
+    "pulse_effect",
+    "wavelengths_on_path",
+    "wavelength_over_d50",
+    "broken_bonds",
 )
 """Quantities of each cell that `notes_on` needs."""
 

@@ -76,7 +76,7 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
     """Write the store's whole campaign into one compressed NetCDF-4 file, as `write_atomically` does; return its path.
 
     The root group is the Dataset of `calcidem.storage.dataset.campaign_dataset`, the groups ``packings`` and
-    ``attempts`` and those of `ARRAY_RECORDS` hold the rest. A cell takes about 50 kB, without any arrays 1 kB;
+    ``attempts`` and those of `ARRAY_RECORDS` hold the rest. A cell takes about 30 kB, without any arrays 1 kB;
     ``without`` names groups of arrays to leave out.
 
     `ValueError` for another group; `UnknownCampaignError` if no cell is planned; `OutputRefusedError` if the file is a

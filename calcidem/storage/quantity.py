@@ -1,8 +1,9 @@
 """Annotations of the fields of records, from which the catalogue of quantities is made.
 
 A field with one number or text of a cell is annotated with a `Quantity`, a field with an array with `Along`. Tables,
-checks, filters, files and the reference page follow from these annotations. So a new stored quantity needs only a field
-and a value. Databases without its column are refused; NetCDF files without it are read.
+checks, filters, files and the reference page follow from these annotations. So the code of a new stored quantity is a
+field and a value (CONTRIBUTING.md lists the files to make anew). Databases without its column are refused; NetCDF files
+without it are read.
 """
 
 import math

@@ -220,7 +220,9 @@ MOST_PULSE_EFFECT = 0.02
 
 DERIVED_QUANTITIES = (
     Quantity(
-        *("1", "relative standard error of vs by reading, simulation and pulse", "error budget"),
+        "1",
+        "relative standard error of vs by reading, simulation and pulse",
+        "error budget",
         name="vs_error",
         is_optional=True,
         needs=("reading_error", "numerical_error", "pulse_effect"),
@@ -349,7 +351,7 @@ class CellResult(Record):
     time_step: Annotated[_Real, _wave("s", "time step", is_needed=True)] = None
     stability_limit: Annotated[_Real, _wave("s", "largest stable time step", is_needed=True)] = None
     steps: Annotated[_Whole, _wave("1", "number of time steps", bound=_NOT_NEGATIVE, is_needed=True)] = None
-    law: Annotated[str | None, Quantity("", "contact law that the check chose", "check", is_exact=True)] = None
+    law: Annotated[str | None, Quantity("", "contact law of the wave", "check", is_exact=True)] = None
     numerical_error: Annotated[_Real, _check("relative standard error of the velocities by the simulation")] = None
     pulse_effect: Annotated[_Real, _check("relative standard error of the velocities by the sense of the pulse")] = None
     side_error: Annotated[_Real, _check("relative standard error of effective_vs from one side, by that side")] = None

@@ -43,7 +43,7 @@ class Sink(Protocol):
         """
 
     def keep_alive(self) -> None:
-        """Called on the main thread twice a second during the sweep; returns at once."""
+        """Called on the main thread twice a second during the sweep; must not wait for a stored outcome."""
 
 
 class GroupCommit(Generic[CellT]):

@@ -28,7 +28,7 @@ EXIT_COMPLETE = 0
 
 
 EXIT_ERROR = 1
-"""Error that the same command would meet again."""
+"""Error that the same command meets again as long as its cause remains."""
 
 
 EXIT_RESUMABLE = 75
@@ -217,7 +217,7 @@ class SweepState(StrEnum):
     COMPLETE = "complete"
     """Every batch has a final outcome."""
     STOPPED = "stopped"
-    """A signal requested it."""
+    """A signal requested it, of this process or of a worker."""
     CUT_OFF = "cut off"
     """A worker died or hangs."""
     ERROR = "error"

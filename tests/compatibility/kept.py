@@ -2,7 +2,7 @@
 
     python tests/compatibility/kept.py
 
-computes them anew: only before 1.0 is published, after a change of what a cell's bits are.
+computes them anew: only before 1.0 is published, after a change of what a cell's bits are, or of its columns.
 """
 
 import json

@@ -151,12 +151,6 @@ CAMPAIGN_FIGURES: tuple[FigureEntry[CampaignAnalysis], ...] = (
         lambda analysis: draw_correlations(correlate(analysis.table)),
     ),
     FigureEntry(
-        "network_correlations",
-        "Correlation of features of the whole sample and Vs",
-        "As before, for features of the cement as a network between the walls.",
-        lambda analysis: draw_correlations(correlate(analysis.network_table)),
-    ),
-    FigureEntry(
         "weight_scan",
         "Weight of a cemented contact",
         "Correlation of C_d,n with Vs over the ratio of the two contact weights; the shortest path of every "
@@ -171,6 +165,12 @@ CAMPAIGN_FIGURES: tuple[FigureEntry[CampaignAnalysis], ...] = (
         "Fits of Vs = a C^b + c for each choice of weights, and at the mean connectivity of each content with 10 "
         "samples or more the interval in which 95 % of new samples fall.",
         draw_laws,
+    ),
+    FigureEntry(
+        "network_correlations",
+        "Correlation of features of the whole sample and Vs",
+        "As for features of the path, for those of the cement as a network between the walls.",
+        lambda analysis: draw_correlations(correlate(analysis.network_table)),
     ),
     FigureEntry(
         "conductance",

@@ -71,9 +71,9 @@ class CampaignPlots:
     """Figures of one campaign, each a method.
 
     Each returns its `matplotlib.figure.Figure`: a notebook shows it, and ``figure.savefig("vs.pdf")`` writes it. Each
-    accepts `ax`, axes of the caller's own figure, which is then returned. `vs_range` and `weight_scan` are drawn into
-    these axes, where own data can be added. Figures of several panels replace the axes, which have to be made by
-    `plt.subplots`.
+    accepts `ax`, axes of the caller's own figure, which is then returned. `vs_range`, `weight_scan` and `conductance`
+    are drawn into these axes, where own data can be added. Figures of several panels replace the axes, which have to
+    be made by `plt.subplots`.
 
     A figure without its data raises `calcidem.analysis.campaign_analysis.UnavailableError`.
 

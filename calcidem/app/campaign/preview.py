@@ -193,8 +193,11 @@ def _describe_ranks(ranks: int) -> str:
         mpirun = find_mpirun()
         done = subprocess.run(  # noqa: S603 - our own program
             [
-                *(mpirun, *launcher_options(mpirun, ranks)),
-                *(sys.executable, "-c", "from mpi4py import MPI; print(MPI.COMM_WORLD.Get_size(), 'ranks')"),
+                mpirun,
+                *launcher_options(mpirun, ranks),
+                sys.executable,
+                "-c",
+                "from mpi4py import MPI; print(MPI.COMM_WORLD.Get_size(), 'ranks')",
             ],
             check=True,
             capture_output=True,

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
@@ -293,8 +293,8 @@ class CampaignRun:
         self.configuration = configuration
         self.end: SweepEnd | None = None
         self.demand: SeedDemand | None = None
-        self._closing = prepared_store(configuration, raise_if_stopped, watch)
-        self.store, self.packing = self._closing.__enter__()
+        self._closing = ExitStack()
+        self.store, self.packing = self._closing.enter_context(prepared_store(configuration, raise_if_stopped, watch))
 
     def compute(self, executor: Executor | None, reporter: ProgressReporter, stop_request: StopRequest) -> SweepEnd:
         """Have the missing cells computed and store the outcomes; None computes in this process.
@@ -352,11 +352,13 @@ class CampaignRun:
     def _quarantine_deadly(self) -> None:
         """Store an outcome of the cells that were being computed at too many deaths."""
         counts = self.store.attempt_counts()
-        if deadly := {key for key, count in counts.items() if count.losses >= LOSSES_BEFORE_QUARANTINE}:
-            pending = set(self.store.pending(contents=self.configuration.campaign.contents))
-            deadly &= pending
-            if any(key.content == 0.0 for key in deadly):  # which are the same sample
-                deadly |= {key for key in pending if key.content == 0.0}
+        deadly = {key for key, count in counts.items() if count.losses >= LOSSES_BEFORE_QUARANTINE}
+        if not deadly:
+            return
+        pending = set(self.store.pending(contents=self.configuration.campaign.contents))
+        deadly &= pending
+        if any(key.content == 0.0 for key in deadly):  # which are the same sample
+            deadly |= {key for key in pending if key.content == 0.0}
         reason = f"{LOSSES_BEFORE_QUARANTINE} runs died while it was computed, so it is not tried again"
         self.store.record_results(
             CellResult(key, CellStatus.QUARANTINED, reason, attempt=counts.get(key, AttemptCount()).attempts + 1)
@@ -385,7 +387,7 @@ class CampaignRun:
                     cut_off = self.end.state is SweepState.CUT_OFF
                     self.store.end_run(f"{self.end.state}{detail}", datetime.now(UTC), cut_off=cut_off)
         finally:
-            self._closing.__exit__(None, None, None)
+            self._closing.close()
 
 
 def read_own_status(configuration: Configuration) -> CampaignStatus:
@@ -484,7 +486,7 @@ class StoreSink:
     store
         Store with the campaign chosen.
     keys
-        Cells that will be computed.
+        Cells without an outcome; of those without cement one is computed.
     """
 
     def __init__(self, store: Store, keys: Sequence[CellKey]) -> None:

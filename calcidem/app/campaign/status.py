@@ -43,7 +43,11 @@ STATUS_QUANTITIES = tuple(dict.fromkeys(("seed", "seconds", *BUDGET_QUANTITIES, 
 """Quantities of each cell that the status needs."""
 
 _TROUBLES = (
-    *(CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL),
+    CellStatus.QUARANTINED,
+    CellStatus.FAILED,
+    CellStatus.TIMED_OUT,
+    CellStatus.UNSTABLE,
+    CellStatus.NO_ARRIVAL,
 )
 """Outcomes other than done, the most severe first."""
 

@@ -29,7 +29,8 @@ def say(text: object, *, err: bool = False) -> None:
         width = shutil.get_terminal_size().columns
         lines = [
             textwrap.fill(
-                *(line, width),
+                line,
+                width,
                 subsequent_indent=line[: len(line) - len(line.lstrip())],
                 break_long_words=False,
                 break_on_hyphens=False,

@@ -195,7 +195,7 @@ def query_command(
     seed: OnlySeeds = None,
     status: Annotated[list[CellStatus] | None, typer.Option(help="Only this status (repeatable).")] = None,
     where: Annotated[str | None, typer.Option(help='Filter such as "vs > 1500 and clusters >= 40".')] = None,
-    columns: Annotated[str | None, typer.Option(help='Columns, such as "seed,vs,steps", or "all".')] = None,
+    columns: Annotated[str, typer.Option(help='Columns, or "all".')] = "seed,content,status,vs,vs_error,seconds",
     sort: Annotated[str, typer.Option(help='Columns to sort by, such as "-vs,seed"; "-" means descending.')] = "",
     limit: Annotated[int | None, typer.Option(min=0, max=2**63 - 1, help="Most rows to show.")] = None,
     layout: FormatOption = Format.TABLE,
@@ -216,8 +216,7 @@ def query_command(
                 raise typer.BadParameter(f"{out} ends with none of {', '.join(layouts)}", param_hint="--out")
             layout = layouts[out.suffix.lower()]
     selection = Selection(seed or None, content or None, status or None, where)
-    names = tuple(dict.fromkeys(_split_list("seed,content,status,vs,vs_error,seconds" if columns is None else columns)))
-    names = tuple(QUANTITY_BY_NAME) if columns == "all" else names
+    names = tuple(QUANTITY_BY_NAME) if columns == "all" else tuple(dict.fromkeys(_split_list(columns)))
     with read_campaign(database, campaign) as store:
         wanted = tuple(dict.fromkeys((*names, "pulse_effect"))) if "vs" in names else names
         found = store.table(wanted, selection, sort=_split_list(sort), limit=limit)

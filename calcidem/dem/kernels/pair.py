@@ -207,7 +207,7 @@ def _linear_law(
 ) -> tuple[Vector, Vector, Vector]:
     """Return tension, shear force and moment that constant stiffnesses add to the reference state.
 
-    Unlike in the other laws they act on the first disk, which saves three changes of sign.
+    Unlike those of the finite law they act on the first disk, which saves three changes of sign.
     """
     lanes = features.width
     slide, twist = _slide_and_twist(features, pair, pairs, geometry, motion.displacement)

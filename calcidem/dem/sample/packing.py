@@ -146,9 +146,12 @@ class Packing:
         """
         digest = sha256(b"calcidem packing content 1\n")
         for name, kind, values in (
-            *(("x", "<f8", self.x), ("y", "<f8", self.y), ("radius", "<f8", self.radius)),
+            ("x", "<f8", self.x),
+            ("y", "<f8", self.y),
+            ("radius", "<f8", self.radius),
             ("size", "<f8", (self.width, self.height)),
-            *(("pairs", "<i8", self.preload.pairs), ("shear", "<f8", self.preload.shear)),
+            ("pairs", "<i8", self.preload.pairs),
+            ("shear", "<f8", self.preload.shear),
         ):
             array = np.asarray(values, dtype=kind)
             digest.update(f"{name} {kind} {array.shape}\n".encode())

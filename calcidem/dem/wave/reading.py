@@ -160,9 +160,9 @@ def read_section(section: Section, clamp: float, rule: PickRule = PickRule()) ->
         return Verdict.NO_PEAK  # so slow a wave does not pass this strip
     peaks = [_peaks(motion) for motion in smoothed.T]
     late = [_nearest(own, when, section.period) - when for own, when in zip(peaks, expected, strict=True)]
-    travel = (expected[-1] - section.transmitted_peak) * section.sampling_interval
-    bias = section.distance / (travel * wave.velocity) - 1.0
-    travel += late[-1] * section.sampling_interval
+    fitted = (expected[-1] - section.transmitted_peak) * section.sampling_interval  # travel time of its peak, s
+    bias = section.distance / (fitted * wave.velocity) - 1.0
+    travel = fitted + late[-1] * section.sampling_interval
     apart = np.array([one for one in late if np.isfinite(one)]) * section.sampling_interval
     if not travel > 0.0:  # also NaN
         return Reading(wave, np.nan, 0, signal, bias, 1.0, Verdict.NO_PEAK)

@@ -326,7 +326,7 @@ class StoreReader:
     ) -> Iterator[CellResult]:
         """Outcomes of the selected cells, by seed, then content; fetched as they are consumed.
 
-        ``with_arrays`` loads paths, sections and cement patterns, some 50 kB a cell, or those of `ARRAY_RECORDS` that
+        ``with_arrays`` loads paths, sections and cement patterns, some 30 kB a cell, or those of `ARRAY_RECORDS` that
         it names. Others are None.
         """
         wanted = (ARRAY_RECORDS if with_arrays else ()) if isinstance(with_arrays, bool) else with_arrays
