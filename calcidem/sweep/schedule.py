@@ -161,9 +161,11 @@ class Schedule(Generic[CellT]):
     Rules, the same for every executor:
 
     - Batches are handed out in the order given.
-    - A batch of several cells that raised an exception or took down its workers is split, and its cells are computed
-      next, one by one, so that only the bad cell fails. A batch that timed out is not split: its cells advance side by
-      side, so each alone would take about as long.
+    - A batch of several cells that raised an exception is split, and its cells are computed next, one by one, so that
+      only the bad cell fails. A batch that timed out is not split: its cells advance side by side, so each alone would
+      take about as long.
+    - A batch that took down its workers is split, too, and nothing is computed beside any of its cells: what happened
+      to be on the same worker is not blamed.
     """
 
     batches: Sequence[Batch[CellT]]
@@ -189,13 +191,15 @@ class Schedule(Generic[CellT]):
 
     def settle(self, outcome: BatchOutcome[CellT, ResultT]) -> BatchOutcome[CellT, ResultT] | None:
         """Return an outcome if it is final, None if its cells are computed again."""
-        cells = len(outcome.batch.cells)
+        batch = outcome.batch
         kind = CellStatus.DONE if outcome.failure is None else outcome.failure.kind
-        if kind in {CellStatus.FAILED, CellStatus.QUARANTINED} and cells > 1:
+        is_deadly = kind is CellStatus.QUARANTINED and not batch.is_alone
+        if is_deadly or (kind is CellStatus.FAILED and len(batch.cells) > 1):
+            losses = 2 if is_deadly else batch.losses  # which is alone
             # With the cost of all: the cells fill SIMD lanes, so one takes about as long as the whole batch.
-            self._queue.extendleft(replace(outcome.batch, cells=(cell,)) for cell in reversed(outcome.batch.cells))
+            self._queue.extendleft(replace(batch, cells=(cell,), losses=losses) for cell in reversed(batch.cells))
             return None
-        self.tally[kind] += cells
+        self.tally[kind] += len(batch.cells)
         return outcome
 
 

@@ -105,6 +105,7 @@ class Workers(Generic[CellT]):
             self._computation = pickle.dumps(compute, pickle.HIGHEST_PROTOCOL)
             self._key = sha256(self._computation).hexdigest()
         self._in_flight: dict[Future[bytes], _Flight[CellT]] = {}
+        self._lost: list[Batch[CellT]] = []  # whose processes died before they were seen to begin
         self._done: SimpleQueue[Future[bytes]] = SimpleQueue()
         self._held: Batch[CellT] | None = None
         self._rank_of: dict[_Identity, int] = {}
@@ -158,7 +159,7 @@ class Workers(Generic[CellT]):
 
     def begun(self) -> list[Batch[CellT]]:
         """Batches whose computation has begun since the last call, as far as the executor tells."""
-        now, found = time.monotonic(), []
+        now, found, self._lost = time.monotonic(), self._lost, []
         for future, flight in self._in_flight.items():
             if flight.begun is None and (future.running() or future.done()):
                 flight.begun = now
@@ -264,6 +265,8 @@ class Workers(Generic[CellT]):
             failure = Failure(CellStatus.QUARANTINED, f"took down its workers and is not tried again: {reason}")
             return BatchOutcome(flight.batch, 0.0, failure=failure, host="unknown host")
         if isinstance(error, BrokenExecutor | CancelledError | OSError):
+            if isinstance(error, BrokenExecutor) and flight.begun is None and len(self._lost) < self.count:
+                self._lost.append(flight.batch)  # in the order of submission, in which workers take them
             self._end(f"a worker was lost ({reason})")
             return None
         raise SweepError(

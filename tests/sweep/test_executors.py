@@ -224,15 +224,23 @@ def test_a_batch_that_a_worker_dropped_is_not_complete(sink: "MemorySink", tmp_p
 
 
 @pytest.mark.parametrize(
-    ("error", "said"), [(CancelledError, "CancelledError"), (lambda: OSError("gone"), "OSError: gone")]
+    ("error", "said"),
+    [
+        (CancelledError, "CancelledError"),
+        (lambda: OSError("gone"), "OSError: gone"),
+        (lambda: BrokenProcessPool("dead"), "BrokenProcessPool: dead"),
+    ],
 )
 def test_the_loss_of_a_worker_is_named(
     sink: "MemorySink", tmp_path: Path, error: Callable[[], Exception], said: str
 ) -> None:
-    """By the kind of the error, where it has no words, as those of Dask."""
+    """By the kind of the error, where it has no words, as those of Dask; a dead process blames its batch at once."""
     end = run_sweep(Scripted(error), planned(), Fault("", tmp_path), sink)
     assert end.state is SweepState.CUT_OFF
     assert end.detail.startswith(f"a worker was lost ({said});")
+    # It died before the batch was seen to run; a scheduler that is gone tells nothing of what ran.
+    blamed = {cell for batch in sink.marked for cell in batch.cells} - set(sink.results())
+    assert blamed == ({BAD_CELL, (2, 5.0)} if said.startswith("Broken") else set())
 
 
 def test_a_worker_that_does_not_answer_ends_the_sweep(sink: "MemorySink", tmp_path: Path) -> None:

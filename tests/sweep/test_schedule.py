@@ -68,6 +68,18 @@ def test_a_batch_that_timed_out_is_settled_as_a_whole() -> None:
     assert (schedule.tally.total(), schedule.tally[CellStatus.TIMED_OUT], len(schedule)) == (2, 2, 0)
 
 
+def test_what_takes_down_workers_beside_others_is_tried_alone() -> None:
+    """What was computed on the same worker may be the cause; a cell that takes one down alone is."""
+    schedule = Schedule((Batch(("one",)),))
+    batch = schedule.take()
+    assert batch is not None
+    assert schedule.settle(failed(batch, CellStatus.QUARANTINED)) is None
+    again = schedule.take()
+    assert again is not None
+    assert (again.cells, again.is_alone) == (("one",), True)
+    assert schedule.settle(failed(again, CellStatus.QUARANTINED)) is not None
+
+
 def test_the_cell_that_takes_down_workers_is_quarantined_alone() -> None:
     """The executor's verdict on a batch is only that one of its cells is deadly; its company is computed."""
     schedule = Schedule((Batch(("good", "deadly", "fine")),))
