@@ -42,7 +42,7 @@ def _rested() -> tuple[Scene, Floats]:
     packing = small_packing()
     rim = np.minimum.reduce([packing.x, packing.width - packing.x, packing.y, packing.height - packing.y])
     held = rim < 1.02 * packing.radius
-    radius = np.where(held, 1.0, 1.009) * packing.radius
+    radius = np.where(held, 1.0, 1.0065) * packing.radius
     scene = Scene(packing.x, packing.y, radius, Sand(friction=0.0), held=held, damping=0.7)
     state = start(scene, features=features_of(scene))
     while unbalanced_ratio(state) > _AT_REST and state.steps < _MOST_STEPS:
