@@ -40,6 +40,14 @@ def test_pairs_near_in_several_samples_are_those_of_each_alone(seed: int, count:
     np.testing.assert_array_equal(near_pairs(centres, radius, 0.2), np.unique(np.concatenate(each), axis=0))
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_pair_that_is_near_in_one_sample_is_found_along_either_axis(axis: int) -> None:
+    """Two disks that touch in one sample and are two radii apart in the other."""
+    centres = np.zeros((2, 2, 2))
+    centres[1, axis] = 1.2, 2.5
+    np.testing.assert_array_equal(near_pairs(centres, np.full(2, 0.6), 0.1), [[0, 1]])
+
+
 def test_the_pair_list_names_every_pair_once_and_knows_its_rows() -> None:
     """Row i of the list holds the pairs whose first disk is i; contacts keep the geometry of the scene."""
     scene = jumble(1, 25)

@@ -169,10 +169,11 @@ def test_a_small_disk_in_free_flight_has_not_blown_up() -> None:
     assert state.position()[0, 0] == pytest.approx(2e3 * RADIUS * state.time[0])
 
 
-def test_a_changed_step_costs_no_energy() -> None:
-    """A step that is halved in the middle of an impact leaves restitution at 1."""
+@pytest.mark.parametrize("steps_before", [1, 10])
+def test_a_changed_step_costs_no_energy(steps_before: int) -> None:
+    """A step that is halved at the beginning or in the middle of an impact leaves restitution at 1."""
     velocity = np.array([[1.0, 0.0], [-1.0, 0.0]])
-    state = advance(start(pair_scene(sand=Sand()), features=HERTZ, velocity=velocity), 10)
+    state = advance(start(pair_scene(sand=Sand()), features=HERTZ, velocity=velocity), steps_before)
     halved = change_step(state, look_ahead(state), 0.5 * state.time_step)
     assert (halved.steps, halved.control.began) == (state.steps + 1, (state.steps, state.time))
     state = advance(halved, 60)
