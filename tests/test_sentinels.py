@@ -26,7 +26,7 @@ SENTINELS = [
     ("dem/sample/packing.py", "LARGEST_OVERLAP = 0.1\n", "LARGEST_OVERLAP = 0.13\n", "dem/test_judgement.py"),
     ("sweep/schedule.py", "self.losses > 1", "self.losses > 2", "sweep/test_batch.py"),
     ("app/campaign/run.py", "losses >= LOSSES_BEFORE_Q", "losses > LOSSES_BEFORE_Q", "app/test_until.py"),
-    ("sweep/schedule.py", "in reversed(outcome", "in iter(outcome", "sweep/test_schedule.py"),
+    ("sweep/schedule.py", "in reversed(batch.cells", "in iter(batch.cells", "sweep/test_schedule.py"),
     ("app/campaign/status.py", "seconds_left * status", "seconds_left / status", "app/test_progress.py"),
     ("wording.py", "divmod(minutes, 60)", "divmod(minutes, 61)", "sweep/test_progress.py"),
 ]

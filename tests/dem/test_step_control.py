@@ -176,7 +176,7 @@ def test_a_changed_step_costs_no_energy(steps_before: int) -> None:
     state = advance(start(pair_scene(sand=Sand()), features=HERTZ, velocity=velocity), steps_before)
     halved = change_step(state, look_ahead(state), 0.5 * state.time_step)
     assert (halved.steps, halved.control.began) == (state.steps + 1, (state.steps, state.time))
-    state = advance(halved, 60)
+    state = advance(halved, 100)
     assert state.velocity()[1, 0] == pytest.approx(1.0, abs=1e-3)
     steps = state.control.began[0]
     assert state.time[0] == pytest.approx((2.0 * steps + state.steps - steps) * state.time_step[0], rel=1e-12)
