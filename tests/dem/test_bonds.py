@@ -5,7 +5,7 @@ import pytest
 from scenes import BONDED, GROUPED, RADIUS, SOFT, SOFT_CEMENT, pair_scene
 
 from calcidem.dem.engine.leapfrog import State
-from calcidem.dem.engine.readout import contact_forces
+from calcidem.dem.engine.readout import contact_forces, overlaps, stored_energy, wall_overlaps
 from calcidem.dem.engine.scene import Bonds, Cement, Installation, Preload
 from calcidem.dem.engine.state import advance, start
 from calcidem.dem.kernels.layout import NORMAL, SHEAR
@@ -48,6 +48,16 @@ def test_cement_takes_over_the_force_as_its_installation_says(
     assert contact.normal.sum() == pytest.approx(normal, rel=1e-12)
     assert contact.shear.sum() == pytest.approx(shear, rel=1e-12)
     assert contact.moment.sum() == 0.0
+
+
+@pytest.mark.parametrize("installation", ["preserve", "zero", "pfc_absolute"])
+def test_the_linear_group_stores_the_energy_of_its_force(installation: Installation) -> None:
+    """F^2 / (2 k) of both directions, whatever overlap its normal force is counted from."""
+    state = cemented(SOFT_CEMENT, installation)
+    contact, stiffness = contact_forces(state), SOFT_CEMENT.linear_stiffness(np.array([RADIUS]), np.array([RADIUS]))
+    force = np.array([contact.normal.sum(), contact.shear.sum()])
+    stored = stored_energy(state.scene, state.assembly, state.features, overlaps(state), wall_overlaps(state))
+    assert stored[0] == pytest.approx(float((force**2 / (2.0 * stiffness)).sum()), rel=1e-12, abs=1e-30)
 
 
 def test_only_a_lane_with_the_bond_gives_it_the_force() -> None:
