@@ -245,12 +245,12 @@ class _Master:
                 raise self._error
             settled = [self._schedule.settle(outcome) for outcome in outcomes]
             final = [outcome for outcome in settled if outcome is not None]
-            # Marks of batches that are computed again, too: their cells are in flight until then.
-            commits.mark(*workers.begun())
             self._schedule.extend(self._more(final))
             commits.add(*final)
             if not commits.is_full:
                 self._hand_out(workers, commits)
+            # Marks of batches that are computed again, too: their cells are in flight until then.
+            commits.mark(*workers.begun())
             commits.advance()
             if level is not StopLevel.NONE:
                 self._schedule.extend(workers.cancel(finishes=level is StopLevel.DRAIN))
@@ -267,13 +267,16 @@ class _Master:
     def _hand_out(self, workers: Workers[CellT], commits: GroupCommit[CellT]) -> None:
         """Submit batches as long as workers accept them."""
         while self._stop_request.level is StopLevel.NONE and workers.wants_batch:
-            batch = self._schedule.take()
+            batch = self._schedule.take(beside=workers.running)
             if batch is None:
                 break
-            if workers.are_here:  # all is stored first: nothing else happens until the batch is computed
+            # All is stored before what this process computes, since nothing else happens meanwhile, and before what may
+            # take it down.
+            is_marked = workers.are_here or batch.is_alone
+            if is_marked:
                 commits.mark(batch)
                 commits.flush()
-            workers.submit(batch)
+            workers.submit(batch, is_marked=is_marked)
 
     def _reason_to_end(self, workers: Workers[CellT], level: StopLevel) -> tuple[SweepState, str] | None:
         """Return why the sweep is over, or None if it isn't."""
@@ -287,7 +290,7 @@ class _Master:
             end = SweepState.CUT_OFF, asked_by
         elif level is StopLevel.HURRY:
             end = SweepState.STOPPED, f"{asked_by}: running batches were dropped"
-        elif level is StopLevel.DRAIN and workers.running == 0:
+        elif level is StopLevel.DRAIN and workers.running == 0 and not workers.exhausted:
             end = SweepState.STOPPED, f"{asked_by}: running batches were finished"
         elif is_over and since_drop > 1.0:  # s, in which the same signal usually reaches this process, too
             end = SweepState.STOPPED, "a worker was asked to end, and dropped its batches"

@@ -185,9 +185,11 @@ class Schedule(Generic[CellT]):
         """Queue batches after the others, new ones or ones not begun."""
         self._queue.extend(batches)
 
-    def take(self) -> Batch[CellT] | None:
-        """Remove and return the next batch, or None if there is none."""
-        return self._queue.popleft() if self._queue else None
+    def take(self, beside: int = 0) -> Batch[CellT] | None:
+        """Remove and return the next batch; None without one, or if it may not be computed beside so many others."""
+        if not self._queue or (beside and self._queue[0].is_alone):
+            return None
+        return self._queue.popleft()
 
     def settle(self, outcome: BatchOutcome[CellT, ResultT]) -> BatchOutcome[CellT, ResultT] | None:
         """Return an outcome if it is final, None if its cells are computed again."""

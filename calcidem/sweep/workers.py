@@ -64,6 +64,8 @@ class _Flight(Generic[CellT]):
     """Seconds after its begin at which the worker counts as hanging."""
     is_first: bool
     """Whether no worker had answered when it was submitted, so that its worker may have to load its libraries."""
+    is_marked: bool = False
+    """Whether its mark was stored before it was submitted."""
     begun: float | None = None
     """Time of its begin as far as the executor tells, s on the monotonic clock."""
 
@@ -79,7 +81,8 @@ class Workers(Generic[CellT]):
     Parameters
     ----------
     time_limit
-        Seconds for a batch. Its own check ends it there; a worker that does not answer for twice as long hangs.
+        Seconds for a batch. Its own check ends it there; a worker that does not answer for three times as long hangs.
+        A pool of one process calls two more batches running, which wait for the first.
     silence_floor
         Without a time limit a worker hangs after 20 times the slowest batch so far, scaled by cost, but not before
         these seconds. The first one has as long in addition to load its libraries and to compile, the others 10 times
@@ -98,16 +101,14 @@ class Workers(Generic[CellT]):
     ) -> None:
         self._executor, self._time_limit, self._silence_floor = executor, time_limit, silence_floor
         if isinstance(executor, ThisProcess):
-            self._key, self._computation = "this process", b""
-            _computations.clear()
-            _computations[self._key] = compute
+            self._key, self._computation = "this thread", b""
+            _latest.key, _latest.compute = self._key, compute
         else:
             self._computation = pickle.dumps(compute, pickle.HIGHEST_PROTOCOL)
             self._key = sha256(self._computation).hexdigest()
         self._in_flight: dict[Future[bytes], _Flight[CellT]] = {}
         self._lost: list[Batch[CellT]] = []  # whose processes died before they were seen to begin
         self._done: SimpleQueue[Future[bytes]] = SimpleQueue()
-        self._held: Batch[CellT] | None = None
         self._rank_of: dict[_Identity, int] = {}
         self._last_answer: dict[_Identity, float] = {}
         self._last_event = time.monotonic()  # a submission or an answer
@@ -128,21 +129,25 @@ class Workers(Generic[CellT]):
     @property
     def count(self) -> int:
         """Number of workers: as the executor tells, else those with an outcome in the last minute or so."""
-        told = getattr(self._executor, "num_workers", None) or getattr(self._executor, "_max_workers", None)
-        if told:
-            return int(told)
+        if self._told_count:
+            return self._told_count
         oldest = time.monotonic() - max(60.0, 10.0 * self._longest)
         return sum(answer > oldest for answer in self._last_answer.values())
 
     @property
+    def _told_count(self) -> int:
+        """Number of workers as the executor tells; 0 if it does not."""
+        return int(getattr(self._executor, "num_workers", None) or getattr(self._executor, "_max_workers", None) or 0)
+
+    @property
     def running(self) -> int:
-        """Number of batches submitted or held back."""
-        return len(self._in_flight) + (self._held is not None)
+        """Number of batches submitted."""
+        return len(self._in_flight)
 
     @property
     def wants_batch(self) -> bool:
         """Whether fewer batches are submitted than two for each worker and some for workers that may join."""
-        if self.exhausted or self._held is not None:
+        if self.exhausted:
             return False
         if self.are_here:
             return not self._in_flight
@@ -150,21 +155,19 @@ class Workers(Generic[CellT]):
             return False
         return len(self._in_flight) < 2 * (self.count or available_cores()) + 2
 
-    def submit(self, batch: Batch[CellT]) -> None:
-        """Submit a batch; one that has to be alone waits until no other is in flight."""
-        if batch.is_alone and self._in_flight:
-            self._held = batch
-        else:
-            self._submit(batch, with_computation=not self._rank_of)
+    def submit(self, batch: Batch[CellT], *, is_marked: bool = False) -> None:
+        """Submit a batch, whose mark may have been stored already."""
+        self._submit(batch, with_computation=not self._rank_of, is_marked=is_marked)
 
     def begun(self) -> list[Batch[CellT]]:
-        """Batches whose computation has begun since the last call, as far as the executor tells."""
+        """Batches, not marked yet, whose computation has begun since the last call, as far as the executor tells."""
         now, found, self._lost = time.monotonic(), self._lost, []
         for future, flight in self._in_flight.items():
-            if flight.begun is None and (future.running() or future.done()):
+            if flight.begun is None and (future.running() or (future.done() and not _has_no_executor(future))):
                 flight.begun = now
                 self._tells_begin |= future.running()
-                found.append(flight.batch)
+                if not flight.is_marked:
+                    found.append(flight.batch)
         return found
 
     def poll(self, wait: float) -> list[BatchOutcome[CellT, Any]]:
@@ -192,32 +195,28 @@ class Workers(Generic[CellT]):
                 if outcome is None:
                     continue
             if outcome is None:
-                self._submit(flight.batch, with_computation=True)
+                self._submit(flight.batch, with_computation=True, is_marked=flight.is_marked)
             else:
                 outcomes.append(outcome)
         if time.monotonic() > self._next_look:
             self._find_hanging()
-        if self._held is not None and not self._in_flight:
-            batch, self._held = self._held, None
-            self._submit(batch, with_computation=False)
         return outcomes
 
     def cancel(self, *, finishes: bool = False) -> list[Batch[CellT]]:
         """Take batches back that have not begun.
 
-        With ``finishes`` those stay that were submitted first to an executor that does not tell: one for each worker.
+        With ``finishes`` those stay that were submitted first to an executor that does not tell: one for each worker,
+        or all if it does not tell their number either.
         """
-        taken = [] if self._held is None else [self._held]
-        self._held = None
         if finishes and self._finishing is None and not self._tells_begin:
-            self._finishing = [future for future in self._in_flight if not future.done()][: self.count]
+            self._finishing = [future for future in self._in_flight if not future.done()][: self._told_count or None]
         kept = (self._finishing or []) if finishes else []
         given_up = [future for future in self._in_flight if future not in kept and future.cancel()]
-        return taken + [self._in_flight.pop(future).batch for future in given_up]
+        return [self._in_flight.pop(future).batch for future in given_up]
 
-    def _submit(self, batch: Batch[CellT], *, with_computation: bool) -> None:
+    def _submit(self, batch: Batch[CellT], *, with_computation: bool, is_marked: bool) -> None:
         if self._time_limit is not None:
-            patience = 2.0 * self._time_limit + 5.0  # a check may be late by seconds on a loaded machine
+            patience = 3.0 * self._time_limit + 5.0  # a check may be late by seconds on a loaded machine
         elif self._slowest:
             patience = max(self._silence_floor, 20.0 * self._slowest * batch.cost)
         else:
@@ -228,7 +227,7 @@ class Workers(Generic[CellT]):
         except Exception as error:  # noqa: BLE001 - each executor has its own
             self._end(f"the executor takes no more batches ({type(error).__name__}: {error})")
         else:
-            self._in_flight[future] = _Flight(batch, patience, is_first=not self._last_answer)
+            self._in_flight[future] = _Flight(batch, patience, not self._last_answer, is_marked)
             self._last_event = time.monotonic()
             future.add_done_callback(self._done.put)
 
@@ -265,7 +264,8 @@ class Workers(Generic[CellT]):
             failure = Failure(CellStatus.QUARANTINED, f"took down its workers and is not tried again: {reason}")
             return BatchOutcome(flight.batch, 0.0, failure=failure, host="unknown host")
         if isinstance(error, BrokenExecutor | CancelledError | OSError):
-            if isinstance(error, BrokenExecutor) and flight.begun is None and len(self._lost) < self.count:
+            is_seen = flight.is_marked or flight.begun is not None
+            if isinstance(error, BrokenExecutor) and not is_seen and len(self._lost) < self.count:
                 self._lost.append(flight.batch)  # in the order of submission, in which workers take them
             self._end(f"a worker was lost ({reason})")
             return None
@@ -292,10 +292,20 @@ class Workers(Generic[CellT]):
         self.exhausted = self.exhausted or reason
 
 
-_computations: dict[str, Compute[Any, Any]] = {}
-"""The computation of the latest sweep in this process, by its hash."""
+def _has_no_executor(future: "Future[bytes]") -> bool:
+    """Whether the executor of a finished future has gone without a word on what ran."""
+    return future.cancelled() or isinstance(future.exception(), CancelledError | OSError)
 
-_loading = threading.Lock()
+
+class _Latest(threading.local):
+    """The computation of the latest sweep in this thread: sweeps may run side by side in several."""
+
+    key = ""
+    """Its hash."""
+    compute: Compute[Any, Any]
+
+
+_latest = _Latest()
 
 
 @cache  # one thread for all computations; a forked process inherits the entries of its parent, which has another one
@@ -310,16 +320,14 @@ def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_
     Return the worker's identity and, if it has the computation, seconds, results and failure.
     """
     worker: _Identity = (platform.node(), os.getpid(), threading.get_ident(), own_rank())
-    with _loading:
-        if key not in _computations:
-            if computation is None:
-                return pickle.dumps((worker, None))
-            if (parent := multiprocessing.parent_process()) is not None and parent.pid is not None:
-                _end_with(parent.pid)
-            _computations.clear()
-            _computations[key] = pickle.loads(computation)  # noqa: S301 - written by the master of the same program
-        compute = _computations[key]
-    outcome = attempt(batch, compute, time_limit)
+    if key != _latest.key:
+        if computation is None:
+            return pickle.dumps((worker, None))
+        if (parent := multiprocessing.parent_process()) is not None and parent.pid is not None:
+            _end_with(parent.pid)
+        _latest.compute = pickle.loads(computation)  # noqa: S301 - written by the master of the same program
+        _latest.key = key
+    outcome = attempt(batch, _latest.compute, time_limit)
     results, failure = None, outcome.failure
     if failure is None:
         try:

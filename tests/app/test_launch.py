@@ -6,7 +6,7 @@ import signal
 import sqlite3
 import sys
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -310,6 +310,25 @@ def test_a_master_on_another_machine_that_lives_is_not_disturbed(workshop: "Work
 def state_of(process: int) -> str:
     """State of a process as ``ps`` names it, such as T for stopped."""
     return Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+
+
+@FULL
+def test_a_signal_to_all_processes_of_a_run_blames_no_cell(workshop: "Workshop") -> None:
+    """As systemd and Slurm send it: rank 0 takes it for the death of a rank, the command knows better."""
+    workshop.configure(seeds=40)
+    command = workshop.start("run", "c.toml", "--ranks", "3")
+    workshop.wait_for_cells(1)
+    for process in workshop.processes():
+        with suppress(ProcessLookupError):
+            os.kill(process, signal.SIGTERM)
+    ended = workshop.wait(command)
+    assert ended.code == 75
+    assert "has stopped as asked" in ended.output + ended.errors
+    with closing(sqlite3.connect(workshop.database)) as connection:
+        assert connection.execute("select count(*) from attempt where outcome in ('running', 'lost')").fetchone() == (
+            0,
+        )
+    assert workshop.leaves_no_process()
 
 
 @FULL

@@ -5,7 +5,7 @@ import signal
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import (
     CancelledError,
     Executor,
@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import pytest
 
@@ -29,6 +29,7 @@ from calcidem.sweep.run import _Master, run_sweep
 from calcidem.sweep.schedule import (
     LOSSES_BEFORE_QUARANTINE,
     Batch,
+    BatchOutcome,
     Progress,
     StopRequest,
     SweepError,
@@ -241,6 +242,66 @@ def test_the_loss_of_a_worker_is_named(
     # It died before the batch was seen to run; a scheduler that is gone tells nothing of what ran.
     blamed = {cell for batch in sink.marked for cell in batch.cells} - set(sink.results())
     assert blamed == ({BAD_CELL, (2, 5.0)} if said.startswith("Broken") else set())
+
+
+def test_a_process_that_dies_during_a_submission_counts_too(sink: "MemorySink", tmp_path: Path) -> None:
+    """The executor refuses the next batch, and the sweep ends: what ran is marked all the same."""
+
+    class Dying(Executor):
+        num_workers = 2
+        futures: ClassVar[list[Future[Any]]] = []
+
+        def submit(self, *_: Any, **__: Any) -> "Future[Any]":  # noqa: ANN401 - as it is
+            if self.futures:
+                self.futures[0].set_exception(BrokenProcessPool("dead"))
+                raise BrokenProcessPool("dead")
+            self.futures.append(Future())
+            self.futures[0].set_running_or_notify_cancel()
+            return self.futures[0]
+
+    end = run_sweep(Dying(), planned(), Fault("", tmp_path), sink)
+    assert end.state is SweepState.CUT_OFF
+    assert sink.marked == [planned()[0]]
+
+
+def test_all_is_stored_before_what_may_be_deadly_begins(
+    sink: "MemorySink", tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However slow the disk is: a death must not be blamed on a cell that had ended."""
+    stored: list[int] = []
+    store = sink.store
+
+    def store_slowly(outcomes: Sequence[BatchOutcome[Any, Any]]) -> None:
+        time.sleep(0.3)
+        store(outcomes)
+
+    class Watched(ThreadPoolExecutor):
+        def submit(self, function: Any, /, *arguments: Any, **keywords: Any) -> "Future[Any]":  # noqa: ANN401 - as it is
+            if arguments[2].is_alone:
+                stored.append(len(sink.outcomes))
+            return super().submit(function, *arguments, **keywords)
+
+    monkeypatch.setattr(sink, "store", store_slowly)
+    batches = plan_batches(CELLS, 4, lambda _: 1.0, {(3, 5.0): 2, (4, 5.0): 2})
+    with Watched(2) as pool:
+        run_sweep(pool, batches, Fault("", tmp_path), sink)
+    assert stored == [len(batches) - 2, len(batches) - 1]
+
+
+@pytest.mark.full
+def test_batches_that_wait_in_a_pool_do_not_hang(sink: "MemorySink") -> None:
+    """A pool of one process calls three batches running; the last one waits for two that take nearly the limit."""
+    with ProcessPoolExecutor(1, mp_context=get_context("forkserver")) as pool:
+        end = run_sweep(pool, [Batch((number,)) for number in range(6)], _take_long, sink, time_limit=6.0)
+    assert end.state is SweepState.COMPLETE
+    assert len(sink.results()) == 6
+
+
+def _take_long(batch: Batch[int], raise_if_stopped: Callable[[], None]) -> list[int]:
+    for _ in range(59):
+        raise_if_stopped()
+        time.sleep(0.1)
+    return list(batch.cells)
 
 
 def test_a_worker_that_does_not_answer_ends_the_sweep(sink: "MemorySink", tmp_path: Path) -> None:

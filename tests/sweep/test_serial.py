@@ -2,6 +2,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +12,7 @@ import pytest
 
 from calcidem.ends import CellStatus
 from calcidem.sweep.run import run_sweep
-from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, Progress, SweepState, plan_batches
+from calcidem.sweep.schedule import EXIT_RESUMABLE, Batch, Progress, StopRequest, SweepState, plan_batches
 
 if TYPE_CHECKING:
     from conftest import MemorySink
@@ -232,6 +233,24 @@ run_sweep(None, [Batch((1,))], never_ask, Sink())
     start = time.monotonic()
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 75
     assert time.monotonic() - start < 10.0
+
+
+def test_sweeps_in_several_threads_do_not_meet(sink: "MemorySink") -> None:
+    """Each computes its own cells, though all compute in this process at the same time."""
+    both = threading.Barrier(2, timeout=30.0)
+
+    def sweep(name: str) -> tuple[list[str], SweepState]:
+        def compute(batch: Batch[int], _check: Callable[[], None]) -> list[str]:
+            both.wait()
+            return [name] * len(batch.cells)
+
+        own = type(sink)()
+        end = run_sweep(None, [Batch((cell,)) for cell in range(5)], compute, own, stop_request=StopRequest())
+        return list(own.results().values()), end.state
+
+    with ThreadPoolExecutor(2) as threads:
+        found = list(threads.map(sweep, ("one", "other")))
+    assert found == [([name] * 5, SweepState.COMPLETE) for name in ("one", "other")]
 
 
 def test_a_plan_can_be_swept(sink: "MemorySink") -> None:

@@ -128,13 +128,16 @@ class Launch:
             if state == SweepState.ERROR or is_refused or is_of_another:  # rank 0 has said so
                 return start.code if 0 < start.code <= EXIT_RESUMABLE else EXIT_ERROR
             if found is not None:
-                why = f"The run was cut off ({why}): everything stored is safe, and the same command continues."
+                end = "has stopped as asked" if stop.hurry() else "was cut off"
+                why = f"The run {end} ({why}): everything stored is safe, and the same command continues."
             elif stop.level:
                 raise SweepInterrupted
             else:
                 why = f"The run did not begin ({why}); nothing was computed."
             tell(why, logging.ERROR)
             begun |= found is not None
+            if found is not None and stop.hurry():
+                start.withdraw(f"{SweepState.STOPPED}: {stop.explanation}: running batches were dropped")
             if stop.level or (found is None and fruitless):
                 break
             fruitless = found is None
@@ -226,6 +229,13 @@ class _Start:
             time.sleep(1.0)
             if not self.is_held():
                 break
+
+    def withdraw(self, exit_state: str) -> None:
+        """Record that the run has stopped: a signal that reached all its processes, as Slurm's, took it for a death."""
+        with suppress(StoreError), Store(self._configuration.database) as store:
+            store.use_campaign(self._configuration.campaign.name)
+            store.acquire_lease()
+            store.end_run(exit_state, datetime.now(UTC), number=self._latest_run()[0])
 
     def is_held(self) -> bool:
         """Whether a process that may live has the campaign."""

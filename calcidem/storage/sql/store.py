@@ -198,17 +198,19 @@ class Store(StoreReader):
         self._run_id = int(key[0])
         return self._run_id
 
-    def end_run(self, exit_state: str, ended: datetime, *, cut_off: bool = False) -> None:
-        """Store reason and time of the end of the run of `begin_run`; `UnknownCampaignError` if no run was begun.
+    def end_run(self, exit_state: str, ended: datetime, *, cut_off: bool = False, number: int | None = None) -> None:
+        """Store reason and time of the end of a run, by default that of `begin_run`.
 
         Attempts without an outcome are withdrawn, unless the run was cut off by a death or hanging of a worker.
+        `UnknownCampaignError` if no run was begun.
         """
         with self._writing() as connection:
-            ending = update(RUN).where(RUN.c.id == self._run_id).values(exit_state=exit_state, ended=as_utc(ended))
+            run = self._run_id if number is None else number
+            ending = update(RUN).where(RUN.c.id == run).values(exit_state=exit_state, ended=as_utc(ended))
             if not connection.execute(ending).rowcount:
                 raise UnknownCampaignError("No run was begun.", "Call begin_run first.")
             if not cut_off:
-                unended = and_(ATTEMPT.c.run_id == self._run_id, ATTEMPT.c.outcome == CellStatus.RUNNING.value)
+                unended = and_(ATTEMPT.c.run_id == run, ATTEMPT.c.outcome == CellStatus.RUNNING.value)
                 connection.execute(delete(ATTEMPT).where(unended))
         self._run_id = None
 
