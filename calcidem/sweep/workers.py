@@ -163,7 +163,9 @@ class Workers(Generic[CellT]):
         """Batches, not marked yet, whose computation has begun since the last call, as far as the executor tells."""
         now, found, self._lost = time.monotonic(), self._lost, []
         for future, flight in self._in_flight.items():
-            if flight.begun is None and (future.running() or (future.done() and not _has_no_executor(future))):
+            # An executor that is gone has not told what ran.
+            is_gone = future.done() and (future.cancelled() or isinstance(future.exception(), CancelledError | OSError))
+            if flight.begun is None and (future.running() or (future.done() and not is_gone)):
                 flight.begun = now
                 self._tells_begin |= future.running()
                 if not flight.is_marked:
@@ -292,20 +294,8 @@ class Workers(Generic[CellT]):
         self.exhausted = self.exhausted or reason
 
 
-def _has_no_executor(future: "Future[bytes]") -> bool:
-    """Whether the executor of a finished future has gone without a word on what ran."""
-    return future.cancelled() or isinstance(future.exception(), CancelledError | OSError)
-
-
-class _Latest(threading.local):
-    """The computation of the latest sweep in this thread: sweeps may run side by side in several."""
-
-    key = ""
-    """Its hash."""
-    compute: Compute[Any, Any]
-
-
-_latest = _Latest()
+_latest = threading.local()
+"""The computation of the latest sweep in this thread, and its hash: sweeps may run side by side in several threads."""
 
 
 @cache  # one thread for all computations; a forked process inherits the entries of its parent, which has another one
@@ -320,7 +310,7 @@ def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_
     Return the worker's identity and, if it has the computation, seconds, results and failure.
     """
     worker: _Identity = (platform.node(), os.getpid(), threading.get_ident(), own_rank())
-    if key != _latest.key:
+    if key != getattr(_latest, "key", None):
         if computation is None:
             return pickle.dumps((worker, None))
         if (parent := multiprocessing.parent_process()) is not None and parent.pid is not None:
