@@ -35,11 +35,11 @@ def replace_file(target: Path) -> Iterator[Path]:
     temporary = target.with_name(f".{kept_name}.{secrets.token_hex(8)}.tmp")
     try:
         yield temporary
-        _flush_to_disk(temporary)
+        flush_to_disk(temporary)
         with suppress(FileNotFoundError):
             shutil.copymode(target, temporary)
         temporary.replace(target)
-        _flush_to_disk(target.parent)
+        flush_to_disk(target.parent)
     finally:
         for end in ("", *BESIDE_A_DATABASE):
             Path(f"{temporary}{end}").unlink(missing_ok=True)
@@ -78,7 +78,8 @@ def beginning(path: Path) -> bytes:
         return file.read(20)
 
 
-def _flush_to_disk(path: Path) -> None:
+def flush_to_disk(path: Path) -> None:
+    """Return once a file or the names in a folder are on disk; `OSError` if they cannot be."""
     if os.name == "nt" and path.is_dir():
         return  # Windows opens no folders
     descriptor = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)  # flushes only writable files

@@ -96,6 +96,8 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
             stress = np.array([json.dumps(dict(packing.wall_stress))], dtype=object)
             own: dict[str, _Column] = {"wall_stress": ("", "normal stress on each wall in Pa, as JSON", stress)}
             _append_records(file.createGroup("packings"), "packing", PackingRecord, [packing], own)
+        _write_cells(file, store, wanted)
+        # After the cells, since a run may go on meanwhile: each has its attempt then, and each attempt its run.
         for attempts in chunks(store.history(Selection(record.seeds, record.contents)), 10_000):
             recorded = np.array([round(attempt.recorded.timestamp() * 1e6) for attempt in attempts], dtype=np.int64)
             forgiven = np.array([attempt.forgiven for attempt in attempts], dtype=np.int8)
@@ -104,7 +106,7 @@ def export_netcdf(store: Store, path: str | os.PathLike[str], *, without: Collec
                 "forgiven": ("1", "1 if a retry came after it", forgiven),
             }
             _append_records(file.createGroup("attempts"), "attempt", AttemptRecord, attempts, own)
-        _write_cells(file, store, wanted)
+        file.setncatts(campaign_attributes(store))
     return Path(path).absolute()
 
 
@@ -156,7 +158,6 @@ def _write_cells(file: Group, store: Store, wanted: Collection[str]) -> None:
         raise UnknownCampaignError(
             f"Campaign '{store.record.name}' has no cells.", "Plan some seeds and contents first."
         )
-    file.setncatts(campaign_attributes(store))
     rows = max(1, 10_000 // contents.size)  # cells whose numbers are in memory at a time
     _create_variables(file, seeds, contents, min(rows, seeds.size))
     for first in range(0, seeds.size, rows):

@@ -317,7 +317,7 @@ def test_a_merge_into_its_own_result_goes_on(source: Path, target: Path, records
         store.use_campaign()
         store.record_results([records.done(3)])
     merged = merge_databases([str(source)], target)
-    assert (merged.settled, merged.sources) == (4, (str(source), str(target)))
+    assert (merged.settled, merged.sources) == (4, (str(target), str(source)))
     with Store(target) as store:
         store.use_campaign()
         assert len(list(store.results())) == 4

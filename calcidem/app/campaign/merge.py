@@ -30,7 +30,7 @@ class Merged:
     """Outcome of a merge."""
 
     sources: tuple[str, ...]
-    """Databases that were merged; the last is the target if it existed."""
+    """Databases that were merged; the first is the target if it existed."""
     settled: int
     """Number of cells with an outcome."""
     missing: tuple[CellKey, ...]
@@ -63,18 +63,21 @@ def merge_databases(
 ) -> Merged:
     """Merge the campaign of some databases or URLs into a file, which is new or has the same campaign.
 
-    It changes only once all is complete, and no run may be writing it. The sources are only read. ``prefer`` is the
+    It changes only once all is complete, and no run may be writing it. The sources are only read. What the file has
+    stays, but for cells that are done elsewhere, or with other values in a preferred source. ``prefer`` is the
     source whose values count where done cells differ. `FileExistsError` if the file has several campaigns,
     `CampaignMismatchError` if configurations or packings differ, or done cells and no source is preferred,
     `LeaseHeldError` if the file is being written, other `StoreError` if a database cannot be read.
     """
     target = Address.parse(out).path or out
-    names = list(sources)
+    # The target comes first, since of equal outcomes the first is taken: a source may lack arrays that it has.
+    names = sorted(sources, key=lambda name: Address.parse(name).path != target)
     with ExitStack() as stack:
         temporary = stack.enter_context(replace_database(target))
-        if target.exists() and target.stat().st_size and target not in [Address.parse(name).path for name in names]:
+        if target.exists() and target.stat().st_size and target != Address.parse(names[0]).path:
             with Store(target, read_only=True) as former:
-                names += [str(out)] if former.campaigns() else []  # a run that was killed at its start leaves none
+                if former.campaigns():  # a run that was killed at its start leaves none
+                    names.insert(0, str(out))
         campaigns = [stack.enter_context(read_campaign(name, campaign_name)) for name in names]
         for campaign in campaigns:
             if campaign.address.path != target:
@@ -214,7 +217,8 @@ def _copy_history(sources: Sequence[Store], target: Store) -> _Numbers:
             if attempt.outcome == CellStatus.RUNNING:
                 continue  # in a copy nobody will end it, which would count as the death of a run
             moved = replace(attempt, run_id=run_numbers.get(attempt.run_id))
-            attempts[attempt.key].setdefault(attempt.identity, moved)
+            known = attempts[attempt.key].get(attempt.identity, moved)
+            attempts[attempt.key][attempt.identity] = replace(known, forgiven=known.forgiven or moved.forgiven)
             copies[position, attempt.key, attempt.number] = attempt.identity
     numbers: dict[tuple[CellKey, tuple[object, ...]], int] = {}
     for key, found in attempts.items():

@@ -21,7 +21,7 @@ from pathlib import Path
 from sqlalchemy import Connection, delete, insert, select, update
 
 from calcidem.storage.errors import DiskError, LeaseHeldError, LeaseLostError, OutputRefusedError, StoreUnavailableError
-from calcidem.storage.files import BESIDE_A_DATABASE, refuse_to_replace, replace_file
+from calcidem.storage.files import BESIDE_A_DATABASE, flush_to_disk, refuse_to_replace, replace_file
 from calcidem.storage.records import STALE_AFTER, LeaseHolder
 from calcidem.storage.sql.tables import LEASE, exclude_others
 
@@ -292,6 +292,7 @@ def replace_database(path: Path) -> Iterator[Path]:
                     f"{path} was made, removed or replaced by another process meanwhile.",
                     "It was left as it is. Give another file name, or run the same command again.",
                 )
+            flush_to_disk(temporary)  # a disk that is full must not cost the former database its log
             for end in BESIDE_A_DATABASE:
                 Path(f"{path}{end}").unlink(missing_ok=True)
         lease.forget()

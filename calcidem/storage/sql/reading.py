@@ -214,7 +214,7 @@ class StoreReader:
     def runs(self) -> tuple[tuple[int, RunRecord], ...]:
         """All runs of the campaign with their numbers, oldest first."""
         statement = sa.select(RUN.c.id, *(RUN.c[field.name] for field in fields(RunRecord)))
-        statement = statement.where(RUN.c.campaign_id == self._campaign).order_by(RUN.c.id)
+        statement = statement.where(RUN.c.campaign_id == self._campaign).order_by(RUN.c.started, RUN.c.id)
         with self._reading() as connection:
             return tuple((number, RunRecord(*values)) for number, *values in connection.execute(statement))
 

@@ -107,6 +107,7 @@ class Store(StoreReader):
             raise lease.held_error(None)
         try:
             with self._writing() as connection:
+                exclude_others(connection)  # first, or a run could begin after it was looked for
                 self._lease.refuse_other_masters(connection)
                 yield
         except BaseException:
