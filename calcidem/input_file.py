@@ -174,7 +174,9 @@ class Table:
         rows = [
             (n, split(line, delimiter))
             for n, line in enumerate(islice(lines, start, None), start + 1)
-            if re.search(r"\w", line) and not line.lstrip().startswith(comments)
+            # A line of units may begin with %.
+            if (re.search(r"\w", line) and not line.lstrip().startswith(comments))
+            or (names and n <= first and all(map(_dimension, split(line, delimiter))))
         ]
         if names and rows and rows[0][0] <= first and all(not unit or _dimension(unit) for unit in rows[0][1]):
             units = rows.pop(0)[1]  # a line of units below that of names

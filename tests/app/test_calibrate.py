@@ -345,6 +345,8 @@ def test_what_cannot_be_fitted_is_refused(configuration: Configuration, small_pa
         ("content,G0 (MPa)\n1,300\n", "column density: is missing"),
         ("content,vs\n0.02,480\n0.04,900\n", "content = 0.04 at most: percent or parts"),
         ("content,vs\n2,0.48\n4,0.9\n", r"vs = 0.48 to 0.9 m/s: is it in other units.*'Vs \(km/s\)'"),
+        ("content (%);vs (m/s)\n0,66;375,5\n5,0;1.450\n", "vs = 1.45 to 375.5 m/s: .* a mark of thousands"),
+        (f"content,vs,sd,samples\n1,300,5,{'9' * 5000}\n", "samples = '9.*whole number"),
         ("content,G0,density\n2,600,1.9\n", r"vs = 17770.5 to .*'density \(kg/m3\)'"),
     ],
 )
@@ -364,6 +366,8 @@ def test_targets_are_read_with_what_they_have(tmp_path: Path) -> None:
     assert read_targets(path) == (Target(0.66, 380.34, samples=1),)
     path.write_text("content, vs, sd, samples\n0.66, 380.34, 35.49, 116\n\n5, 1211, ,\n", encoding="utf-8")
     assert read_targets(path) == (Target(0.66, 380.34, 35.49, 116), Target(5.0, 1211.0, samples=1))
+    path.write_text("# kPa\ncontent;vs;stress\n%;km/s;MPa\n0,66;0,375;0,1\n", encoding="utf-8")
+    assert read_targets(path) == (Target(0.66, 375.0, samples=1, stress=1e5),)
 
 
 def test_a_cluster_without_area_starts_from_its_contacts(configuration: Configuration, small_packing: Packing) -> None:

@@ -210,6 +210,21 @@ def test_a_packing_in_the_making_is_dropped_at_once(workshop: "Workshop") -> Non
     assert not workshop.database.exists()
 
 
+def test_a_campaign_that_cannot_be_leaves_another_ones_database_as_it_was(workshop: "Workshop") -> None:
+    """Its contents have no room in the packing, which has to be made to know it; without a database nothing is left."""
+    workshop.configure(seeds=1, contents=(0.66,))
+    assert workshop.run("run", "c.toml").code == 0
+    workshop.configure(seeds=1, contents=(0.66, 60.0), wave="frequency = 9e3\n", name="other.toml")
+    text = (workshop.folder / "other.toml").read_text(encoding="utf-8").replace('name = "small"', 'name = "other"')
+    (workshop.folder / "other.toml").write_text(text, encoding="utf-8")
+    for names in (("--db", str(workshop.database)), ("--output", "nowhere")):
+        refused = workshop.run("run", "other.toml", *names)  # and all files are as they were
+        assert refused.code == 2, refused.errors
+        assert "60" in refused.errors
+    assert not (workshop.folder / "nowhere").exists()
+    assert workshop.run("status", str(workshop.database)).code == 0
+
+
 def test_tasks_that_do_not_know_one_another_are_refused(workshop: "Workshop") -> None:
     """Started by `srun` without an MPI launcher, the command refuses to compute everything several times over."""
     workshop.configure()

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -328,6 +329,26 @@ def test_a_merge_into_its_own_result_goes_on(source: Path, target: Path, records
         merge_databases([str(source)], target, campaign_name="quick")
     assert target.read_bytes() == before
     assert [path.name for path in target.parent.iterdir()] == [target.name]
+
+
+def test_who_waited_while_a_database_was_made_does_not_replace_it(
+    tmp_path: Path, source: Path, records: "Records"
+) -> None:
+    """Two runs that begin at the same time: the second is refused, or sees what the first one stored."""
+    path = tmp_path / "both.db"
+    lease = Lease(path)
+    assert lease.acquire()  # the first one makes it
+    with ThreadPoolExecutor(1) as other:
+        opened = other.submit(Store, path)
+        time.sleep(0.3)  # so that the second waits; if it is not there yet, it only opens what it finds
+        path.write_bytes(source.read_bytes())
+        lease.release()
+        if opened.exception(10.0) is None:
+            opened.result().close()
+        else:
+            assert isinstance(opened.exception(), OutputRefusedError)
+    with Store(path, read_only=True) as store:
+        assert [campaign.name for campaign in store.campaigns()] == [records.campaign().name]
 
 
 def test_a_database_without_a_campaign_is_merged_into(source: Path, target: Path) -> None:

@@ -224,17 +224,19 @@ def prepared_store(
     """Store of a campaign with its packing and its planned cells, of which this process is the only writer.
 
     An existing database is checked before the packing is made, so that one of another campaign is refused at once. A
-    new one is created after the packing, so that a configuration that the packing cannot fulfil creates none.
+    new database or campaign is created after the packing, so that a configuration that the packing cannot fulfil
+    creates none.
     `GpuError` if `run.gpu` asks for a GPU that is not here.
     """
     if configuration.run.gpu:
         gpu_card().refuse_missing()
+    is_known = False
     if _exists(configuration.database):  # an empty one is refused for reading, and new for writing
         with suppress(ForeignDatabaseError), Store(configuration.database, read_only=True) as stored:
-            if choose_campaign(stored, configuration) and stored.packing_indices():
+            is_known = choose_campaign(stored, configuration)
+            if is_known and stored.packing_indices():
                 check_against_packing(configuration, stored_packing(stored.packing(), configuration.packing_hash))
-    configuration.output.mkdir(parents=True, exist_ok=True)  # before hours of computation
-    store = _become_master(configuration, raise_if_stopped) if _exists(configuration.database) else None
+    store = _become_master(configuration, raise_if_stopped) if is_known else None
     sink = None if store is None else StoreSink(store, ())
 
     def keep_alive() -> None:  # a packing may take longer than a lease lasts
@@ -250,6 +252,7 @@ def prepared_store(
 
             for doubt in (*doubts, *wave_doubts(configuration, packing)):
                 advise(f"{doubt}.")
+        configuration.output.mkdir(parents=True, exist_ok=True)
         store = store or _become_master(configuration, raise_if_stopped)
         store.save_packing(packing_record(packing, index=0, packing_hash=configuration.packing_hash))
         store.extend(configuration.campaign.seed_numbers, configuration.campaign.contents)

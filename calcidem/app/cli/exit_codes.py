@@ -14,6 +14,7 @@ from calcidem.app.cli.options import IS_VERBOSE, say
 from calcidem.app.config.schema import ConfigurationError
 from calcidem.dem.engine.fields import FieldError
 from calcidem.dem.kernels.gpu import GpuError
+from calcidem.dem.sample.cement import CementCapacityError, UnknownPatternError
 from calcidem.dem.sample.packing import PackingError, PackingFileError
 from calcidem.input_file import InputFileError
 from calcidem.storage.errors import (
@@ -36,6 +37,7 @@ EXIT_ROUNDING = 3
 """`calcidem verify`: stored and computed numbers are the same to rounding."""
 
 _BAD_INPUT = (
+    CementCapacityError,
     ConfigurationError,
     FieldError,
     GpuError,
@@ -43,6 +45,7 @@ _BAD_INPUT = (
     LaunchError,
     PackingFileError,
     StoreError,
+    UnknownPatternError,
     OSError,
 )
 

@@ -88,7 +88,8 @@ class TerminalView:
         if self.with_report and code == 0:
             from calcidem.app.report.page import write_report
 
-            page = write_report(configuration.database, netcdf.with_suffix(".html").absolute())
+            page = netcdf.with_suffix(".html").absolute()
+            write_report(configuration.database, page, campaign_name=configuration.campaign.name)
             tell(f"Wrote {page}")
 
     def refuse(self, error: Exception) -> int:

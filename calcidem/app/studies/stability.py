@@ -110,7 +110,9 @@ def stability(
     identity = {
         "campaign_hash": configuration.hash,
         "packing_hash": experiment.packing.content_hash,
+        "seed": seed,
         "content": content,
+        "largest_content": max(contents),
         "scenes": scenes,
         "draw": draw,
     }

@@ -271,6 +271,7 @@ def replace_database(path: Path) -> Iterator[Path]:
             raise StoreUnavailableError(
                 f"{path} has a name too long for the files beside a database.", f"Give one of at most {most} bytes."
             )
+    before = _identity_of(path)  # first: another process may make it while this one waits
     lease = Lease(path)
     deadline = time.monotonic() + 5.0  # s; making an empty database takes a tenth of one
     while not lease.acquire():
@@ -278,7 +279,6 @@ def replace_database(path: Path) -> Iterator[Path]:
             raise lease.held_error(None)
         time.sleep(0.05)
     try:
-        before = _identity_of(path)
         with replace_file(path) as temporary:
             yield temporary
             log = Path(f"{temporary}-wal")
