@@ -57,18 +57,20 @@ def group_specimens(measured: Sequence[Target]) -> tuple[tuple[Target, tuple[Tar
 
 
 def _joined(rows: Sequence[Target]) -> Target:
-    """Mean and standard deviation of all samples of some measurements; their numbers are unknown if one is."""
+    """Mean and standard deviation of all samples of some measurements; each number is unknown if one of theirs is."""
     if len(rows) == 1 and rows[0].samples != 1:
         return rows[0]
-    content, vs, sd = np.array([(row.content, row.vs, row.sd or 0.0) for row in rows]).T
+    scatters = [0.0 if row.samples == 1 else math.nan if row.sd is None else row.sd for row in rows]
+    content, vs, sd = np.array([(row.content, row.vs, each) for row, each in zip(rows, scatters, strict=True)]).T
     numbers = [row.samples for row in rows if row.samples is not None]
     if len(numbers) < len(rows):
-        scatter = math.sqrt(float((sd * sd + (vs - vs.mean()) ** 2).mean())) or None
+        variance = float((sd * sd + (vs - vs.mean()) ** 2).mean())
+        scatter = math.sqrt(variance) if variance > 0.0 else None
         return Target(round(float(content.mean()), 3), float(vs.mean()), scatter, None, rows[0].stress)
     count = np.array(numbers)
     total, mean = int(count.sum()), float((count * vs).sum() / count.sum())
     squares = float(((count - 1) * sd**2 + count * (vs - mean) ** 2).sum())
-    scatter = math.sqrt(squares / (total - 1)) if squares else None  # one specimen has none
+    scatter = math.sqrt(squares / (total - 1)) if squares > 0.0 else None  # one specimen has none
     return Target(round(float((count * content).sum() / total), 3), mean, scatter, total, rows[0].stress)
 
 

@@ -153,6 +153,14 @@ def test_means_of_unknown_numbers_keep_their_scatter() -> None:
     assert joined.samples is None
 
 
+@pytest.mark.parametrize("samples", [None, 10])
+def test_a_mean_of_unknown_scatter_leaves_that_of_its_group_unknown(samples: int | None) -> None:
+    """The difference of two means is no standard deviation of samples, nor has a mean of several none of its own."""
+    for other in (Target(5.0, 1120.0, None, samples), Target(5.0, 1120.0, 250.0, samples)):
+        ((joined, _),) = group_specimens([Target(5.0, 1100.0, None, samples), other])
+        assert (joined.vs, joined.sd) == (1110.0, None)
+
+
 def test_a_content_with_one_velocity_has_no_scatter_to_compare_with() -> None:
     """Neither there nor beside it; without cement it would be the whole sample."""
     vs = xr.DataArray(
