@@ -88,7 +88,7 @@ class _Misfit:
     difference: float
     """Relative difference of the mean from the measured one."""
     standard_errors: float
-    """Difference of both means over its standard error; NaN without scatter."""
+    """Difference of both means over its standard error; NaN if that is zero or unknown."""
     deviation_ratio: float
     """Standard deviation over the measured one; NaN if the latter is unknown."""
     outside: int
@@ -112,7 +112,7 @@ def misfits(distributions: Sequence[ContentDistribution], measured: Sequence[Tar
         mean, deviation, error = here
         scatter = deviation if target.sd is None else target.sd
         of_target = 0.0 if target.samples is None else scatter / math.sqrt(target.samples)
-        both = math.hypot(*(0.0 if math.isnan(part) else part for part in (error, of_target)))
+        both = math.hypot(error, of_target)  # NaN if one is unknown: an error of zero would make any difference large
         of_new = [[np.interp(row.content, contents, column) for column in columns.T[3:]] for row in members]
         found.append(
             _Misfit(

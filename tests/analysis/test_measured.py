@@ -173,3 +173,5 @@ def test_a_content_with_one_velocity_has_no_scatter_to_compare_with() -> None:
     )
     assert np.isnan([beside.standard_deviation, beside.deviation_ratio]).all()
     assert at.deviation_ratio == pytest.approx(np.sqrt(200.0) / 20.0)
+    assert np.isnan(beside.standard_errors)  # the error of a mean of one velocity is unknown, not zero
+    assert at.standard_errors == pytest.approx(0.0)
