@@ -346,8 +346,8 @@ def published_velocities(analysis: CampaignAnalysis) -> list[tuple[float, Publis
     """Return the published rows for a campaign with the published sand; empty if fewer than two contents match."""
     if not published_study().has_sand_of(analysis.config):
         return []
-    contents = analysis.vs["content"].to_numpy()
-    rows = [row for row in published_study().velocities if np.isclose(contents, row[0], atol=1e-6).any()]
+    contents = {round(content, 6) for content in analysis.vs["content"].to_numpy().tolist()}  # as tables look them up
+    rows = [row for row in published_study().velocities if round(row[0], 6) in contents]
     return rows if len(rows) > 1 else []
 
 

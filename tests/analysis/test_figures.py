@@ -229,6 +229,10 @@ def test_published_means_are_shown_for_the_published_sand_where_contents_match(a
     assert published_velocities(analysis) == []
     with open_campaign(TUTORIAL) as campaign:
         assert [content for content, _ in published_velocities(campaign.analyse())] == [0.66, 2.55, 5.0, 9.0]
+        for shift, count in ((2e-7, 4), (5e-5, 0)):  # percent: contents are equal to six decimals, or differ
+            beside = campaign.analyse()
+            vars(beside)["vs"] = beside.vs.assign_coords(content=beside.vs["content"] + shift)
+            assert len(published_velocities(beside)) == count
 
 
 def test_symbols_are_upright_where_they_are_names() -> None:
