@@ -5,6 +5,7 @@ scatter explained by a feature at a fixed content is a separate, harder question
 content each variable is divided by its scatter there; otherwise contents with large Vs would dominate.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -65,7 +66,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
     without the target: ``pearson`` of `correlate` within one content, its 95 % interval ``pearson_low`` and
     ``pearson_high``, its two-sided ``p``, and ``p_corrected``, the probability that the largest of all
     coefficients is as large by chance. NaN for constant variables; where an order of the seeds gives a coefficient of
-    1, there is no interval.
+    1, there is no interval, nor with fewer than 4 seeds, whose few orders scatter by too little.
 
     Intervals are those of Fisher's z, with its standard deviation over the permutations: between seeds that share
     effects it is larger than that of as many independent samples.
@@ -83,6 +84,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
         standard[known[:, column], column] = np.nan_to_num(_standardised(values[known[:, column], column]))
     others = [number for number in range(len(names)) if number != place]
     features, targets = standard[..., others], standard[..., place]
+    features[:, ~targets.any(axis=0)] = 0.0  # where the target does not vary, features correlate with nothing
     squares = (targets * targets).sum(axis=0) @ features.any(axis=0)  # where the feature varies
     scale = np.sqrt(squares * (features * features).sum(axis=(0, 1)))
     features = (features / np.where(scale > 0, scale, np.nan)).reshape(-1, len(others))
@@ -95,7 +97,7 @@ def seed_permutation_test(table: xr.Dataset, target: str) -> xr.Dataset:
         drawn[begin : begin + 99] = shuffled.reshape(99, -1) @ features
     size, sizes = np.abs(observed) - _ROUND_OFF, np.abs(drawn)
     z = np.arctanh(np.where(sizes < 1.0 - _ROUND_OFF, drawn, np.nan))
-    half = float(stats.norm.ppf(0.975)) * z.std(axis=0)
+    half = float(stats.norm.ppf(0.975)) * z.std(axis=0) if len(targets) >= 4 else math.nan
     centre = np.arctanh(np.where(size < 1.0 - 2.0 * _ROUND_OFF, observed, np.nan))
     largest = np.where(np.isfinite(sizes), sizes, 0.0).max(axis=1)
 

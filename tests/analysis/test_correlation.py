@@ -210,3 +210,14 @@ def test_a_content_at_which_a_variable_is_constant_says_nothing_about_it() -> No
         assert pair(found, name) == pytest.approx(pair(only, name), rel=1e-12)
     tested = seed_permutation_test(table(x=x, y=y, z=y + generator.normal(size=y.shape)), "y")
     assert float(tested["pearson"].sel(variable="x")) == pytest.approx(pair(only, "pearson"), rel=1e-12)
+    tested, only = (seed_permutation_test(table(x=y[:, :some], y=x[:, :some]), "y") for some in (2, 1))
+    xr.testing.assert_allclose(tested, only)  # nor does it where the target is the constant one
+
+
+def test_few_seeds_have_no_interval_by_permutations() -> None:
+    """Two seeds have two orders and three have six, whose coefficients scatter by far too little, or not at all."""
+    x, y = np.random.default_rng(7).normal(size=(2, 4, 5))
+    for seeds in (2, 3, 4):
+        found = seed_permutation_test(table(x=x[:seeds], y=y[:seeds]), "y").sel(variable="x")
+        assert np.isfinite(found[["pearson", "p"]].to_array()).all()
+        assert (np.isfinite(found[["pearson_low", "pearson_high"]].to_array()) == (seeds == 4)).all()
