@@ -4,9 +4,11 @@ import csv
 import json
 import re
 import shutil
+import sqlite3
 import zlib
 from base64 import b64decode
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -19,6 +21,7 @@ from places import TUTORIAL
 
 from calcidem.analysis.figures.registry import CAMPAIGN_FIGURES
 from calcidem.app.campaign.opened import open_campaign
+from calcidem.app.cli.views import _vs_table
 from calcidem.app.report import cell_data
 from calcidem.app.report import page as page_of_report
 from calcidem.app.report.cell_data import gather_cell_data
@@ -34,7 +37,7 @@ from calcidem.app.report.tables import Table, _outcome_table, _velocity_table, p
 from calcidem.app.studies.sensitivity import run_studies
 from calcidem.ends import CellStatus
 from calcidem.storage.errors import OutputRefusedError, UnknownCellError
-from calcidem.storage.records import CellKey, CellResult
+from calcidem.storage.records import CellKey, CellResult, Selection
 from calcidem.storage.sql.store import Store, read_campaign
 from calcidem.wording import ABSENT, decimal, significant
 
@@ -245,6 +248,27 @@ def test_published_table_stands_beside_the_published_sand() -> None:
         table = _published_table(campaign.analyse())
     assert table is not None
     assert [row[0] for row in table.rows] == ["0.66", "2.55", "5", "9"]
+
+
+def test_no_modulus_is_given_where_the_pulse_changes_the_velocity(tmp_path: Path) -> None:
+    """Also of a content of which every Vs is unread, but not the effective velocity."""
+    database = Path(shutil.copy(TUTORIAL, tmp_path / "loud.db"))
+    with closing(sqlite3.connect(database)) as connection, connection:
+        connection.execute(
+            "UPDATE result SET status = 'no_arrival', vs = NULL, wavelengths_on_path = NULL, "
+            "wavelength_over_d50 = NULL, pulse_effect = 0.15 WHERE cell_id IN (SELECT id FROM cell WHERE content = 5)"
+        )
+    with open_campaign(database) as campaign:
+        contents = campaign.analyse().vs["content"].to_numpy().tolist()
+        meaning, both = (TABLES[name](campaign.analyse()) for name in ("meaning", "two_velocities"))
+        terminal = {str(column.header): list(column.cells) for column in _vs_table(campaign.store, Selection()).columns}
+    assert meaning is not None
+    assert both is not None
+    moduli = [row[meaning.header.index("G0 (MPa)")] for row in meaning.rows]
+    of_terminal = [terminal[name] for name in ("effective mean m/s", "G0 MPa")]
+    for content, modulus, velocity, shown in zip(contents, moduli, *of_terminal, strict=True):
+        assert (modulus == ABSENT, shown == "-", velocity == "-") == (content == 5.0, content == 5.0, False)
+    assert contents.index(5.0) in both.marked
 
 
 def test_studies_are_shown_when_given(small_database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

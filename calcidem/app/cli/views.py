@@ -23,7 +23,7 @@ from calcidem.app.campaign.status import (
 from calcidem.app.cli.options import IS_QUIET
 from calcidem.app.cli.output import WholeTable, make_console, make_table
 from calcidem.ends import CellStatus, Verdict
-from calcidem.storage.records import MOST_PULSE_EFFECT, Selection
+from calcidem.storage.records import MOST_PULSE_EFFECT, Selection, depends_on_pulse
 from calcidem.storage.sql.engine import Address
 from calcidem.storage.sql.store import Store
 from calcidem.sweep.ranks import COMMAND_VARIABLE, available_cores, launcher
@@ -138,13 +138,14 @@ def _vs_table(store: Store, selection: Selection) -> Table:
         here = (columns["content"] == one.content) & counted
         effective = columns["effective_vs"][(columns["content"] == one.content) & also_counted].astype(float)
         mean = float(effective.mean()) if effective.size else np.nan
+        loud = depends_on_pulse(columns["pulse_effect"][columns["content"] == one.content].astype(float)).any()
         deviation = float(effective.std(ddof=1)) if effective.size > 1 else np.nan
         others = [status for status in CellStatus if status in one.counts and status != CellStatus.DONE]
         table.add_row(
             f"{one.content:g}",
             f"{one.counts.get(CellStatus.DONE, 0)}/{len(one.statuses)}",
             *map(number, (one.mean, one.deviation, one.budget.scatter, mean, deviation)),
-            number(np.nan if one.budget.loud else small_strain_modulus(mean) / 1e6, ".4g"),
+            number(np.nan if loud else small_strain_modulus(mean) / 1e6, ".4g"),
             number(median_known(columns["wavelengths_on_path"][here]), ".2f"),
             *([", ".join(f"{one.counts[status]} {status.words}" for status in others)] if has_others else ()),
         )

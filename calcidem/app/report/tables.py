@@ -22,7 +22,7 @@ from calcidem.analysis.velocity import (
     small_strain_modulus,
 )
 from calcidem.ends import Verdict
-from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, NOT_PLANNED
+from calcidem.storage.records import MOST_PULSE_EFFECT, NORMAL_95, NOT_PLANNED, depends_on_pulse
 from calcidem.wording import ABSENT, decimal, significant
 
 
@@ -104,7 +104,9 @@ def _meaning_table(analysis: CampaignAnalysis) -> Table:
         column = analysis.distinct.sel(content=row.content)
         if median_known(column["wavelengths_on_path"]) < FEWEST_WAVELENGTHS:
             near.append(place)
-        modulus = math.nan if row.budget.loud else small_strain_modulus(float(column["effective_vs"].mean())) / 1e6
+        modulus = small_strain_modulus(float(column["effective_vs"].mean())) / 1e6
+        if depends_on_pulse(analysis.cells["pulse_effect"].sel(content=row.content)).any():  # also of cells without Vs
+            modulus = math.nan
         ratio = median_known(column["effective_vs"] / column["static_speed"])
         of_long_waves = {
             "static speed (m/s)": decimal(median_known(column["static_speed"])),
@@ -279,7 +281,7 @@ def _two_velocities_table(analysis: CampaignAnalysis) -> Table | None:
     for place, row in enumerate(analysis.distributions):
         column = analysis.distinct.sel(content=row.content)
         effective = column["effective_vs"]
-        if row.budget.loud:
+        if depends_on_pulse(analysis.cells["pulse_effect"].sel(content=row.content)).any():
             loud.add(place)
         rows.append(
             {
