@@ -82,6 +82,9 @@ def test_without_cement_all_seeds_are_one_cell(outcomes: list[str], counts: tupl
     rows = describe_contents(campaign_cells(vs, vs.copy(data=np.array([[each, each] for each in outcomes]))))
     of_seeds = outcomes.count("done"), outcomes.count(""), outcomes.count("unstable")
     assert [(row.vs.n, row.missing, row.failed) for row in rows] == [counts, of_seeds]
+    columns = np.repeat(np.array(outcomes, object), 2), np.full(2 * len(outcomes), "silent"), np.tile([0.0, 0.05], 4)
+    failures = [count for *_, count in count_reasons(*columns)]
+    assert failures == [1 + outcomes.count("unstable")] * ("unstable" in outcomes)
 
 
 def test_gaps_count_as_not_computed() -> None:

@@ -160,7 +160,8 @@ def count_reasons(
 ) -> list[tuple[str, str, list[float], int]]:
     """Return outcome, reason, contents (percent) and number of cells without a velocity, the most frequent first.
 
-    The arguments are columns of all cells, (N,); the status is empty without an outcome.
+    The arguments are columns of all cells, (N,); the status is empty without an outcome. Without cement all seeds are
+    one sample, which counts once.
     """
     failed = np.flatnonzero(~np.isin(status, ("", "done", NOT_PLANNED)))
     found: Counter[tuple[str, str]] = Counter()
@@ -168,8 +169,9 @@ def count_reasons(
     for outcome, text, at in zip(status[failed], reason[failed], content[failed], strict=True):
         verdict = Verdict.of(str(text))  # the numbers that follow it differ from cell to cell
         key = (str(outcome), verdict.explained if verdict else str(text))
-        found[key] += 1
-        where.setdefault(key, set()).add(float(at))
+        contents = where.setdefault(key, set())
+        found[key] += bool(at) or 0.0 not in contents
+        contents.add(float(at))
     return [(*key, sorted(where[key]), count) for key, count in found.most_common(20)]
 
 
