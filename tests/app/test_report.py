@@ -271,6 +271,17 @@ def test_no_modulus_is_given_where_the_pulse_changes_the_velocity(tmp_path: Path
     assert contents.index(5.0) in both.marked
 
 
+def test_the_sample_without_cement_has_the_time_of_the_seed_that_was_computed() -> None:
+    """Which need not be the first."""
+    with open_campaign(TUTORIAL) as campaign:
+        analysis = campaign.analyse()
+        vars(analysis)["cells"] = analysis.cells.copy(deep=True)
+        analysis.cells["seconds"].loc[{"content": 0.0}] = np.where(analysis.cells["seed"] == 2, 7.5, np.nan)
+        table = TABLES["errors_and_cost"](analysis)
+    assert table is not None
+    assert dict(zip(table.header, table.rows[0], strict=True))["time for a cell (s)"] == "7.5"
+
+
 def test_studies_are_shown_when_given(small_database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The report has the figures of the studies that it is given."""
     monkeypatch.setattr(page_of_report, "PAGE_SECTIONS", ())  # the other figures need not be drawn again

@@ -246,6 +246,9 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
     rows = []
     for row in analysis.distributions:
         column = analysis.distinct.sel(content=row.content)
+        seconds = analysis.cells["seconds"].sel(
+            content=row.content
+        )  # without cement another seed may have been computed
         laws = np.unique(analysis.cells["law"].sel(content=row.content).astype(str))
         relative = 100 * row.vs.standard_deviation / (row.vs.mean * math.sqrt(row.vs.n)) if row.vs.n > 1 else math.nan
         rows.append(
@@ -261,7 +264,7 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
                 "of it simulation (%)": significant(100 * row.budget.numerical, 2),
                 "of it pulse (%)": significant(100 * row.budget.pulse, 2),
                 "standard error of the mean (%)": decimal(relative, 2),
-                "time for a cell (s)": significant(median_known(column["seconds"])),
+                "time for a cell (s)": significant(median_known(seconds)),
             }
         )
     return Table.of(
