@@ -191,6 +191,12 @@ def test_cell_data_give_back_what_is_stored(small_database: Path) -> None:
     assert vs == pytest.approx(cell.vs, rel=1e-5)
 
 
+def test_whole_numbers_keep_all_digits_in_the_page() -> None:
+    """A number of steps is a count; other numbers have six digits, and missing ones are none."""
+    given = np.array([1234567.0, 1234567.5, np.nan, 0.12345678])
+    assert cell_data.numbers_or_none(given) == [1234567.0, 1234570.0, None, 0.123457]
+
+
 def test_the_section_in_the_page_is_the_one_that_was_read(small_database: Path) -> None:
     """Traces come back to a step of the drawing, and the marked peak has the travel time of the stored velocity."""
     with open_campaign(small_database) as campaign:

@@ -141,7 +141,10 @@ def numbers_or_none(values: NDArray[Any]) -> list[Any]:
     """Return numbers with six digits, whole ones unchanged, and None for missing ones."""
     if values.dtype.kind != "f":
         return [value or "" for value in values.tolist()]
-    return [None if value != value else float(f"{value:.6g}") for value in values.tolist()]  # noqa: PLR0124 - NaN
+    return [
+        None if value != value else value if value.is_integer() else float(f"{value:.6g}")  # noqa: PLR0124 - NaN
+        for value in values.tolist()
+    ]
 
 
 def packing_block(analysis: CampaignAnalysis, graph: PackingGraph) -> dict[str, Any]:
