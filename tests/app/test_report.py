@@ -288,6 +288,19 @@ def test_the_sample_without_cement_has_the_time_of_the_seed_that_was_computed() 
     assert dict(zip(table.header, table.rows[0], strict=True))["time for a cell (s)"] == "7.5"
 
 
+def test_a_coefficient_without_an_interval_has_one_dash_for_it() -> None:
+    """As other values have; the file for programs then has the bare number."""
+    with open_campaign(TUTORIAL) as campaign:
+        analysis = campaign.analyse()
+        vars(analysis)["table"] = analysis.table.isel(seed=[0, 1])  # too few for an interval
+        table = TABLES["features"](analysis)
+    assert table is not None
+    texts = [row[table.header.index("with Vs, within one content")] for row in table.rows]
+    assert {text.partition(" ")[2] for text in texts} == {f"({ABSENT})"}
+    header, *rows = _as_numbers(table)
+    assert all(row[header.index("with Vs, within one content")].replace(".", "").lstrip("-").isdigit() for row in rows)
+
+
 def test_studies_are_shown_when_given(small_database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The report has the figures of the studies that it is given."""
     monkeypatch.setattr(page_of_report, "PAGE_SECTIONS", ())  # the other figures need not be drawn again

@@ -180,10 +180,8 @@ def _correlation_table(subject: str, features: Mapping[str, tuple[str, str]], ta
     matrices, tests = correlate(table), seed_permutation_test(table, "vs")
 
     def coefficient(cell: xr.Dataset) -> str:
-        low, high = float(cell["pearson_low"]), float(cell["pearson_high"])
-        if not math.isfinite(float(cell["pearson"])):
-            return decimal(math.nan)
-        return f"{decimal(float(cell['pearson']), 2)} ({decimal(low, 2)} to {decimal(high, 2)})"
+        value, low, high = (float(cell[name]) for name in ("pearson", "pearson_low", "pearson_high"))
+        return with_bounds(value, Interval(low, high), 2) if math.isfinite(value) else ABSENT
 
     rows = tuple(
         {
