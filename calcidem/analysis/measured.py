@@ -45,12 +45,13 @@ def group_specimens(measured: Sequence[Target]) -> tuple[tuple[Target, tuple[Tar
     """
     groups: list[list[Target]] = []
     for row in sorted(measured, key=lambda row: (row.stress or 0.0, row.content)):
-        first = groups[-1][0] if groups else None
-        reach = 0.0 if first is None else 1e-6  # percent: contents are parsed from text
-        if first is not None and first.samples == row.samples == 1:
-            reach = 0.1 * first.content + 0.1
-        if first is not None and row.stress == first.stress and row.content <= first.content + reach:
-            groups[-1].append(row)
+        for group in reversed(groups):  # a mean may lie between specimens of one group
+            first, reach = group[0], 1e-6  # percent: contents are parsed from text
+            if first.samples == row.samples == 1:
+                reach = 0.1 * first.content + 0.1
+            if row.stress == first.stress and row.content <= first.content + reach:
+                group.append(row)
+                break
         else:
             groups.append([row])
     return tuple((_joined(rows), tuple(rows)) for rows in groups)

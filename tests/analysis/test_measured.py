@@ -42,6 +42,8 @@ def test_specimens_of_nearly_one_content_are_joined() -> None:
     assert (joined, members) == (Target(2.133, 110.0, 10.0, 3), tuple(rows[:3]))
     assert (alone.vs, alone.sd, alone.samples) == (200.0, None, 1)
     assert len(group_specimens([replace(rows[0], stress=5e4), replace(rows[0], stress=1e5)])) == 2
+    between = Target(2.05, 300.0, 10.0, 5)  # a mean stays apart and separates no specimens
+    assert [members for _, members in group_specimens([*rows[:3], between])] == [tuple(rows[:3]), (between,)]
     several = [Target(2.0, 100.0, 10.0, 5), Target(2.1, 110.0, 10.0, 5)]
     assert [joined for joined, _ in group_specimens(several)] == several
     values = np.array([90.0, 100.0, 110.0]), np.array([100.0, 120.0])

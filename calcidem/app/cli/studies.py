@@ -257,7 +257,9 @@ def calibrate_command(
     targets = tuple(joined for joined, _ in group_specimens(read_targets(target, tell)))
     if len(targets) > len({row.content for row in targets}):
         raise typer.BadParameter(
-            "has one content under several confining stresses; give the rows of one of them", param_hint="--target"
+            "has one content under several confining stresses, or of specimens and of a mean; give the rows of one of "
+            "them",
+            param_hint="--target",
         )
     packing = provide_packing(loaded, None)
     ranges = [ParameterRange.parse(text) for text in free or FITTED_BY_DEFAULT[: len(targets)]]
