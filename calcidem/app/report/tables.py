@@ -244,9 +244,8 @@ def _cost_table(analysis: CampaignAnalysis) -> Table:
     rows = []
     for row in analysis.distributions:
         column = analysis.distinct.sel(content=row.content)
-        seconds = analysis.cells["seconds"].sel(
-            content=row.content
-        )  # without cement another seed may have been computed
+        # Of all cells: without cement another seed than the first may have been computed.
+        seconds = analysis.cells["seconds"].sel(content=row.content)
         laws = np.unique(analysis.cells["law"].sel(content=row.content).astype(str))
         relative = 100 * row.vs.standard_deviation / (row.vs.mean * math.sqrt(row.vs.n)) if row.vs.n > 1 else math.nan
         rows.append(
