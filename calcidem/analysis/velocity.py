@@ -149,14 +149,8 @@ def wavelengths(
 
 
 NOTE_QUANTITIES = (
-    "content",
-    "status",
-    "vs",
-    "pulse_effect",
-    "wavelengths_on_path",
-    "wavelength_over_d50",
-    "broken_bonds",
-)
+    "content", "status", "vs", "pulse_effect", "wavelengths_on_path", "wavelength_over_d50", "broken_bonds",
+)  # fmt: skip
 """Quantities of each cell that `notes_on` needs."""
 
 FEWEST_GRAINS = 6.0

@@ -43,12 +43,8 @@ STATUS_QUANTITIES = tuple(dict.fromkeys(("seed", "seconds", *BUDGET_QUANTITIES, 
 """Quantities of each cell that the status needs."""
 
 _TROUBLES = (
-    CellStatus.QUARANTINED,
-    CellStatus.FAILED,
-    CellStatus.TIMED_OUT,
-    CellStatus.UNSTABLE,
-    CellStatus.NO_ARRIVAL,
-)
+    CellStatus.QUARANTINED, CellStatus.FAILED, CellStatus.TIMED_OUT, CellStatus.UNSTABLE, CellStatus.NO_ARRIVAL,
+)  # fmt: skip
 """Outcomes other than done, the most severe first."""
 
 UNREAD = (CellStatus.NO_ARRIVAL, CellStatus.UNSTABLE)

@@ -37,17 +37,9 @@ EXIT_ROUNDING = 3
 """`calcidem verify`: stored and computed numbers are the same to rounding."""
 
 _BAD_INPUT = (
-    CementCapacityError,
-    ConfigurationError,
-    FieldError,
-    GpuError,
-    InputFileError,
-    LaunchError,
-    PackingFileError,
-    StoreError,
-    UnknownPatternError,
-    OSError,
-)
+    CementCapacityError, ConfigurationError, FieldError, GpuError, InputFileError, LaunchError, PackingFileError,
+    StoreError, UnknownPatternError, OSError,
+)  # fmt: skip
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 

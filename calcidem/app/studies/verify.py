@@ -22,14 +22,8 @@ from calcidem.storage.records import EXACT_QUANTITIES, CellKey, CellResult, Ceme
 from calcidem.storage.sql.store import Store
 
 _SHARES = (
-    "coherence",
-    "reading_error",
-    "effective_error",
-    "vs_bias",
-    "numerical_error",
-    "pulse_effect",
-    "side_error",
-)
+    "coherence", "reading_error", "effective_error", "vs_bias", "numerical_error", "pulse_effect", "side_error",
+)  # fmt: skip
 """Numbers that are already relative, so their absolute difference counts."""
 
 
