@@ -12,6 +12,7 @@ import pytest
 
 from calcidem.app.campaign.merge import merge_databases
 from calcidem.ends import CellStatus
+from calcidem.storage.errors import StoreUnavailableError
 from calcidem.storage.netcdf import export_netcdf, import_netcdf
 from calcidem.storage.records import ARRAY_RECORDS, CellKey
 from calcidem.storage.sql.store import Store, read_campaign
@@ -142,6 +143,20 @@ def test_an_export_beside_a_run_has_the_attempt_of_each_cell(
         import_netcdf(tmp_path / "a.nc", store)
         attempted = {attempt.key for attempt in store.history()}
         assert {result.key for result in store.results()} == attempted == {CellKey(1, 5.0)}
+
+
+def test_who_reads_a_database_that_a_merge_replaced_is_told(tmp_path: Path, records: "Records") -> None:
+    """An open campaign does not show former cells as the present ones."""
+    for number, name in enumerate(("a.db", "b.db")):
+        with made(tmp_path / name, records) as store:
+            store.record_results([records.done(number)])
+    with read_campaign(tmp_path / "a.db") as reader:
+        assert reader.settled() == 1
+        merge_databases([str(tmp_path / "b.db")], tmp_path / "a.db")
+        with pytest.raises(StoreUnavailableError, match=r"was replaced by another file.* Open it again"):
+            reader.settled()
+    with read_campaign(tmp_path / "a.db") as reader:
+        assert reader.settled() == 2
 
 
 def test_runs_are_told_in_the_order_of_their_beginning(tmp_path: Path, records: "Records") -> None:

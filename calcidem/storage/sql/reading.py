@@ -106,27 +106,33 @@ class StoreReader:
         self._refuse_closed()
         if self._shared is not None:
             return nullcontext(self._shared)
+        if self.read_only and self._fate() == "replaced by another file":  # whose cells would stay unseen
+            raise StoreUnavailableError(
+                f"{self.address} was {self._fate()}, as 'merge' does it.", "Open it again to read the new one."
+            )
         return self._connections.transaction(write=False)
 
     def _refuse_closed(self) -> None:
         if self._closed:
             raise StoreUnavailableError(f"{self.address} was closed.", "Open it again to go on with it.")
 
+    def _fate(self) -> str:
+        """What has become of the database file since it was opened; empty if it is there, or cannot be looked at."""
+        if self.address.path is None or self._file is None:
+            return ""
+        try:
+            found = self.address.path.stat()
+        except FileNotFoundError:
+            return "removed"
+        except OSError:
+            return ""  # the next transaction explains it
+        return "" if os.path.samestat(found, self._file) else "replaced by another file"
+
     def _refuse_replaced(self) -> None:
         """Raise `OutputRefusedError` if the database file was removed or replaced."""
-        path = self.address.path
-        if path is None or self._file is None:
-            return
-        try:
-            found = path.stat()
-        except FileNotFoundError:
-            found = None
-        except OSError:
-            return  # the next transaction explains it
-        if found is None or not os.path.samestat(found, self._file):
-            what = "removed" if found is None else "replaced by another file"
+        if fate := self._fate():
             raise OutputRefusedError(
-                f"{path} was {what} while it was being written.",
+                f"{self.address.path} was {fate} while it was being written.",
                 "Put the database back if you can, and run the same command again: it computes what is not in it.",
             )
 
