@@ -100,12 +100,8 @@ class Workers(Generic[CellT]):
         self, executor: Executor, compute: Compute[CellT, Any], time_limit: float | None, silence_floor: float
     ) -> None:
         self._executor, self._time_limit, self._silence_floor = executor, time_limit, silence_floor
-        if isinstance(executor, ThisProcess):
-            self._key, self._computation = "this thread", b""
-            _latest.key, _latest.compute = self._key, compute
-        else:
-            self._computation = pickle.dumps(compute, pickle.HIGHEST_PROTOCOL)
-            self._key = sha256(self._computation).hexdigest()
+        pickled = b"" if self.are_here else pickle.dumps(compute, pickle.HIGHEST_PROTOCOL)
+        self._computation, self._key = pickled or compute, sha256(pickled).hexdigest()
         self._in_flight: dict[Future[bytes], _Flight[CellT]] = {}
         self._lost: list[Batch[CellT]] = []  # whose processes died before they were seen to begin
         self._done: SimpleQueue[Future[bytes]] = SimpleQueue()
@@ -223,7 +219,7 @@ class Workers(Generic[CellT]):
             patience = max(self._silence_floor, 20.0 * self._slowest * batch.cost)
         else:
             patience = 10.0 * self._silence_floor
-        computation = self._computation if with_computation else None
+        computation = self._computation if with_computation or self.are_here else None
         try:
             future = self._executor.submit(_compute_batch, self._key, computation, batch, self._time_limit)
         except Exception as error:  # noqa: BLE001 - each executor has its own
@@ -295,7 +291,7 @@ class Workers(Generic[CellT]):
 
 
 _latest = threading.local()
-"""The computation of the latest sweep in this thread, and its hash: sweeps may run side by side in several threads."""
+"""The computation that this thread of an executor got last, and its hash: several may work for several sweeps."""
 
 
 @cache  # one thread for all computations; a forked process inherits the entries of its parent, which has another one
@@ -304,20 +300,22 @@ def _end_with(master: int) -> None:
     end_after(master, 1.0, EXIT_RESUMABLE)
 
 
-def _compute_batch(key: str, computation: bytes | None, batch: Batch[Any], time_limit: float | None) -> bytes:
-    """Compute a batch in a worker.
+def _compute_batch(
+    key: str, computation: bytes | Compute[Any, Any] | None, batch: Batch[Any], time_limit: float | None
+) -> bytes:
+    """Compute a batch in a worker, or in the process of the sweep, whose computation is not pickled.
 
     Return the worker's identity and, if it has the computation, seconds, results and failure.
     """
     worker: _Identity = (platform.node(), os.getpid(), threading.get_ident(), own_rank())
-    if key != getattr(_latest, "key", None):
+    if not callable(computation) and key != getattr(_latest, "key", None):
         if computation is None:
             return pickle.dumps((worker, None))
         if (parent := multiprocessing.parent_process()) is not None and parent.pid is not None:
             _end_with(parent.pid)
         _latest.compute = pickle.loads(computation)  # noqa: S301 - written by the master of the same program
         _latest.key = key
-    outcome = attempt(batch, _latest.compute, time_limit)
+    outcome = attempt(batch, computation if callable(computation) else _latest.compute, time_limit)
     results, failure = None, outcome.failure
     if failure is None:
         try:

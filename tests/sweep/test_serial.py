@@ -253,6 +253,20 @@ def test_sweeps_in_several_threads_do_not_meet(sink: "MemorySink") -> None:
     assert found == [([name] * 5, SweepState.COMPLETE) for name in ("one", "other")]
 
 
+def test_a_sweep_within_a_sweep_leaves_it_its_computation(sink: "MemorySink") -> None:
+    """A program may run another one, such as from the function that it is told the progress with."""
+    inner = type(sink)()
+
+    class Curious(Progress):
+        def on_outcome(self, _outcome: object) -> None:
+            if not inner.outcomes:
+                run_sweep(None, [Batch((1,))], lambda _batch, _check: ["inner"], inner, stop_request=StopRequest())
+
+    run_sweep(None, BATCHES, square, sink, progress=Curious())
+    assert inner.results() == {1: "inner"}
+    assert sink.results() == {cell: cell * cell for batch in BATCHES for cell in batch.cells}
+
+
 def test_a_plan_can_be_swept(sink: "MemorySink") -> None:
     """Cells of a campaign go through a plan and a sweep and come out complete."""
     cells = [(seed, content) for seed in range(5) for content in (0.0, 9.0)]
